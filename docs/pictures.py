@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -183,11 +184,19 @@ def tutorial(folder: Path) -> None:
             shutil.copyfile(f'{place}/{name}.png', folder / f'tutorial_{name}.png')
 
 
+def judge(folder: Path) -> None:
+    """What the command of docs/gis.md draws of tracks in the yard."""
+    line = re.search(r'(?m)^ambush (judge .*) -o', (DOCS / 'gis.md').read_text())[1]
+    subprocess.run([Path(sys.executable).with_name('ambush'), *line.split(), '-o',
+                    folder / 'judge.png'], cwd=DOCS.parent, check=True)
+
+
 def main() -> None:
     """Draw the named pictures, or all."""
     still = {'strategy': strategy, 'routes': routes, 'trip': trip}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'paper'])
+    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'judge',
+                                                    'paper'])
     parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
     options = parser.parse_args()
     folder = options.output.resolve()
@@ -197,8 +206,8 @@ def main() -> None:
             (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp')
-        elif name == 'tutorial':
-            tutorial(folder)
+        elif name in ('tutorial', 'judge'):
+            {'tutorial': tutorial, 'judge': judge}[name](folder)
         else:
             for drawn, shown in PAPER.items():
                 shutil.copyfile(f'out/paper/{drawn}.png', folder / f'paper_{shown}.png')

@@ -127,6 +127,7 @@ def inputs(tmp_path_factory):
     (folder / 'layers.yaml').write_text('layers: [{terrain: dem.npz}]')
     (folder / 'from.csv').write_text('name,x,y\na,15,15\n')
     (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
+    (folder / 'trips.csv').write_text('x,y\n15,15\n150,90\n285,185\n')
     return folder
 
 
@@ -138,6 +139,8 @@ LINES = {
                 '--set network.spacing=40',
     'slots': 'map.yaml --start 15 15 --goal 285 185 --slots 8:00 9:00 --set network.spacing=40 '
              '-o slots.csv',
+    'judge': 'map.yaml trips.csv --start 15 15 --goal 285 185 -o judged.png --reach 20 '
+             '--set network.spacing=40',
     'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',
 }
 

@@ -17,9 +17,10 @@ from audit_samples import departure, drawn, parameters, record, sample_plan
 from test_rooms import NO_ROS
 
 DOCS = Path(__file__).resolve().parent.parent / 'docs'
-BLOCKS = re.findall(r'(?ms)^```(sh|python)\n(.*?)^```$', (DOCS / 'gis.md').read_text())
+BLOCKS = re.findall(r'(?ms)^```(sh|python|text)\n(.*?)^```$', (DOCS / 'gis.md').read_text())
 # The commands take a minute of processor time, and more on a loaded machine [s].
 TIMEOUT = 800
+NUMBER = r'\b\d+(?:\.\d+)?\b'
 CELLS = json.loads((DOCS / 'tour.ipynb').read_text())['cells']
 
 
@@ -33,13 +34,21 @@ def test_every_command_of_the_page_works(tmp_path):
     a_plan = sample_plan()
     entries = {'parameters': parameters(**{'map.crs': 'datum 36.6 -84.3 0.0'})}
     record(tmp_path / 'runs', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
-    assert sum(kind == 'sh' for kind, _ in BLOCKS) == 5
+    assert sum(kind == 'sh' for kind, _ in BLOCKS) == 6
+    (tmp_path / 'docs').symlink_to(DOCS)
     script = '\n'.join(f"python - <<'END'\n{text}END" if kind == 'python' else text
-                       for kind, text in BLOCKS)
+                       for kind, text in BLOCKS if kind != 'text')
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     done = subprocess.run(['bash', '-ec', script], cwd=tmp_path, capture_output=True, text=True,
                           env={**os.environ, 'PATH': path}, timeout=TIMEOUT)
     assert done.returncode == 0, done.stderr
+    lines = r'(?m)^(?:left out: .*|driven .*|reweighted +[.\d]+|optimal .*)'
+    shown, printed = (re.findall(lines, text) for text in (BLOCKS[-3][1], done.stdout))
+    assert shown[:4] == printed[:4] and len(shown) == 8
+    for one, other in zip(shown, printed, strict=True):
+        assert re.split(NUMBER, one) == re.split(NUMBER, other)
+        assert [*map(float, re.findall(NUMBER, one))] == pytest.approx(
+            [*map(float, re.findall(NUMBER, other))], rel=0.02)
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
     files = set(re.findall(r'\b(?:routes|quick|robot|driven|map)\.\w+', ' '.join(
         text for kind, text in BLOCKS if kind == 'sh')))

@@ -39,6 +39,7 @@ COMMANDS = {
     'demo': 'run a node on real terrain, with recordings and a report',
     'export': 'write recorded routes to files for a GPS or a GIS',
     'frontier': 'compare length budgets and slacks on a map',
+    'judge': 'judge trips that were driven: tracks, or recordings',
     'plan': 'plan on a map and draw routes for a GPS or a GIS',
     'replay': 'publish recorded departures again',
     'report': 'show recorded departures on one page for any browser',

@@ -112,9 +112,9 @@ class _Positions(argparse.Action):
         setattr(namespace, self.dest, before + [Position(pair, in_degrees) for pair in pairs])
 
 
-def add_places(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments ``--start``, ``--goal`` and ``--via``, lists of ``Position``."""
-    for end in ('--start', '--goal', '--via'):
+def add_places(parser: argparse.ArgumentParser, stops: bool = True) -> None:
+    """Add the arguments ``--start``, ``--goal`` and perhaps ``--via``, lists of ``Position``."""
+    for end in ('--start', '--goal', *['--via'] * stops):
         parser.add_argument(end, nargs='+', action=_Positions, required=end != '--via',
                             metavar='X Y',
                             help=('stops, ' if end == '--via' else '') + 'X Y [m] or LAT,LON')

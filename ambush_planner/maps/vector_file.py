@@ -25,7 +25,8 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
     """Read the features of a ``kind``, 'Point', 'LineString' or 'Polygon', as single parts.
 
     ``source`` is a file, or ``FILE|layername=NAME`` as in QGIS; without a name, the layer is the
-    one that has such features. Features of other kinds are left out.
+    one that has such features. Features of other kinds are left out; parts of one feature have its
+    index.
 
     Raises InvalidFeatures if there are none, or if several layers have some.
     """
@@ -52,7 +53,7 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
         raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with NAME '
                               f'one of {", ".join(layers)}')
     if frame is not None:
-        frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode(ignore_index=True)
+        frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode()
         frame = frame[frame.geometry.geom_type == kind]
     if frame is None or frame.empty:
         raise InvalidFeatures(f'{path}: no {kind} in it')

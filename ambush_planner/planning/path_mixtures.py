@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import BudgetInfeasible, InvalidOption
 from ..game.game import make_game
 from ..game.law.chain import chain_of
@@ -34,12 +34,14 @@ class PathMixture:
     """Shares (K,) of given paths.
 
     ``value`` is the mean loss by the worst ambusher who knows the shares, wherever in free ground
-    outside held ground he waits; ``worst_xy`` (2,) is where that is [m].
+    outside held ground he waits; ``worst_xy`` (2,) is where that is [m], and ``met`` (K,) which
+    paths he meets there.
     """
 
     shares: FloatArray
     value: float
     worst_xy: FloatArray
+    met: BoolArray
 
 
 class PathMixtures:
@@ -81,7 +83,8 @@ class PathMixtures:
         losses = self._loss * (self._met @ shares)
         worst = int(losses.argmax())
         return PathMixture(frozen_array(shares, np.float64), float(losses[worst]),
-                           frozen_array(self._points[worst], np.float64))
+                           frozen_array(self._points[worst], np.float64),
+                           frozen_array(self._met[worst].toarray()[0], np.bool_))
 
     def best(self, costs: FloatArray | None = None, budget: float = math.inf) -> PathMixture:
         """The shares of least value, up to ``MAX_GAP``, with mean ``costs`` (K,) within a budget.

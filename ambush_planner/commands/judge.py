@@ -1,0 +1,149 @@
+"""``ambush judge``: what an ambusher causes who has watched the trips that were driven."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..figures import as_png
+from ..maps.coordinates import Coordinates
+from ..maps.risk_map import RiskMap
+from ..maps.track_file import Track, read_tracks
+from ..planning.concerns import assumptions, concerns
+from ..planning.habits import NEAR, Habits, find_trips, judge
+from ..planning.options import solved_game
+from ..planning.path_mixtures import PathMixture
+from . import cli
+from .audit import read_all
+from .inputs import (
+    MAP_HELP,
+    OPTIONS_HELP,
+    POSITION_HELP,
+    add_crs,
+    add_options,
+    add_places,
+    crs_text,
+    options_from,
+    risk_map_from,
+)
+from .judge_figure import MIN_SHARE, judge_figure
+from .report_words import distance, percent
+
+EPILOG = f"""\
+{MAP_HELP}
+
+TRACKS are recordings (.mcap, or a folder), or files:
+  .gpx    tracks, or routes if there are none
+  .csv    columns x and y [m] or lat and lon [degrees], optional track and time (ISO 8601 or [s])
+  others  lines of a GeoPackage, GeoJSON or other vector file; FILE|layername=NAME names a layer
+A trip leads from the last approach to the start to the first approach to the goal after it. The
+mean length of all trips is the length budget of the optimal strategy. The picture has mode 0600.
+
+{POSITION_HELP}
+{OPTIONS_HELP}
+--json: {{"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval",
+"shares": [{{"track", "share"}}], "driven": {{...}}, "reweighted": {{...}}, "optimal": {{...}}}}
+""" + cli.EXIT_CODES
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser('judge', 'Judge trips that were driven: what would an ambusher cause who '
+                          'has watched them?', EPILOG)
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
+    made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
+    add_places(made, stops=False)
+    made.add_argument('-o', '--output', type=Path, required=True, metavar='PICTURE.png',
+                      help='the picture to write')
+    add_crs(made)
+    add_options(made)
+    return made
+
+
+def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    options, output = options_from(arguments), arguments.output
+    if arguments.detour is not None:
+        raise cli.UsageError('argument --detour: the tracks set the length budget; leave it out')
+    if not options.game.ambush_radius > 0.0:
+        raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
+    risk_map = risk_map_from(arguments.map, replace(
+        options.map, crs=crs_text(arguments) or options.map.crs), console)
+    start, goal = (place.xy(risk_map) for place in (*arguments.start, *arguments.goal))
+    tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
+    game = solved_game(risk_map, options.planning)
+    near = max(game.ambush_radius, game.held_radius, NEAR * math.dist(start, goal))
+    trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
+    console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal')
+    for sentence in left_out:
+        console.item(f'left out: {sentence}', 0)
+    console.result = {'trips': len(trips), 'left_out': left_out, 'near': near}
+    if not trips:
+        console.error('no track has a trip from start to goal')
+        return cli.Exit.TOO_FEW
+    with console.waiting('solving the game'), warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # the concerns tell more
+        habits = judge(risk_map, trips, options.planning)
+    cli.write_private(output.parent, {output.name: as_png(judge_figure(habits, risk_map))})
+    _tell(habits, risk_map, console)
+    for text in concerns(habits.plan):
+        console.say(f'Warning: {text}.')
+    console.line(f'{cli.place(output)}: secret, so only this user can read it.')
+    console.result['picture'] = cli.place(output)
+    return cli.Exit.HOLDS
+
+
+def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:
+    """The tracks of a file, or of recordings in a file or a folder."""
+    path = Path(source)
+    if not path.is_dir() and path.suffix != '.mcap':
+        yield from read_tracks(source, risk_map.crs)
+        return
+    departures, unreadable = read_all(path, console)
+    if unreadable:
+        raise unreadable[0]
+    for each in departures:
+        poses = each.path_poses
+        yield Track(each.path.name, poses[:, :2], np.full(len(poses), each.stamp_ns / 1e9))
+
+
+def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
+    strategy, met, shares = habits.plan.strategy, habits.driven.met, habits.best.shares
+    (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
+    named = [{'track': habits.trips[k].name, 'share': float(shares[k])}
+             for k in np.argsort(-shares) if shares[k] >= MIN_SHARE]
+    rows = {'driven': _numbers(habits.driven, habits, risk_map),
+            'reweighted': _numbers(habits.best, habits, risk_map),
+            'optimal': {'value': strategy.value, 'mean_length': strategy.expected_length,
+                        'lower_bound': strategy.lower_bound}}
+    worst = ['worst at ' + ' '.join(map(str, row.get('worst_lat_lon', row['worst_xy'])))
+             for row in (rows['driven'], rows['reweighted'])]
+    console.line(f'{"mean loss":>21}{"mean length":>13}')
+    for (name, row), text in zip(rows.items(), (
+        f'{worst[0]}: {met.sum()} of {len(met)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
+        f'at most {detour:.3g} times the shortest; no strategy is below {strategy.lower_bound:.4g}',
+    ), strict=True):
+        console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')
+    for name, text in (
+        ('reweighted', ', '.join(f'{percent(each["share"])} {each["track"]}' for each in named)),
+        *(('assumption', text) for text in assumptions(habits.plan)),
+    ):
+        console.item(f'{name:<11}{text}', 0)
+    console.result |= {**rows, 'max_detour': detour, 'interval': [low, high], 'shares': named}
+
+
+def _numbers(mixture: PathMixture, habits: Habits, risk_map: RiskMap) -> dict[str, Any]:
+    at, crs = mixture.worst_xy, risk_map.crs
+    return {'value': mixture.value, 'mean_length': float(mixture.shares @ habits.lengths),
+            'worst_xy': at.round(2).tolist(), **({
+                'worst_lat_lon': Coordinates(crs).to_lat_lon(at).round(6).tolist()} if crs else {})}
+
+
+main = cli.command(parser, _work)

@@ -1,0 +1,85 @@
+"""The picture of ``ambush judge``."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+
+from .. import figures
+from ..arrays import BoolArray, FloatArray
+from ..colours import AMBUSHER
+from ..maps.risk_map import RiskMap
+from ..planning.habits import Habits
+from .report_words import distance
+
+# Trips and edges with smaller shares are not shown.
+MIN_SHARE = 0.001
+_CONVOY, _MET = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
+_LEGEND = (
+    Line2D([], [], linestyle='none', marker='o', markersize=11, markerfacecolor='none',
+           markeredgewidth=2.0, color=AMBUSHER, label='worst place, and how far he reaches'),
+    Line2D([], [], color=_MET, linewidth=3.6, label='50 % of departures, met there'),
+    Line2D([], [], color=_CONVOY, linewidth=1.2, label='10 % of departures, not met there'),
+    figures.SITES, figures.HELD_GROUND, figures.OBSTACLE,
+)
+
+
+def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
+    """The trips as driven, their best shares, and the optimal strategy, side by side."""
+    strategy, driven, best = habits.plan.strategy, habits.driven, habits.best
+    edges, p = strategy.network.points[strategy.network.edges], strategy.shown_probability
+    paths, used = [trip.xy for trip in habits.trips], best.shares[best.shares >= MIN_SHARE]
+    seen = np.concatenate((*paths, *edges[p >= MIN_SHARE]))
+    middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
+    half = np.maximum(half, 0.5 * half.max())
+    low, high = middle - 1.15 * half, middle + 1.15 * half
+    low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # names and the scale bar
+    height = figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
+    figure = Figure((figures.WIDTH, height + 3.3), layout='compressed')
+    figure.suptitle('Mean loss caused by an ambusher who has watched', x=0.0, ha='left')
+    panels = figure.subplots(1, 3)
+    for axes, name, value, length, text in (
+        (panels[0], 'as driven', driven.value, float(driven.shares @ habits.lengths),
+         f'{driven.met.sum()} of {len(paths)} trips\npass the worst place\n95 %: '
+         '{:.3g} to {:.3g}'.format(*habits.interval)),
+        (panels[1], 'the same, reweighted', best.value, float(best.shares @ habits.lengths),
+         f'{_less(best.value, driven.value)}\nthe best {len(used)} of the {len(paths)} trips\n'
+         f'shares {100 * used.min():.0f} to {100 * used.max():.0f} %'),
+        (panels[2], 'optimal', strategy.value, strategy.expected_length,
+         f'{_less(strategy.value, driven.value)}\na fresh route each time\n'
+         f'no strategy is below {strategy.lower_bound:.3g}'),
+    ):
+        figures.frame(axes, risk_map, name)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        risk = figures.draw_risk_map(axes, risk_map)
+        figures.draw_ends(axes, strategy)
+        figures.scale_bar(axes)
+        axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
+        axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),
+                      textcoords='offset points', fontsize=28, weight='bold', color=AMBUSHER)
+    for axes, mixture in zip(panels, (driven, best), strict=False):
+        _draw_lines(axes, paths, mixture.shares, mixture.met)
+        axes.add_patch(Circle(mixture.worst_xy, strategy.game.options.ambush_radius, linewidth=2.0,
+                              facecolor=f'{AMBUSHER}55', edgecolor=AMBUSHER, zorder=9))
+    _draw_lines(panels[2], list(edges), p, np.zeros(len(p), dtype=bool))
+    figures.draw_sites(panels[2], strategy)
+    figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
+                     anchor=(0.0, 1.0))
+    figure.legend(handles=_LEGEND, ncols=2, loc='outside lower left', frameon=False)
+    return figure
+
+
+def _less(value: float, driven: float) -> str:
+    return f'{100.0 * (1.0 - value / driven):.0f} % less' if value < driven else 'no less'
+
+
+def _draw_lines(axes: Axes, lines: list[FloatArray], shares: FloatArray, met: BoolArray) -> None:
+    """Draw lines (L, 2) as wide as their shares, those that are met in another colour."""
+    shown = [k for k in np.argsort(met, kind='stable') if shares[k] >= MIN_SHARE]
+    axes.add_collection(LineCollection(
+        [lines[k] for k in shown], colors=[_MET if met[k] else _CONVOY for k in shown],
+        linewidths=0.6 + 6.0 * shares[shown], capstyle='round', joinstyle='round', zorder=2))

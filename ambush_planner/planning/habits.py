@@ -1,0 +1,189 @@
+"""Habits: what driven trips tell an ambusher who has watched them, and how they could be better."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.distance import directed_hausdorff
+from scipy.stats import binom
+
+from ..arrays import FloatArray, IndexArray
+from ..errors import InvalidOption
+from ..game.budget import least_cost
+from ..maps.risk_map import RiskMap
+from ..maps.track_file import Track
+from ..network.construction import build_network
+from .options import PlanningOptions
+from .path_mixtures import PathMixture, PathMixtures
+from .plan import Plan
+from .trip import plan_trip
+
+# A trip has to come this near to start and goal, as a share of their distance.
+NEAR = 0.05
+MIN_STEP = 0.05  # a vehicle that moves less stands still; share of the reach
+USUAL = 0.75  # quantile of a track's steps
+# An outlier: most positions, least steps there and back in usual ones and over the direct way
+MAX_SPIKE, SPIKE_STEPS, SPIKE_DETOUR = 3, 5.0, 4.0
+# Longest step that is no gap: in usual ones, or as a share of the distance from start to goal
+GAP_STEPS, MAX_BRIDGED = 5.0, 0.1
+SAME_TIME = 0.5  # least overlap of two tracks of one trip, as a share of the shorter
+MIN_DETOUR = 1.05  # least length budget of the optimum, over the shortest route
+
+
+@dataclass(frozen=True, eq=False)
+class Habits:
+    """Trips (K,) of ``lengths`` [m], judged by an ambusher who has watched them.
+
+    ``driven`` has equal shares and an ``interval`` (95 %) for its value; ``best`` has the shares of
+    least value, and ``plan`` is the optimal strategy, both with no greater mean length.
+    """
+
+    trips: Sequence[Track]
+    lengths: FloatArray
+    driven: PathMixture
+    interval: tuple[float, float]
+    best: PathMixture
+    plan: Plan
+
+
+def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -> Habits:
+    """Judge trips that have start and goal in common, as ``find_trips`` returns them.
+
+    The plan's ``max_detour`` is that of the trips, at least ``MIN_DETOUR``. Raises InvalidOption if
+    nobody can wait anywhere, and the errors of ``plan_trip`` and ``PathMixtures``.
+    """
+    start, goal = trips[0].xy[[0, -1]]
+    lengths = np.array([_steps(trip.xy).sum() for trip in trips])
+    mean = float(lengths.mean())
+    network = build_network(risk_map, start, goal, options.network)
+    detour = max(mean / least_cost(network, network.lengths), MIN_DETOUR)
+    plan = plan_trip(risk_map, start, goal, replace(
+        options, strategy=replace(options.strategy, max_detour=detour)))
+    if not len(plan.strategy.game.sites):
+        raise InvalidOption('held ground covers everything around start and goal, so that nobody '
+                            'can wait there: choose a smaller radius (--held)')
+    mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips])
+    driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
+    return Habits(trips, lengths, driven, _interval(driven), mixtures.best(lengths, mean), plan)
+
+
+def _interval(driven: PathMixture) -> tuple[float, float]:
+    """The bootstrap's interval over trips for the mean loss at the worst place.
+
+    The place stays: if each resample had its own worst place, a few trips would look worse than the
+    habits behind them. An ambush there meets a binomial number of resampled trips, whose quantiles
+    need no draws.
+    """
+    count, met = len(driven.met), int(driven.met.sum())
+    low, high = driven.value * binom.ppf((0.025, 0.975), count, met / count) / max(met, 1)
+    return float(low), float(high)
+
+
+def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, near: float,
+               reach: float) -> tuple[list[Track], list[str]]:
+    """The trips from start to goal, which are their ends, and a sentence for each left out.
+
+    A trip leads from the last approach to the start, within ``near`` [m], to the first approach to
+    the goal after it; a track can have several. Outliers are removed, short gaps are bridged. Trips
+    that were driven at the same time, within ``reach`` [m] of each other, and copies count once.
+    """
+    trips: list[Track] = []
+    left_out = []
+    for track in tracks:
+        for found in _trips_of(track, start, goal, near, MIN_STEP * reach):
+            if isinstance(found, str):
+                left_out.append(found)
+            elif twin := next((trip for trip in trips if _is_one(found, trip, reach)), None):
+                same = 'a copy of' if found.times is None else 'the same trip as'
+                left_out.append(f'{found.name} is {same} {twin.name}')
+            else:
+                trips.append(found)
+    return trips, left_out
+
+
+def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
+              min_step: float) -> Iterator[Track | str]:
+    """Yield the trips of a track, or why it has none."""
+    times = np.zeros(len(track.xy)) if track.times is None else track.times
+    if len(late := np.flatnonzero(np.diff(times) < 0.0)):
+        yield f'in {track.name}, time goes backwards after position {late[0] + 1}'
+        return
+    kept = _without_spikes(track.xy, _apart(track.xy, min_step))
+    xy, times = track.xy[kept], times[kept]
+    away = np.stack([np.hypot(*(xy - end).T) for end in (start, goal)])
+    end = np.where(away.min(axis=0) <= near, away.argmin(axis=0), -1)
+    for k, name in enumerate(('start', 'goal')):
+        if k not in end:
+            yield f'{track.name} never comes within {near:.4g} m of the {name}'
+            return
+    if not (legs := _legs(away, end)):
+        yield f'{track.name} leads from the goal to the start: the way back is another game'
+    steps = _steps(xy)
+    most = max(GAP_STEPS * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
+    for number, (first, last) in enumerate(legs, start=1):
+        name = track.name if len(legs) == 1 else f'trip {number} of {track.name}'
+        if (gap := steps[first:last].max()) > most:
+            yield f'{name} has a gap of {gap:.4g} m, more than {most:.4g} m'
+            continue
+        when = np.pad(times[first : last + 1], 1, mode='edge')
+        yield Track(name, np.vstack((start, xy[first : last + 1], goal)),
+                    None if track.times is None else when)
+
+
+def _legs(away: FloatArray, end: IndexArray) -> list[tuple[int, int]]:
+    """First and last position of each trip, from their distances (2, L) of start and goal [m].
+
+    ``end`` (L,) says which positions are near the start (0), near the goal (1) or at neither (-1).
+    """
+    runs = np.split(np.arange(len(end)), np.flatnonzero(np.diff(end)) + 1)
+    return [(int(one[away[0, one].argmin()]), int(other[away[1, other].argmin()]))
+            for one, other in pairwise(run for run in runs if end[run[0]] >= 0)
+            if (end[one[0]], end[other[0]]) == (0, 1)]
+
+
+def _steps(xy: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(*np.diff(xy, axis=0).T))
+
+
+def _apart(xy: FloatArray, step: float) -> list[int]:
+    """Indices of positions that are at least a step from the one before [m]."""
+    kept, points = [0], xy.tolist()
+    for k, point in enumerate(points):
+        if math.dist(points[kept[-1]], point) >= step:
+            kept.append(k)
+    return kept
+
+
+def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
+    """The indices ``kept`` of positions without those of outliers."""
+    usual = float(np.quantile(_steps(xy[kept]), USUAL)) if len(kept) > 1 else 0.0
+    for width in range(1, MAX_SPIKE + 1):
+        p = xy[kept]
+        before, after = p[: -width - 1], p[width + 1 :]
+        there, back, direct = (np.hypot(*step.T) for step in (
+            p[1:-width] - before, after - p[width:-1], after - before))
+        spike = ((np.minimum(there, back) > SPIKE_STEPS * usual)
+                 & (there + back > SPIKE_DETOUR * direct))
+        kept = np.delete(kept, np.flatnonzero(spike)[:, None] + 1 + np.arange(width)).tolist()
+    return kept
+
+
+def _is_one(one: Track, other: Track, reach: float) -> bool:
+    """Whether two trips were driven side by side, or without times, whether they are copies."""
+    if one.times is None or other.times is None:
+        return np.array_equal(one.xy, other.xy)
+    (a, b), (c, d) = one.times[[0, -1]], other.times[[0, -1]]
+    return min(b, d) - max(a, c) >= SAME_TIME * min(b - a, d - c) and all(
+        directed_hausdorff(line, _dense(wide, reach / 2.0))[0] <= reach
+        for line, wide in ((one.xy, other.xy), (other.xy, one.xy)))
+
+
+def _dense(xy: FloatArray, step: float) -> FloatArray:
+    """Positions (K, 2) on the line (L, 2), a step apart [m]."""
+    along = np.append(0.0, _steps(xy).cumsum())
+    at = np.arange(0.0, along[-1] + step, step)
+    return np.column_stack([np.interp(at, along, axis) for axis in xy.T])
