@@ -94,11 +94,9 @@ def test_a_bound_above_the_value_is_refused():
         certify(game, p, ambusher, budgets, 1.0001 * worst_loss(game, p))
 
 
-@examples(50)
+@examples(25)
 @given(networks(alphas=PLAIN), st.integers(0, 10**6), st.floats(0, 5), st.floats(1.0, 2.0))
-def test_weak_duality_holds_for_any_q_and_price(
-    network, seed, price, detour
-):
+def test_weak_duality_holds_for_any_q_and_price(network, seed, price, detour):
     """Checked by an independent Dijkstra."""
     game = make_game(network, GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=detour))
@@ -124,7 +122,7 @@ def test_several_ambushers_hold_different_sites():
         certify(game, p, replace(ambusher, q=one_site), budgets)
 
 
-@examples(90)
+@examples(30)
 @given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
 def test_capped_probabilities_keep_their_sum(masses, count):
     q = capped_at_one(np.array(masses), count)
@@ -143,14 +141,13 @@ def test_a_budget_below_the_best_route_is_infeasible():
     assert not Budget.none(game).binds and Budget.none(game).least == pytest.approx(3.0)
 
 
-@examples(50)
+@examples(20)
 @given(networks())
 def test_excess_along_a_route_is_its_cost_over_the_best(network):
     game = make_game(network, GameOptions())
     length, exposure = make_budgets(game, StrategyOptions(max_detour=2.0, max_exposure=3.0))
-    route = solve(network, options=StrategyOptions(max_detour=np.inf)).sample_route(
-        np.random.default_rng(1)
-    )
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    route = strategy.sample_route(np.random.default_rng(1))
     pairs = list(zip(route[:-1].tolist(), route[1:].tolist(), strict=True))
     used = [k for k, edge in enumerate(network.edges.tolist()) if tuple(edge) in pairs]
     for budget in (length, exposure):
@@ -162,8 +159,8 @@ def test_excess_along_a_route_is_its_cost_over_the_best(network):
 # Scale.
 
 
-@pytest.mark.parametrize('exponent', [-305, -250, -100, -9, 0, 9, 100, 200, 289])
-@pytest.mark.parametrize('detour', [1.1, np.inf])
+@pytest.mark.parametrize(('exponent', 'detour'), [
+    (-305, 1.1), (-305, np.inf), (-100, 1.1), (200, np.inf), (289, 1.1), (289, np.inf)])
 def test_within_tolerance_at_every_scale(exponent, detour):
     plain = terrain_network(2, cells=9)
     alpha = plain.alpha * 10.0**exponent
@@ -177,9 +174,8 @@ def test_within_tolerance_at_every_scale(exponent, detour):
     assert strategy.value == pytest.approx(same * 10.0**exponent, rel=SLACK, abs=0.0)
 
 
-@pytest.mark.parametrize('where', ['on the best route', 'anywhere'])
-@pytest.mark.parametrize('detour', [1.05, 1.2, np.inf])
-@pytest.mark.parametrize('radius', [0.0, 2.0])
+@pytest.mark.parametrize(('where', 'detour', 'radius'), [
+    ('on the best route', 1.05, 2.0), ('on the best route', np.inf, 0.0), ('anywhere', 1.2, 0.0)])
 def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     plain = terrain_network(2, cells=12)
     free = StrategyOptions(max_detour=detour)
@@ -193,7 +189,7 @@ def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     assert strategy.value <= strategy.lower_bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
 
 
-@pytest.mark.parametrize('loss', [1e291, 1e308, 1e-306, 5e-324])
+@pytest.mark.parametrize('loss', [1e291, 1e-306])
 def test_losses_out_of_range_are_refused(loss):
     network = Network([[0, 0], [1, 0], [2, 0]], [0, loss, 0], [(0, 1), (1, 2)], 0, 2)
     with pytest.raises(InvalidNetwork, match=r'1e-305\.\.1e\+290.* at node 1; scale the losses'):

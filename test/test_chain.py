@@ -70,7 +70,7 @@ class Case:
 cases = st.builds(Case, st.integers(0, 10**6), st.sampled_from((0.0, 0.3, 0.7, 1.2, 2.0)))
 
 
-@examples(40)
+@examples(15)
 @given(cases)
 def test_hits_and_entropy_are_those_of_all_routes(case):
     p = case.strategy()
@@ -82,7 +82,7 @@ def test_hits_and_entropy_are_those_of_all_routes(case):
     assert hit_probabilities(case.game, whole) == pytest.approx(hits, abs=1e-12)
 
 
-@examples(40)
+@examples(15)
 @given(cases)
 def test_rows_are_derivatives_and_add_up_to_the_hits(case):
     """The derivatives towards another strategy."""

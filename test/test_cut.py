@@ -57,7 +57,7 @@ def check_cut(network, found: CutSolution) -> None:
     assert (found.q * network.alpha)[cut] == pytest.approx(found.value, rel=1e-12)
 
 
-@examples(120)
+@examples(60)
 @given(st.one_of(networks(), networks(alphas=NASTY), terrain_networks))
 def test_value_and_strategies_on_any_network(network):
     found = solved(network)
@@ -129,7 +129,7 @@ def shared(network, ambushers) -> Cut:
     return cut
 
 
-@examples(35)
+@examples(15)
 @given(networks(alphas=PLAIN), st.integers(1, 3))
 def test_several_ambushers_on_any_network(network, count):
     count = min(count, len(network.points))

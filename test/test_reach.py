@@ -33,16 +33,15 @@ from ambush_planner.game.hits import entry_value
 from ambush_planner.game.route_sampler import route_edges
 from ambush_planner.game.strategy import make_budgets
 
-ROUTES = 10_000
+ROUTES = 4_000
 # Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
 DEVIATIONS = 5.0
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
-@pytest.mark.parametrize('ambushers', [1, 2, 3])
-@examples(30)
-@given(st.integers(0, 10**6), st.floats(0.2, 1.5), st.sampled_from([-1.0, 0.0, 0.5, 2.0]),
-       st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
+@examples(40)
+@given(st.integers(1, 3), st.integers(0, 10**6), st.floats(0.2, 1.5),
+       st.sampled_from([-1.0, 0.0, 0.5, 2.0]), st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
 def test_value_and_bound_enclose_the_value_over_all_routes(
     ambushers, seed, reach, held, detour, inside
 ):
@@ -54,7 +53,8 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
     game = GameOptions(reach, held, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
     near = reached(network, reach, game.held_radius)
-    once = value_by_routes(network, near, routes, strategy.length_budget, ambushers)
+    limits = [(network.lengths, strategy.length_budget)]
+    once = value_by_routes(network.alpha, near, routes, limits, ambushers)
     assert strategy.lower_bound <= once * (1 + 1e-7) + 1e-9
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1 - 2e-6) - 1e-9
@@ -62,7 +62,7 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
         assert strategy.value <= once * (1 + 0.01 + 1e-5) + 1e-9
 
 
-@examples(20)
+@examples(6)
 @given(st.integers(0, 10**6), st.floats(0.0, 2.0), st.sampled_from((1.1, np.inf)))
 def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
     network = terrain_network(seed, cells=9)
@@ -74,7 +74,7 @@ def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
         bound = max(bound, strategy.lower_bound)
 
 
-@examples(40)
+@examples(20)
 @given(st.integers(0, 10**6), st.floats(0.5, 2.0), st.floats(0.0, 2.0))
 def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     rng, network = np.random.default_rng(seed), planar_network(seed)
@@ -119,12 +119,8 @@ def hilly_network(nodes_across: int) -> Network:
     v, u = np.meshgrid(*2 * [(np.arange(cells) + 0.5) / cells], indexing='ij')
     alpha = 1 + 4 * np.exp(-((u - 0.7) ** 2 + (v - 0.25) ** 2) / 0.08)
     block = (np.abs(u - 0.5) < 0.12) & (np.abs(v - 0.5) < 0.12)
-    return build_network(
-        RiskMap(alpha, block, 1.0),
-        (3.0, 50.0),
-        (97.0, 50.0),
-        NetworkOptions(spacing=cells / nodes_across),
-    )
+    return build_network(RiskMap(alpha, block, 1.0), (3.0, 50.0), (97.0, 50.0),
+                         NetworkOptions(spacing=cells / nodes_across))
 
 
 @pytest.mark.parametrize('radius', [0.0, 10.0])

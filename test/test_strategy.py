@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from games import (
     NASTY,
-    PLAIN,
     connected_flow,
     exact_value,
     examples,
@@ -106,15 +105,17 @@ def check_entropies(strategy) -> None:
 
 
 @examples(60)
-@given(networks(), st.sampled_from(DETOURS), st.sampled_from((0.0, SLACK)))
-def test_default_solver_on_any_network(network, max_detour, slack):
-    strategy = solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=slack))
-    check_laws(strategy, max_detour)
+@given(st.one_of(networks(), networks(), terrain_networks), st.sampled_from(DETOURS),
+       st.sampled_from((0.0, SLACK)), st.sampled_from((*SOLVERS, 'max_entropy')))
+def test_any_solver_on_any_network(network, max_detour, slack, solver):
+    strategy = solve(network, options=StrategyOptions(solver, max_detour, risk_slack=slack))
+    check_laws(strategy, max_detour, solver)
+    slack *= solver == 'max_entropy'
     check_value(strategy, max_detour, slack)
     assert strategy.value <= strategy.lower_bound * (1 + slack + 1e-5)
 
 
-@examples(60)
+@examples(30)
 @given(networks(alphas=NASTY), st.sampled_from(DETOURS))
 def test_losses_from_1e_9_to_1e9(network, max_detour):
     strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
@@ -124,24 +125,7 @@ def test_losses_from_1e_9_to_1e9(network, max_detour):
         assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
-@examples(35)
-@given(networks(), st.sampled_from(DETOURS), st.sampled_from(SOLVERS[1:]))
-def test_linear_programs_on_any_network(network, max_detour, solver):
-    strategy = solve(network, options=StrategyOptions(solver, max_detour))
-    check_laws(strategy, max_detour, solver)
-    check_value(strategy, max_detour)
-
-
-@examples(10)
-@given(terrain_networks, st.sampled_from(DETOURS))
-def test_all_solvers_find_one_value_on_terrain(network, max_detour):
-    for solver in SOLVERS:
-        strategy = solve(network, options=StrategyOptions(solver, max_detour))
-        check_laws(strategy, max_detour, solver)
-        check_value(strategy, max_detour, SLACK if solver == 'max_entropy' else 0.0)
-
-
-@examples(28)
+@examples(12)
 @given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
        st.sampled_from((0.0, 0.01, 0.3)))
 def test_several_ambushers_are_within_the_slack_of_the_linear_program(
@@ -155,33 +139,6 @@ def test_several_ambushers_are_within_the_slack_of_the_linear_program(
     tight = program_value(network, None, detour * shortest * (1 + 1e-12), count)
     assert strategy.value >= loose * (1 - 1e-6) - 1e-9
     assert strategy.value <= tight * (1 + slack + 2e-5) + 1e-9
-
-
-@pytest.mark.parametrize('reach', [0.0, 2.1])
-@examples(2)
-@given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
-def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
-    """As in a depot: narrow places, and a budget that decides which of them can be reached."""
-    network = ground_network(seed, 'depot')
-    reach *= float(np.median(network.lengths))
-    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
-        max_detour=detour, risk_slack=slack))
-    least = program_value(network, geometric_hits(network, reach) if reach else None,
-                          strategy.length_budget)
-    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
-    assert strategy.lower_bound <= least * (1 + 1e-5)
-    assert strategy.value <= least * (1 + slack + 2e-5)
-    assert reach or strategy.value >= least * (1 - 2e-5)
-
-
-@examples(25)
-@given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
-def test_risk_slack_bounds_the_extra_risk(network, slack, max_detour):
-    strict, loose = (solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=s))
-                     for s in (0.0, slack))
-    check_laws(loose, max_detour)
-    assert loose.value <= (1 + slack) * strict.value * (1 + 2e-5)
-    assert loose.lower_bound <= strict.value
 
 
 def test_equal_inputs_give_equal_strategies():
@@ -224,8 +181,8 @@ def test_no_time_at_all_raises_time_limit(solver):
         solve(network, options=tight)
 
 
-@pytest.mark.parametrize('limit', [1e-9, 1e-3, 3e-3, 0.01, 0.03, 0.1])
-@pytest.mark.parametrize('detour, reach', [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
+@pytest.mark.parametrize('limit', [1e-9, 3e-3, 0.03])
+@pytest.mark.parametrize('detour, reach', [(1.05, 0.0), (1.2, 3.0), (np.inf, 0.0)])
 def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach):
     """Never another error; value and bound are the strategy's own; none is published over."""
     network, game = terrain_network(1, cells=24), GameOptions(ambush_radius=reach)
@@ -250,12 +207,8 @@ def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach)
     assert route[0] == network.source and route[-1] == network.target
 
 
-# Warm starts and other losses.
-
-
-@pytest.mark.parametrize('seed', [1, 2, 3])
-def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
-    network = terrain_network(seed, cells=24)
+def test_a_warm_start_ends_at_the_same_optimum_sooner():
+    network = terrain_network(1, cells=24)
     options = StrategyOptions(max_detour=1.3)
     first = solve(network, options=options)
     again = solve(network, options=options, warm=first.multipliers)
@@ -265,9 +218,6 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
     assert warm.iterations < cold.iterations
     assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=5e-3)
     assert warm.value == pytest.approx(cold.value, rel=0.012)
-
-
-# Random games of any kind.
 
 
 @pytest.mark.parametrize(('seed', 'reach'), [(0, 0.0), (3, 2.0)])
@@ -327,31 +277,17 @@ def test_losses_of_obstacle_cells_are_ignored_even_nan():
 
 
 @pytest.mark.parametrize('solver', SOLVERS)
-def test_no_route(solver):
+def test_no_route_or_none_within_the_budget(solver):
     network = quiet_network([[0, 0], [1, 0], [2, 0]], [0, 1, 0], [(0, 1)], 0, 2)
     with pytest.raises(NoRoute, match=r'from \(0.000, 0.000\) to \(2.000, 0.000\)'):
         solve(network, options=StrategyOptions(solver))
     with pytest.raises(NoRoute):
         solve(quiet_network([[0, 0], [1, 0]], [0, 0], [], 0, 1), options=StrategyOptions(solver))
-
-
-@pytest.mark.parametrize('solver', SOLVERS)
-def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
+    # The threshold forbids the shortest route.
     network = quiet_network([[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0],
                             [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     with pytest.raises(BudgetInfeasible, match=r'budget of 2\.4 m'):
         solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
-
-
-@pytest.mark.parametrize('name, value', [
-    ('solver', 'magic'), ('solver', None), ('max_detour', 0.99), ('max_detour', np.nan),
-    ('max_exposure', 0.99), ('max_exposure', np.nan), ('risk_slack', -0.1), ('risk_slack', np.inf),
-    ('length_weight', -0.1), ('length_weight', 1.0), ('time_limit', 0.0), ('time_limit', -1.0),
-])
-def test_options_out_of_range_are_named(name, value):
-    with pytest.raises(InvalidOption, match=name) as caught:
-        StrategyOptions(**{name: value})
-    assert str(value) in str(caught.value)
 
 
 def test_contradicting_options_are_named():
@@ -379,7 +315,7 @@ def test_budgets_of_zero_are_feasible():
     assert solve(network).expected_length == 0.0
 
 
-@examples(60)
+@examples(30)
 @given(networks(alphas=(0.0, 0.0, 0.5, 1.0, 3.0)), st.sampled_from((0.0, 1.0, 2.0)),
        st.sampled_from((1.0, 1.05, 1.5, 3.0, np.inf)), st.sampled_from((1.0, 1.05, 1.5, np.inf)))
 def test_any_budgets_are_kept_or_infeasible(network, radius, detour, exposure):

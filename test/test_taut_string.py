@@ -21,7 +21,7 @@ def string(portals, margin):
     return np.array([ends[side or 1][k] for k, side in corners])
 
 
-@examples(40)
+@examples(20)
 @given(drives, st.floats(0.0, 0.45))
 def test_the_taut_string_is_the_shortest_line_through_the_portals(drive, share):
     corridors, route = drive[:2]
@@ -63,7 +63,7 @@ def test_portals_approached_from_behind():
     assert_taut(Portals(*arrays, np.zeros(len(nodes)), np.array([0, len(nodes)])), 0.0)
 
 
-@examples(50)
+@examples(25)
 @given(drives, st.integers(0, 10**6))
 def test_straight_lines_between_portals_stay_in_the_corridor(drive, seed):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive

@@ -81,11 +81,9 @@ def test_rejects_roads_of_another_shape():
         terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))
 
 
-@pytest.mark.parametrize(
-    'values',
-    [{'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
-     {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}],
-)
+@pytest.mark.parametrize('values', [
+    {'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
+    {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}])
 def test_rejects_options_out_of_range(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         TerrainOptions(**values)
