@@ -3,8 +3,6 @@
 The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, random examples.
 """
 
-from __future__ import annotations
-
 import heapq
 import os
 import warnings

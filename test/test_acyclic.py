@@ -1,7 +1,5 @@
 """Orders of the nodes, the parts of the network that go forward in them, and cycles taken off."""
 
-from __future__ import annotations
-
 import networkx
 import numpy as np
 import pytest
@@ -76,23 +74,6 @@ def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, se
     ends = {network.source, network.target}
     able = {e for e in undirected if e <= core and e != ends}
     assert len(kept & able) == len(able)
-
-
-def test_the_potential_is_harmonic_from_0_to_1():
-    network = terrain_network(4, cells=10)
-    game = make_game(network, GameOptions())
-    potential = order_potential(game)
-    assert potential[[network.source, network.target]].tolist() == [0.0, 1.0]
-    pairs = {frozenset(e) for e in network.edges[game.playable].tolist()}
-    current = np.zeros(len(potential))
-    for pair in pairs:
-        i, j = pair
-        length = np.hypot(*(network.points[i] - network.points[j]))
-        both = 2.0 if [i, j] in network.edges.tolist() and [j, i] in network.edges.tolist() else 1.0
-        current[i] += both * (potential[j] - potential[i]) / length
-        current[j] += both * (potential[i] - potential[j]) / length
-    current[[network.source, network.target]] = 0.0
-    assert np.abs(current[np.isfinite(potential)]).max() < 1e-12
 
 
 def test_large_networks_are_ordered_by_progress(monkeypatch):

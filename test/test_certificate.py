@@ -1,7 +1,5 @@
 """The certificate: it refuses wrong strategies, and holds at any scale of the losses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -35,12 +33,6 @@ def case(detour=1.2, network=None, **game):
     options = StrategyOptions(max_detour=detour)
     found = solve(network, GameOptions(**game), options)
     return found.game, found.edge_probability.copy(), found.ambusher, found.budgets
-
-
-def test_solved_strategies_are_certified():
-    for detour in (1.02, 1.2, np.inf):
-        found = certify(*case(detour))
-        assert found.bound <= found.value <= found.bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
 
 
 def wrong_ambushers(q):

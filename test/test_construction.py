@@ -1,7 +1,5 @@
 """Networks on maps: positions of nodes, joined pairs, and repeatability."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

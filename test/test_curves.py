@@ -1,7 +1,5 @@
 """What circulations prove, against the best response and against all routes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -129,19 +127,6 @@ def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, se
         bound = case.bound_of(ambusher)
         assert bound <= max(case.least_cost(ambusher), 0.0) + 1e-9
         assert bound <= case.once * (1.0 + 1e-9)
-
-
-def test_less_of_any_kind_proves_less():
-    """Half of the flow through every link and disc is worth half."""
-    game = make_game(terrain_network(3, cells=14), GameOptions(2.0))
-    ambusher, budgets, bound = proof(game, np.inf)
-    curves = ambusher.circulation
-    half = replace(curves, through=0.5 * curves.through, flow=0.5 * curves.flow)
-    assert lower_bound(game, ambusher, budgets) == pytest.approx(bound)
-    assert lower_bound(game, replace(ambusher, circulation=half), budgets) == pytest.approx(
-        bound / 2.0)
-    none = replace(curves, through=0.0 * curves.through, flow=0.0 * curves.flow)
-    assert lower_bound(game, replace(ambusher, circulation=none), budgets) == 0.0
 
 
 @pytest.mark.parametrize(('seed', 'detour'), [(1, 1.05), (3, 1.2), (4, np.inf)])

@@ -1,7 +1,5 @@
 """The value bounds the mean loss of driven paths, measured by geometry alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from games import HUNT

@@ -1,7 +1,5 @@
 """Driven paths: within the corridors, clear of obstacles, short and smooth."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

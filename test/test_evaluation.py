@@ -1,7 +1,5 @@
 """The paper's table III: laws, and tiny games whose rows are known by hand."""
 
-from __future__ import annotations
-
 import itertools
 
 import networkx
@@ -27,7 +25,7 @@ def length(network, route) -> float:
     return float(np.hypot(*steps.T).sum())
 
 
-@examples(40)
+@examples(20)
 @given(networks(max_nodes=7))
 def test_fixed_routes_are_the_best_of_all_routes(network):
     game = solve(network).game
@@ -40,7 +38,7 @@ def test_fixed_routes_are_the_best_of_all_routes(network):
     assert length(network, careful) == pytest.approx(min(length(network, r) for r in ties))
 
 
-@examples(50)
+@examples(20)
 @given(st.one_of(networks(), terrain_networks))
 def test_measures_of_any_network(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))

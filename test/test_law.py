@@ -1,7 +1,5 @@
 """The law's entropy against Clarabel's optimum, its limits, and what it may use."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -110,26 +108,6 @@ def test_more_slack_buys_more_entropy(reach, detour):
         max_detour=detour, risk_slack=slack)).route_entropy
         for slack in (0.0, 0.01, 0.1, 0.3)]
     assert all(b > a for a, b in zip(entropies[:-1], entropies[1:], strict=True))
-
-
-def test_an_exposure_budget_lowers_exposure_and_entropy():
-    network = terrain_network(6, cells=14)
-    free, dark = (
-        solve(network, options=StrategyOptions(max_detour=1.5, max_exposure=e, risk_slack=0.05))
-        for e in (np.inf, 1.1)
-    )
-    assert dark.expected_exposure <= 1.1 * dark.least_exposure * (1 + 1e-6)
-    assert free.expected_exposure > dark.expected_exposure
-    assert dark.route_entropy < free.route_entropy
-
-
-def test_an_excessively_costly_site_is_avoided():
-    network = terrain_network(2, cells=12)
-    alpha = network.alpha.copy()
-    alpha[len(alpha) // 2] = 1e9
-    barred = quiet_network(network.points, alpha, network.edges, network.source, network.target)
-    strategy = solve(barred)
-    assert strategy.visit_probability[len(alpha) // 2] == 0.0
 
 
 def test_routes_that_avoid_all_sites_have_value_zero():

@@ -111,27 +111,6 @@ def test_an_error_in_on_result_cancels_the_rest():
     assert len(taken) <= 8
 
 
-class CountingExecutor:
-    """An executor that counts the maps sent."""
-
-    def __init__(self, executor):
-        self.executor, self.maps = executor, 0
-
-    def submit(self, function, key, content, *rest):
-        self.maps += content is not None
-        return self.executor.submit(function, key, content, *rest)
-
-
-def test_maps_are_sent_only_to_processes_without_them():
-    risk_map, others = field(7), [field(seed) for seed in range(4)]
-    with ProcessPoolExecutor(1, FRESH) as pool:
-        post = CountingExecutor(pool)
-        for maps, sent in (([risk_map] * 12, 1), ([risk_map] * 3, 1), (others, 5), ([risk_map], 6)):
-            results = solve_many([problem(each, k) for k, each in enumerate(maps)], post,
-                                 answer=numbers, in_flight=1)
-            assert all(result.error is None for result in results) and post.maps == sent
-
-
 def end_here(strategy):
     if strategy.network.points[strategy.network.source][1] == 35.0:
         os._exit(1)

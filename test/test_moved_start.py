@@ -89,15 +89,6 @@ def test_law_and_value_are_those_of_the_joined_routes(seed, angle, away, radius)
     assert joined.assessment.expected_length == pytest.approx(mean)
 
 
-def test_at_the_start_nothing_changes():
-    ground, grid = ground_on(np.full((24, 40), 20, np.int8), 1.2)
-    joined = joined_plan(ground, grid, (START, GOAL))
-    before = ground.plan.strategy
-    assert joined.assessment.value == pytest.approx(before.value)
-    assert joined.assessment.lower_bound == pytest.approx(before.lower_bound)
-    assert joined.plan.strategy.route_entropy == pytest.approx(before.route_entropy)
-
-
 @pytest.mark.parametrize(('radius', 'stops'), [(0.0, ()), (1.2, ()), (1.2, ((5.0, 1.5),))])
 def test_paths_begin_at_the_convoy_and_keep_clear(radius, stops):
     values = np.random.default_rng(1).integers(0, 60, (24, 40), dtype=np.int8)

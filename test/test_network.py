@@ -1,7 +1,5 @@
 """Validation of networks: bad inputs are named, useless edges are dropped with a warning."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from games import examples, networks

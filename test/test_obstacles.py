@@ -1,7 +1,5 @@
 """Segments against obstacle cells: exact rational clipping and distances as the oracle."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

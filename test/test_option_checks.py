@@ -1,7 +1,5 @@
 """Options of a wrong type or out of range: an error of ours that names them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -29,12 +29,6 @@ def test_resampling_preserves_a_plane():
     np.testing.assert_allclose(result.heights, 8.0 * plane(37, 100, 1.0, 1.0), rtol=1e-6)
 
 
-def test_square_cells_are_not_resampled():
-    heights = np.random.default_rng(0).uniform(size=(300, 200)).astype(np.float32)
-    result = elevation_from_raster(Raster(heights.astype(float), 0.1, 0.1))
-    np.testing.assert_array_equal(result.heights, heights)
-
-
 @pytest.mark.parametrize('resolution', [-1.0, np.inf, 1e6, 1e-6])
 def test_rejects_an_invalid_resolution(resolution):
     with pytest.raises(InvalidTerrain, match='resolution'):

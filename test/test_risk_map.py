@@ -1,7 +1,5 @@
 """Axes, rotated origins, the reading of occupancy grids, and every bad input by name."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -23,17 +21,12 @@ def flat(rows=3, columns=4, resolution=0.5, origin=(0.0, 0.0, 0.0)) -> RiskMap:
 
 @examples(25)
 @given(origins, resolutions, st.integers(0, 10**6))
-def test_world_and_map_axes_round_trip(origin, resolution, seed):
+def test_world_and_map_axes_round_trip_and_centres_are_in_their_cells(origin, resolution, seed):
     risk_map = flat(resolution=resolution, origin=origin)
     uv = np.random.default_rng(seed).random((5, 2)) * risk_map.size
     back = risk_map.to_map_axes(risk_map.to_world(uv))
     assert back == pytest.approx(uv, abs=1e-11 * (1 + np.hypot(*origin[:2]) + max(risk_map.size)))
-
-
-@examples(25)
-@given(origins, resolutions, st.integers(0, 2), st.integers(0, 3))
-def test_cell_centres_are_in_their_cells(origin, resolution, row, column):
-    risk_map = flat(resolution=resolution, origin=origin)
+    row, column = seed % 3, seed % 4
     centre = risk_map.to_world([(column + 0.5) * resolution, (row + 0.5) * resolution])
     assert risk_map.cells(risk_map.to_map_axes(centre)) == (row, column)
     assert risk_map.contains(risk_map.to_map_axes(centre))
@@ -76,12 +69,13 @@ def one_bad(value) -> np.ndarray:
     ({'alpha': one_bad(np.inf)}, r'alpha .*inf at row 1, column 2'),
     ({'alpha': one_bad(-0.5)}, r'alpha .*-0\.5 at row 1, column 2'),
     ({'alpha': np.ones(3)}, r'alpha .*\(3,\)'),
-    ({'alpha': np.ones((0, 3))}, r'alpha .*\(0, 3\)'), ({'alpha': 'abc'}, 'alpha'),
+    ({'alpha': np.ones((0, 3))}, r'alpha .*\(0, 3\)'), ({'alpha': 'abc'}, 'not numeric'),
     ({'obstacles': np.zeros((3, 2), bool)}, r'obstacles .*\(2, 3\), got \(3, 2\)'),
     ({'resolution': -1.0}, r'resolution .*-1\.0'), ({'resolution': 0.0}, r'resolution .*0\.0'),
-    ({'resolution': np.nan}, 'resolution .*nan'), ({'resolution': None}, 'resolution'),
-    ({'resolution': 10**400}, 'resolution'), ({'origin': (0.0, 0.0)}, 'origin'),
-    ({'origin': (0.0, np.nan, 0.0)}, 'origin .*nan'), ({'origin': (0.0, 0.0, 'north')}, 'origin'),
+    ({'resolution': np.nan}, 'resolution .*nan'), ({'resolution': None}, 'not numeric'),
+    ({'resolution': 10**400}, 'not numeric'), ({'origin': (0.0, 0.0)}, 'origin'),
+    ({'origin': (0.0, np.nan, 0.0)}, 'origin .*nan'),
+    ({'origin': (0.0, 0.0, 'north')}, 'not numeric'),
 ])
 def test_rejects_malformed_maps(change, words):
     good = {'alpha': np.ones((2, 3)), 'obstacles': np.zeros((2, 3), bool), 'resolution': 1.0}

@@ -1,4 +1,4 @@
-"""Networks of roads: against networkx and the files themselves, brute force, a recording node."""
+"""Networks of roads: against networkx and the files themselves; a recording node."""
 
 import json
 import math
@@ -8,9 +8,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 import pytest
-from games import exact_value, examples, program_value, routes_of, value_by_routes
-from hypothesis import given
-from hypothesis import strategies as st
+from games import exact_value, program_value
 
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
@@ -30,7 +28,6 @@ from ambush_planner import (
     build_network,
     plan_trip,
 )
-from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.options import ROAD_TUBE
 from ambush_planner.planning.plan import depart, departure_paths
 
@@ -165,36 +162,6 @@ def test_paths_keep_to_the_roads(streets, game, tube):
     edges = set(map(tuple, plan.network.edges.tolist()))
     route = depart(plan, np.random.default_rng(2)).nodes.tolist()
     assert edges.issuperset(pairwise(route))
-
-
-@examples(15)
-@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.9]))
-def test_small_networks_against_all_routes(seed, radius):
-    """Crossing and one-way roads: the bound is below the best law of all routes, the value above.
-
-    Without a reach, both are the value.
-    """
-    rng = np.random.default_rng(seed)
-    places = rng.uniform(0.5, 9.5, (8, 2))
-    pairs = np.array([(i, j) for i in range(8) for j in range(i + 1, 8)])
-    pairs = pairs[rng.permutation(len(pairs))[:13]]
-    speeds = rng.choice([0.0, 1.0, 2.0], (13, 2))
-    speeds[~speeds.any(axis=1)] = 1.0
-    graph = RoadGraph(places, pairs, speeds, timed=True)
-    risk_map = RiskMap(rng.uniform(1.0, 4.0, (20, 20)), np.zeros((20, 20), bool), 0.5)
-    options = PlanningOptions(NetworkOptions('graph', 30.0, graph=graph), GameOptions(radius),
-                              EXACT)
-    options = replace(options, drive=replace(options.drive, tube=0.0))
-    try:
-        plan = plan_trip(risk_map, places[0], places[1], options)
-    except NoRoute:
-        return
-    strategy, game = plan.strategy, plan.strategy.game
-    best = value_by_routes(game.loss[game.sites], game.hits.toarray(), routes_of(game.network))
-    assert strategy.lower_bound <= best * (1.0 + 1e-6) + 1e-9
-    assert strategy.value >= best * (1.0 - 1e-6) - 1e-9
-    if radius == 0.0 or not strategy.counting_gap:
-        assert strategy.value <= best * (1.0 + 1e-4) + 1e-9
 
 
 def test_the_best_order_of_a_trip_on_one_way_roads(streets):

@@ -1,16 +1,13 @@
 """The taut string against a general minimiser; portals against the ground."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from drive_samples import distance_to, drives
+from drive_samples import drives
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.routes.taut_string import Portals, portals_along, taut_strings
 
 
@@ -61,26 +58,3 @@ def test_portals_approached_from_behind():
     right = [0, 0.1404, 0.0807, 0.2387, 0.0606, 0.0448, 0.4692, 0]
     arrays = (np.array(values, float) for values in (nodes, leftward, left, right))
     assert_taut(Portals(*arrays, np.zeros(len(nodes)), np.array([0, len(nodes)])), 0.0)
-
-
-@examples(25)
-@given(drives, st.integers(0, 10**6))
-def test_straight_lines_between_portals_stay_in_the_corridor(drive, seed):
-    corridors, route, risk_map, clearance, tube, clear_of_edge = drive
-    portals = portals_along(corridors, [route])
-    rng = np.random.default_rng(seed)
-    # Mostly from end to end: they pass closest to what is next to the route.
-    t = np.where(rng.random((40, len(route))) < 0.7, rng.integers(0, 2, (40, len(route))),
-                 rng.random((40, len(route))))
-    aside = t * portals.width - portals.right
-    points = portals.nodes + aside[..., None] * portals.leftward
-    a, b = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
-    assert ObstacleField(risk_map, clear_of_edge).clear_segments(a, b, clearance).all()
-    dense = np.concatenate([a + share * (b - a) for share in np.linspace(0, 1, 21)])
-    if tube is not None:
-        assert distance_to(dense, portals.nodes).max() <= tube + 1e-9
-    else:
-        others = np.delete(corridors.uv, route, axis=0)
-        if len(others):
-            gaps = np.linalg.norm(dense[:, None] - others, axis=2)
-            assert gaps.min() > 1e-4

@@ -60,7 +60,8 @@ def write_geotiff(path, heights, crs, transform, nodata=None):
 def test_geotiff_in_metres_with_nodata(tmp_path):
     heights = np.arange(12, dtype=np.int16).reshape(3, 4)
     heights[0, 1] = -9999
-    path = write_geotiff(tmp_path / 'a.tif', heights, 'EPSG:32632', (25, 0, 5e5, 0, -30, 4e6), -9999)
+    path = write_geotiff(tmp_path / 'a.tif', heights, 'EPSG:32632', (25, 0, 5e5, 0, -30, 4e6),
+                         nodata=-9999)
     raster = read_raster(path)
     assert (raster.row_step, raster.column_step) == (30.0, 25.0)
     assert np.isnan(raster.values[2, 1]) and raster.values[0, 3] == 11.0
