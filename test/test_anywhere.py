@@ -164,9 +164,12 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
         risk_map = risk_map_from_occupancy(now, 1.0)
         if hides:
             risk_map = RiskMap(risk_map.nearest_free_alpha(), np.zeros(now.shape, bool), 1.0)
-        worst = Case(risk_map, plan, 2.0, 2.0, 0.0).losses().max()
+        worst, widened = (Case(risk_map, plan, reach, 2.0, 0.0).losses().max()
+                          for reach in (2.0, plan.strategy.game.reach))
         assessment = changed.assess(OccupancyMap(now, 1.0))
         if assessment.clear_share == 1.0:
             assert worst <= assessment.value * (1.0 + EQUAL)
+            # The lattice does not have the very worst place.
+            assert assessment.value <= max(plan.strategy.value, 1.1 * widened)
             raised += assessment.value > plan.strategy.value
     assert raised > 0

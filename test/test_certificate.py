@@ -35,18 +35,14 @@ def case(detour=1.2, network=None, **game):
     return found.game, found.edge_probability.copy(), found.ambusher, found.budgets
 
 
-def wrong_ambushers(q):
-    """Pairs of a wrong q and the error's words."""
-    least, most = np.flatnonzero(q == 0.0)[0], int(q.argmax())
-    at = np.arange(len(q))
-    sums = [(wrong, 'sum to 1') for wrong in (q * 1.001, q * 0.999, np.zeros_like(q))]
-    entries = ((most, np.nan), (most, np.inf), (least, -1e-3))
-    return [*sums, *((np.where(at == k, entry, q), 'must be in') for k, entry in entries)]
-
-
 def test_a_wrong_q_is_refused():
     game, p, ambusher, budgets = case()
-    for wrong, words in wrong_ambushers(ambusher.q):
+    q, at = ambusher.q, np.arange(len(ambusher.q))
+    entries = ((q.argmax(), np.nan), (q.argmax(), np.inf), (q.argmin(), -1e-3))
+    for wrong, words in [
+        *((wrong, 'sum to 1') for wrong in (q * 1.001, q * 0.999, np.zeros_like(q))),
+        *((np.where(at == k, entry, q), 'must be in') for k, entry in entries),
+    ]:
         with pytest.raises(SolverFailed, match=words):
             certify(game, p, replace(ambusher, q=wrong), budgets)
 

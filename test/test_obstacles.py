@@ -66,16 +66,9 @@ points = st.tuples(eighths, eighths)
 cells = st.sets(st.tuples(*[st.integers(0, SIDE - 1)] * 2), min_size=1, max_size=6)
 
 
-@examples(60)
-@given(points, points, cells)
-def test_segments_against_exact_clipping(a, b, blocked):
-    expected = not any(meets(a, b, cell) for cell in blocked)
-    assert clear(field_of(blocked), a, b) == expected
-
-
-@examples(60)
-@given(points, points, cells, st.sampled_from((1, 2, 3, 5, 8, 13, 20)))
-def test_clearance_against_exact_distances(a, b, blocked, reach):
+@examples(100)
+@given(points, points, cells, st.sampled_from((0, 0, 0, 1, 2, 3, 5, 8, 13, 20)))
+def test_segments_against_exact_clipping_and_distances(a, b, blocked, reach):
     reach = Fraction(reach, 8)
     nearest = min(squared_distance(a, b, cell) for cell in blocked)
     assert clear(field_of(blocked), a, b, float(reach)) == (nearest > reach**2)

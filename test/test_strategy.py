@@ -40,6 +40,7 @@ from ambush_planner import (
     build_network,
     solve,
 )
+from ambush_planner.game.revaluation import revalue
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
@@ -332,3 +333,30 @@ def test_an_exposure_budget_by_hand():
         max_detour=np.inf, max_exposure=e, risk_slack=0.0)) for e in (np.inf, 1.1))
     assert (free.value, tight.value) == pytest.approx((0.8, 0.9), rel=1e-4)
     assert tight.exposure_price > 0.0 and free.exposure_price == 0.0
+
+
+# What a strategy is worth on other losses.
+
+
+@pytest.mark.parametrize('reach', [0.0, 2.0])
+def test_revalue_gives_the_value_on_the_new_losses(reach):
+    network = terrain_network(4, cells=14)
+    game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
+    strategy = solve(network, game, free)
+    same = revalue(strategy, network.alpha)
+    assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
+    changed = replace(network, alpha=network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
+    other, best = revalue(strategy, changed.alpha), solve(changed, game, free)
+    entered = np.arange(len(changed.alpha))[:, None] == changed.heads
+    hits = geometric_hits(changed, reach).toarray() > 0.0 if reach else entered
+    hit = hit_once(changed, strategy.edge_probability, hits)
+    assert other.value == pytest.approx((changed.alpha * hit).max())
+    assert other.bound <= best.value and best.lower_bound <= other.value
+
+
+def test_twice_the_losses_give_twice_the_value():
+    network = terrain_network(4, cells=10)
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    twice = revalue(strategy, 2.0 * network.alpha)
+    assert twice.value == pytest.approx(2 * strategy.value)
+    assert twice.bound == pytest.approx(2 * strategy.lower_bound)

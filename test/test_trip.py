@@ -113,7 +113,7 @@ def as_given(risk_map):
 
 
 def test_the_best_order_is_the_best_of_all(risk_map):
-    asked = replace(OPTIONS, game=GameOptions(ambush_radius=15.0, secured_radius=20.0))
+    asked = PlanningOptions(NetworkOptions(spacing=40.0), GameOptions(15.0, 20.0))
     best = plan_trip(risk_map, START, GOAL, asked, stops=STOPS, order='best')
     assert best.order_found == 'best'
     assert best.stops_xy == tuple(STOPS[k] for k in best.order)
