@@ -82,9 +82,9 @@ def test_the_polynomial_of_a_report_is_exact_to_a_centimetre(latitude, longitude
 
 
 @pytest.mark.parametrize(('crs', 'reason'), [
-    ('EPSG:4326', 'unit of a map must be the metre'), ('EPSG:2264', 'must be the metre'),
-    ('nonsense', "not a coordinate system: 'nonsense'"), ('datum 1 2', '"datum LAT LON YAW"'),
-    ('datum 89 0 0', 'no UTM zone'), ('', 'is unknown; name it'),
+    ('EPSG:4326', 'metre'), ('EPSG:2264', 'metre'), ('', 'is unknown'),
+    ('nonsense', "'nonsense'"), ('datum 1 2', '"datum LAT LON YAW"'),
+    ('datum 89 0 0', 'no UTM zone'),
 ])
 def test_unusable_systems_are_refused(crs, reason):
     with pytest.raises(InvalidCoordinates, match=reason):
@@ -111,7 +111,7 @@ def test_files_keep_map_and_system(tmp_path, crs):
         if crs is None:
             assert read_risk_map(tmp_path / name, given).crs == 'EPSG:32734'
         else:
-            with pytest.raises(InvalidRiskMap, match=f'is in {crs}, not in EPSG:32734; leave out'):
+            with pytest.raises(InvalidRiskMap, match=f'{crs}.* EPSG:32734'):
                 read_risk_map(tmp_path / name, given)
     if crs == 'EPSG:32616':
         write_geotiff(tmp_path / 'm.tif', grid)
@@ -137,7 +137,7 @@ def test_a_map_in_a_robots_frame_stays_where_it_is_on_the_earth(tmp_path):
         assert file.crs.to_epsg() == code and file.read(1)[0, 4] == 19
         np.testing.assert_allclose(file.xy(3, 0), Coordinates(f'EPSG:{code}').from_lat_lon(one[0]),
                                    atol=1e-4)
-    with pytest.raises(InvalidCoordinates, match=r'reproject the map'):
+    with pytest.raises(InvalidCoordinates, match='reproject'):
         in_local_frame(before, 'datum 50 10 0')
 
 

@@ -203,7 +203,7 @@ def test_a_graph_of_nav2_route(tmp_path):
     assert ways == {((1, 1), (11, 1)), ((11, 1), (11, 11)), ((1, 1), (1, 11)), ((1, 11), (6, 12)),
                     ((6, 12), (11, 11))}
     assert np.allclose(network.seconds, network.lengths / 0.5)
-    with pytest.raises(NoRoute, match='one-way in the other direction'):
+    with pytest.raises(NoRoute, match='one-way'):
         build_network(risk_map, (11.0, 1.0), (1.0, 11.0), options)
 
 
@@ -216,14 +216,14 @@ STREET = [(10.0, 10.0), (90.0, 10.0)]
 
 
 @pytest.mark.parametrize(('file', 'rows', 'words'), [
-    ('none.gpkg', None, 'network.graph: .*none.gpkg: no such file|No such file'),
+    ('none.gpkg', None, 'none.gpkg|No such file'),
     ('text.gpkg', 'no roads', 'text.gpkg'),
-    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'not a graph or FeatureC'),
-    ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: no point has the id 16 of its endid'),
+    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'bad.geojson'),
+    ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: .*16'),
     ('empty.gpkg', geopandas.GeoDataFrame(geometry=[Point(1, 1)], crs=CRS), 'no LineString in it'),
-    ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway must be yes, no or -1, got 'somet"),
+    ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway .*'sometimes'"),
     ('speed.gpkg', lines(STREET, STREET[::-1], speed_kph=[50.0, None]),
-     'speed_kph: 1 of 2 lines have no speed above 0; give all lines one, or none'),
+     'speed_kph: 1 of 2'),
 ])
 def test_bad_files_are_refused_in_one_sentence(file, rows, words, tmp_path):
     if isinstance(rows, str):
@@ -236,19 +236,19 @@ def test_bad_files_are_refused_in_one_sentence(file, rows, words, tmp_path):
 
 
 @pytest.mark.parametrize(('rows', 'options', 'error', 'words'), [
-    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'not in metres .WGS 84., and the map has'),
-    (lines(STREET, crs='EPSG:2263'), {}, InvalidOption, 'not in metres .NAD83 / New York Long'),
+    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'not in metres .WGS 84'),
+    (lines(STREET, crs='EPSG:2263'), {}, InvalidOption, 'not in metres .NAD83'),
     (lines(STREET, crs=None), {'join_distance': 5.0}, StartBlocked,
-     r'start \(20.000, 20.000\) is 10.0 m from the nearest road; move it, or raise join_distance'),
-    (lines(STREET, crs=None), {}, GoalBlocked, 'goal .* is 70.0 m from the nearest road'),
-    (lines([(500.0, 0.0), (900.0, 0.0)], crs=None), {}, StartBlocked, 'on a map without roads'),
+     r'start \(20.000, 20.000\) .*10.0 m .*join_distance'),
+    (lines(STREET, crs=None), {}, GoalBlocked, 'goal .*70.0 m'),
+    (lines([(500.0, 0.0), (900.0, 0.0)], crs=None), {}, StartBlocked, 'without roads'),
     (lines(STREET, [(60.0, 80.0), (95.0, 80.0)], crs=None), {}, NoRoute,
-     r'two of 2 separate parts, of 0.09 and 0.035 km, 70 m apart at .*share a vertex'),
+     '2 separate parts, of 0.09 and 0.035 km, 70 m apart'),
     (lines(STREET, [(90.0, 10.0), (90.0, 80.0)], crs=None, oneway=['no', '-1']), {}, NoRoute,
-     'one-way in the other direction'),
+     'one-way'),
     (lines(STREET, [(90.0, 10.0), (90.0, 80.0)], crs=None), {'clearance': 3.0}, NoRoute,
-     'obstacles of the map block 2 pieces'),
-    (lines(STREET, crs=None), {'spacing': 1e-9}, InvalidOption, 'choose a larger spacing'),
+     'obstacles .*2 pieces'),
+    (lines(STREET, crs=None), {'spacing': 1e-9}, InvalidOption, 'spacing'),
 ])
 def test_roads_that_do_not_fit_are_refused(rows, options, error, words, tmp_path):
     rows.to_file(tmp_path / 'roads.gpkg')
