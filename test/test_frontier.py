@@ -106,17 +106,16 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
     assert done.out.count('\n') == 6 and 'f.png' in done.out
 
 
-@pytest.mark.parametrize(('arguments', 'reason'), [
-    (('--set', 'strategy.max_detour=0.5'), 'max_detour'), (('--detours', '0.5'), 'max_detour'),
-    (('--goal', '95', '95'), 'goal'), (('-o', 'f.png'), '.csv'),
-    (('half.npz',), "no 'obstacles'"), (('no.npz',), 'no.npz'), (('not.npz',), 'not.npz'),
+@pytest.mark.parametrize(('name', 'arguments', 'reason'), [
+    ('map.yaml', ('--set', 'strategy.max_detour=0.5'), 'max_detour'),
+    ('map.yaml', ('--detours', '0.5'), 'max_detour'), ('map.yaml', ('--goal', '95', '95'), 'goal'),
+    ('map.yaml', ('-o', 'f.png'), '.csv'), ('half.npz', (), "no 'obstacles'"),
+    ('no.npz', (), 'no.npz'), ('not.npz', (), 'not.npz'),
 ])
-def test_bad_input_exits_3_with_one_line(map_file, tmp_path, arguments, reason):
+def test_bad_input_exits_3_with_one_line(map_file, tmp_path, name, arguments, reason):
     np.savez(tmp_path / 'half.npz', alpha=np.ones((2, 2)))
     (tmp_path / 'no.npz').write_bytes(b'no')
-    if arguments[0].endswith('.npz'):
-        map_file, *arguments = (tmp_path / arguments[0],)
-    done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
+    done = run(map_file.with_name(name), *ENDS, '-o', tmp_path / 'f.csv', *arguments)
     assert done.code == 3 and reason in done.err
     assert done.err.startswith('ambush frontier: ') and done.err.count('\n') == 1
     assert not (tmp_path / 'f.csv').exists()
