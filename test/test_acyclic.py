@@ -22,8 +22,11 @@ from ambush_planner.game.law.acyclic import (
 )
 
 
-def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:
-    """Uses p (M,) of random walks from source to target: a flow of 1 with cycles."""
+def mixed_walks(network, seed: int, walks: int = 16) -> np.ndarray:
+    """Uses p (M,) of random walks from source to target: a flow of 1 with cycles.
+
+    The number of walks is a power of 2, so that differences of p are exact.
+    """
     rng, p = np.random.default_rng(seed), np.zeros(len(network.edges))
     graph = networkx.DiGraph(network.edges.tolist())
     leads = networkx.ancestors(graph, network.target) | {network.target}

@@ -38,7 +38,7 @@ def hit_loss(game, p, row):
     return game.loss[game.sites[row]] * hit_probabilities(game, p, np.array([row]))[0]
 
 
-@examples(12)
+@examples(25)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
        detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
 def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour,

@@ -1,4 +1,4 @@
-"""The Gibbs law: gradient, entropy, all routes by hand, and weights beyond e^700."""
+"""The Gibbs law: gradient, entropy, all routes by hand, Clarabel, and weights beyond e^700."""
 
 import math
 from dataclasses import replace
@@ -8,6 +8,7 @@ import pytest
 from games import (
     PLAIN,
     examples,
+    least_weight,
     networks,
     routes_of,
     terrain_network,
@@ -15,7 +16,7 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from route_entropy import route_entropy
+from route_entropy import most_route_entropy, route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, Network
@@ -106,6 +107,35 @@ def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
         limits.factor(share, p, diagonal)
         found = limits.solve(right)
         assert (covariance + np.diag(diagonal)) @ found == pytest.approx(right, abs=1e-5)
+
+
+@pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 2.0), (16, 0.0)])
+def test_the_optimum_agrees_with_clarabel(cells, reach):
+    network = terrain_network(3, cells=cells)
+    part, acyclic = forward(network)
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    _, uniform, _ = acyclic.law(np.zeros(len(acyclic.edge)))
+    # Limits at 0.9 and 0.95 of what the law without limits does.
+    lengths = network.lengths[acyclic.edge]
+    hits = game.hits[:, acyclic.edge]
+    limits = np.append(np.full(hits.shape[0], 0.9 * (hits @ uniform).max()),
+                       0.95 * lengths @ uniform)
+    costs = np.full(len(network.edges), np.inf)
+    costs[acyclic.edge] = lengths
+    limits[-1] = max(limits[-1], 1.02 * least_weight(network, costs))
+    rows = vstack((hits, csr_matrix(lengths))).tocsr()
+    scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
+    start = np.zeros(len(limits))
+    found = maximize_entropy(acyclic, scaled, start, -1.0, NEVER)
+    most = most_route_entropy(network, acyclic.edge, rows, limits)
+    if found.infeasible:
+        assert np.isnan(most)
+        return
+    assert found.excess < 1e-4
+    own = route_entropy(network, on_all(network, acyclic, found.p))
+    assert own == pytest.approx(most, rel=1e-4)
+    dual = acyclic.law(scaled.T @ found.multipliers)[0] + found.multipliers.sum()
+    assert dual == pytest.approx(most, rel=1e-5)
 
 
 @examples(15)

@@ -21,7 +21,7 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.certificate.best_response import best_response
+from ambush_planner.game.certificate.best_response import Grounds, best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import entry_value
 from ambush_planner.game.strategy import make_budgets
@@ -29,7 +29,7 @@ from ambush_planner.game.strategy import make_budgets
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
-@examples(40)
+@examples(90)
 @given(st.integers(1, 3), st.integers(0, 10**6), st.floats(0.2, 1.5),
        st.sampled_from([-1.0, 0.0, 0.5, 2.0]), st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
 def test_value_and_bound_enclose_the_value_over_all_routes(
@@ -81,6 +81,11 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     found = best_response(game, q, budgets, (price,))
     assert found.bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
     assert sorted(found.edges.tolist()) in [sorted(route) for route in routes]
+    # A search that is cut short proves no more.
+    base, charge = price * budgets[0].excess, (game.loss * q)[None, game.sites]
+    least = costs.min() + price * budgets[0].margin
+    bound, _ = Grounds(game, game.hits).least_cost(base, charge, ((9, 3), (81, 10**6)))
+    assert bound <= least * (1.0 + 1e-9) + 1e-9
 
 
 def test_a_route_that_comes_back_to_a_disc_is_hit_once():

@@ -140,6 +140,7 @@ def test_equal_inputs_give_equal_strategies():
 
 def test_published_arrays_are_read_only():
     strategy = solve(paper_example())
+    assert f'{strategy.value:.4g}' in repr(strategy)
     for name in ('edge_probability', 'visit_probability', 'ambush_probability'):
         with pytest.raises(ValueError, match='read-only'):
             getattr(strategy, name)[0] = 0.5
