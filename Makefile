@@ -65,7 +65,7 @@ benchmark: $(VENV)/.test
 endurance: $(VENV)/.test
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -k kill --kills 100 --timeout 3600 \
 		-o session_limit=3600 test/test_recorder.py
-	HUNT=10 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_limit=7200 \
+	HUNT=25 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_limit=7200 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py
 	$(BIN)/python benchmarks/node_soak.py

@@ -1,7 +1,5 @@
 """Routes to drive, made at random, for the tests of what is driven."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -3,8 +3,6 @@
 The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, random examples.
 """
 
-from __future__ import annotations
-
 import heapq
 import os
 import warnings
@@ -293,32 +291,41 @@ def program_value(network: Network, hits: csr_matrix | None = None, budget: floa
     return float(found.fun)
 
 
-def routes_of(network: Network) -> list[list[int]]:
-    """All simple routes as edge indices."""
-    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
+def routes_of(network: Network, used: np.ndarray | None = None) -> list[list[int]]:
+    """All simple routes over all edges, or over those that are ``used`` (M,), as edge indices."""
+    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())
+              if used is None or used[k]}
     graph = networkx.DiGraph(list(number))
     graph.add_nodes_from((network.source, network.target))
     return [[number[step] for step in pairwise(route)]
             for route in networkx.all_simple_paths(graph, network.source, network.target)]
 
 
-def value_by_routes(network: Network, near: np.ndarray, routes, budget: float = np.inf,
-                    ambushers: int = 1) -> float:
-    """Least value over all mixtures of routes within a budget [m], each hit once by each site.
+def drawn_routes(network: Network, p: np.ndarray) -> dict[tuple[int, ...], float]:
+    """The routes of an acyclic p (M,) as edge indices, with their probabilities."""
+    leaving = np.bincount(network.tails, p, len(network.points))[network.tails]
+    share = p / np.where(leaving > 0.0, leaving, 1.0)
+    return {tuple(route): float(share[route].prod()) for route in routes_of(network, p > 0.0)}
 
-    The sum of the k largest losses is the least k t + sum s with losses of at most t + s.
+
+def value_by_routes(loss: np.ndarray, hits: np.ndarray, routes, limits=(),
+                    ambushers: int = 1) -> float | None:
+    """Least value of any mixture of routes, each hit once by each site; None if none is allowed.
+
+    ``loss`` (S,) and ``hits`` (S, M), whether an edge is hit, of each site; ``limits``: costs of
+    edges (M,), each with the largest mean cost of a route. The sum of the k largest losses is the
+    least k t + sum s with losses of at most t + s; that of the largest one is t alone.
     """
-    hit = np.array([near[:, route].any(axis=1) for route in routes]).T
-    losses = network.alpha[:, None] * hit
-    sites = len(losses)
-    rows = np.hstack((losses, -np.ones((sites, 1)), -np.eye(sites)))
-    limits, none = np.zeros(sites), np.zeros(sites + 1)
-    if np.isfinite(budget):
-        lengths = [network.lengths[route].sum() for route in routes]
-        rows, limits = np.vstack((rows, [*lengths, *none])), np.append(limits, budget)
-    found = linprog(np.r_[np.zeros(len(routes)), ambushers, np.ones(sites)], rows, limits,
+    losses = np.array([hits[:, route].any(axis=1) for route in routes]).T * loss[:, None]
+    sites, k = len(loss), min(ambushers, len(loss))
+    over = np.hstack((np.ones((sites, 1)), np.eye(sites)[:, : sites if k > 1 else 0]))
+    none, limits = np.zeros(over.shape[1]), [each for each in limits if np.isfinite(each[1])]
+    rows = [np.hstack((losses, -over))]
+    rows += [np.r_[[cost[route].sum() for route in routes], none][None] for cost, _ in limits]
+    found = linprog(np.r_[np.zeros(len(routes)), k, none[1:] + 1.0], np.vstack(rows),
+                    np.r_[np.zeros(sites), [limit for _, limit in limits]],
                     np.r_[np.ones(len(routes)), none][None], [1.0], method='highs-ds')
-    return float(found.fun)
+    return float(found.fun) if found.status == 0 else None
 
 
 def value_is_right(network: Network, value: float, budget: float, slack: float = 0.0) -> bool:

@@ -1,7 +1,5 @@
 """Greatest route entropy by Clarabel, a conic solver that shares nothing with ours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix, csr_matrix, identity, vstack

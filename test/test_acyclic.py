@@ -1,7 +1,5 @@
 """Orders of the nodes, the parts of the network that go forward in them, and cycles taken off."""
 
-from __future__ import annotations
-
 import networkx
 import numpy as np
 import pytest
@@ -24,8 +22,11 @@ from ambush_planner.game.law.acyclic import (
 )
 
 
-def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:
-    """Uses p (M,) of random walks from source to target: a flow of 1 with cycles."""
+def mixed_walks(network, seed: int, walks: int = 16) -> np.ndarray:
+    """Uses p (M,) of random walks from source to target: a flow of 1 with cycles.
+
+    The number of walks is a power of 2, so that differences of p are exact.
+    """
     rng, p = np.random.default_rng(seed), np.zeros(len(network.edges))
     graph = networkx.DiGraph(network.edges.tolist())
     leads = networkx.ancestors(graph, network.target) | {network.target}
@@ -42,7 +43,7 @@ def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:
     return p
 
 
-@examples(50)
+@examples(25)
 @given(networks())
 def test_forward_parts_are_acyclic_and_every_edge_is_on_a_route(network):
     game = make_game(network, GameOptions())
@@ -58,8 +59,8 @@ def test_forward_parts_are_acyclic_and_every_edge_is_on_a_route(network):
         ) | {network.source, network.target}
 
 
-@pytest.mark.parametrize('method', ['uniform_delaunay', 'uniform_grid8', 'random_delaunay'])
-@pytest.mark.parametrize('seed', [1, 2, 3])
+@pytest.mark.parametrize(('method', 'seed'), [
+    ('uniform_delaunay', 1), ('uniform_grid8', 2), ('random_delaunay', 3)])
 def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, seed):
     """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
     network = terrain_network(seed, method, 14)
@@ -78,23 +79,6 @@ def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, se
     assert len(kept & able) == len(able)
 
 
-def test_the_potential_is_harmonic_from_0_to_1():
-    network = terrain_network(4, cells=10)
-    game = make_game(network, GameOptions())
-    potential = order_potential(game)
-    assert potential[[network.source, network.target]].tolist() == [0.0, 1.0]
-    pairs = {frozenset(e) for e in network.edges[game.playable].tolist()}
-    current = np.zeros(len(potential))
-    for pair in pairs:
-        i, j = pair
-        length = np.hypot(*(network.points[i] - network.points[j]))
-        both = 2.0 if [i, j] in network.edges.tolist() and [j, i] in network.edges.tolist() else 1.0
-        current[i] += both * (potential[j] - potential[i]) / length
-        current[j] += both * (potential[i] - potential[j]) / length
-    current[[network.source, network.target]] = 0.0
-    assert np.abs(current[np.isfinite(potential)]).max() < 1e-12
-
-
 def test_large_networks_are_ordered_by_progress(monkeypatch):
     game = make_game(terrain_network(4, cells=10), GameOptions())
     monkeypatch.setattr(acyclic, 'POTENTIAL_NODES', 10)
@@ -102,7 +86,7 @@ def test_large_networks_are_ordered_by_progress(monkeypatch):
     assert forward_part(game, rank_by(progress(game))) is not None
 
 
-@examples(50)
+@examples(25)
 @given(networks(), st.integers(0, 10**6))
 def test_an_order_around_a_strategy_keeps_it(network, seed):
     game = make_game(network, GameOptions())
@@ -114,7 +98,7 @@ def test_an_order_around_a_strategy_keeps_it(network, seed):
     assert part.playable[used].all() and is_acyclic(network, part.playable.astype(float))
 
 
-@examples(50)
+@examples(25)
 @given(networks(), st.integers(0, 10**6))
 def test_an_order_along_a_strategy_exists_exactly_if_it_has_no_cycle(network, seed):
     walks = mixed_walks(network, seed)
@@ -124,7 +108,7 @@ def test_an_order_along_a_strategy_exists_exactly_if_it_has_no_cycle(network, se
         assert number is None or (number[tails] < number[heads]).all()
 
 
-@examples(50)
+@examples(25)
 @given(networks(), st.integers(0, 10**6))
 def test_cancelling_cycles_keeps_the_unit_flow(network, seed):
     p = mixed_walks(network, seed)
@@ -135,7 +119,7 @@ def test_cancelling_cycles_keeps_the_unit_flow(network, seed):
     assert connected_flow(network, less) == pytest.approx(1.0)
 
 
-@examples(50)
+@examples(25)
 @given(networks(), st.integers(0, 10**6))
 def test_an_almost_conserved_flow_becomes_an_exact_one_with_the_same_shares(network, seed):
     game = make_game(network, GameOptions())

@@ -1,7 +1,5 @@
 """The certificate: it refuses wrong strategies, and holds at any scale of the losses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -37,24 +35,14 @@ def case(detour=1.2, network=None, **game):
     return found.game, found.edge_probability.copy(), found.ambusher, found.budgets
 
 
-def test_solved_strategies_are_certified():
-    for detour in (1.02, 1.2, np.inf):
-        found = certify(*case(detour))
-        assert found.bound <= found.value <= found.bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
-
-
-def wrong_ambushers(q):
-    """Pairs of a wrong q and the error's words."""
-    least, most = np.flatnonzero(q == 0.0)[0], int(q.argmax())
-    at = np.arange(len(q))
-    sums = [(wrong, 'sum to 1') for wrong in (q * 1.001, q * 0.999, np.zeros_like(q))]
-    entries = ((most, np.nan), (most, np.inf), (least, -1e-3))
-    return [*sums, *((np.where(at == k, entry, q), 'must be in') for k, entry in entries)]
-
-
 def test_a_wrong_q_is_refused():
     game, p, ambusher, budgets = case()
-    for wrong, words in wrong_ambushers(ambusher.q):
+    q, at = ambusher.q, np.arange(len(ambusher.q))
+    entries = ((q.argmax(), np.nan), (q.argmax(), np.inf), (q.argmin(), -1e-3))
+    for wrong, words in [
+        *((wrong, 'sum to 1') for wrong in (q * 1.001, q * 0.999, np.zeros_like(q))),
+        *((np.where(at == k, entry, q), 'must be in') for k, entry in entries),
+    ]:
         with pytest.raises(SolverFailed, match=words):
             certify(game, p, replace(ambusher, q=wrong), budgets)
 
@@ -94,11 +82,9 @@ def test_a_bound_above_the_value_is_refused():
         certify(game, p, ambusher, budgets, 1.0001 * worst_loss(game, p))
 
 
-@examples(50)
+@examples(25)
 @given(networks(alphas=PLAIN), st.integers(0, 10**6), st.floats(0, 5), st.floats(1.0, 2.0))
-def test_weak_duality_holds_for_any_q_and_price(
-    network, seed, price, detour
-):
+def test_weak_duality_holds_for_any_q_and_price(network, seed, price, detour):
     """Checked by an independent Dijkstra."""
     game = make_game(network, GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=detour))
@@ -124,7 +110,7 @@ def test_several_ambushers_hold_different_sites():
         certify(game, p, replace(ambusher, q=one_site), budgets)
 
 
-@examples(90)
+@examples(30)
 @given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
 def test_capped_probabilities_keep_their_sum(masses, count):
     q = capped_at_one(np.array(masses), count)
@@ -143,14 +129,13 @@ def test_a_budget_below_the_best_route_is_infeasible():
     assert not Budget.none(game).binds and Budget.none(game).least == pytest.approx(3.0)
 
 
-@examples(50)
+@examples(20)
 @given(networks())
 def test_excess_along_a_route_is_its_cost_over_the_best(network):
     game = make_game(network, GameOptions())
     length, exposure = make_budgets(game, StrategyOptions(max_detour=2.0, max_exposure=3.0))
-    route = solve(network, options=StrategyOptions(max_detour=np.inf)).sample_route(
-        np.random.default_rng(1)
-    )
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    route = strategy.sample_route(np.random.default_rng(1))
     pairs = list(zip(route[:-1].tolist(), route[1:].tolist(), strict=True))
     used = [k for k, edge in enumerate(network.edges.tolist()) if tuple(edge) in pairs]
     for budget in (length, exposure):
@@ -162,8 +147,8 @@ def test_excess_along_a_route_is_its_cost_over_the_best(network):
 # Scale.
 
 
-@pytest.mark.parametrize('exponent', [-9, -4, 0, 4, 8])
-@pytest.mark.parametrize('detour', [1.1, np.inf])
+@pytest.mark.parametrize(('exponent', 'detour'), [
+    (-9, 1.1), (-9, np.inf), (-4, 1.1), (4, np.inf), (8, 1.1), (8, np.inf)])
 def test_within_tolerance_at_every_scale(exponent, detour):
     plain = terrain_network(2, cells=9)
     alpha = plain.alpha * 10.0**exponent
@@ -177,9 +162,8 @@ def test_within_tolerance_at_every_scale(exponent, detour):
     assert strategy.value == pytest.approx(same * 10.0**exponent, rel=SLACK, abs=0.0)
 
 
-@pytest.mark.parametrize('where', ['on the best route', 'anywhere'])
-@pytest.mark.parametrize('detour', [1.05, 1.2, np.inf])
-@pytest.mark.parametrize('radius', [0.0, 2.0])
+@pytest.mark.parametrize(('where', 'detour', 'radius'), [
+    ('on the best route', 1.05, 2.0), ('on the best route', np.inf, 0.0), ('anywhere', 1.2, 0.0)])
 def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     plain = terrain_network(2, cells=12)
     free = StrategyOptions(max_detour=detour)
@@ -193,7 +177,7 @@ def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     assert strategy.value <= strategy.lower_bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
 
 
-@pytest.mark.parametrize('loss', [1.1e9, 1e308, 0.9e-9, 5e-324])
+@pytest.mark.parametrize('loss', [1.1e9, 0.9e-9])
 def test_losses_out_of_range_are_refused(loss):
     network = Network([[0, 0], [1, 0], [2, 0]], [0, loss, 0], [(0, 1), (1, 2)], 0, 2)
     with pytest.raises(InvalidNetwork, match=r'1e-09\.\.1e\+09.* at node 1; scale the losses'):

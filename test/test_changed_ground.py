@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from games import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner.game.game import GameOptions
@@ -55,8 +56,7 @@ def changed(values, cells, new):
     return result
 
 
-@pytest.mark.parametrize('spacing', [0.5, 0.7, 1.0])
-@pytest.mark.parametrize('yaw', [0.0, 0.3, 2.0])
+@pytest.mark.parametrize(('yaw', 'spacing'), [(0.0, 0.7), (0.3, 1.0), (2.0, 1.0)])
 def test_on_its_own_map_a_strategy_has_its_own_value(yaw, spacing):
     """Even if nodes lie on the borders of cells and the map is rotated."""
     made, on, ground = planned(rough(1), origin=(3.0, -2.0, yaw), spacing=spacing)
@@ -72,7 +72,7 @@ def test_on_its_own_map_a_strategy_has_its_own_value(yaw, spacing):
 cells = st.lists(st.tuples(*[st.integers(0, SIZE - 1)] * 2), min_size=1, max_size=30)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(30)
 @given(st.sampled_from((0.0, 0.4)), cells)
 def test_a_strategy_is_blocked_if_an_edge_meets_a_new_obstacle(clearance, where):
     """Against the exact test on the whole map: no miss, and false alarms only within a cell."""
@@ -89,7 +89,7 @@ def test_a_strategy_is_blocked_if_an_edge_meets_a_new_obstacle(clearance, where)
         assert not field.clear_segments(ends[:, 0], ends[:, 1], wide).all()
 
 
-@settings(max_examples=40, deadline=None)
+@examples(6)
 @given(st.lists(st.tuples(*[st.integers(6, 17)] * 2), min_size=1, max_size=6))
 def test_value_and_clear_share_are_those_of_drawing_until_a_route_is_clear(where):
     made, on, ground = rough_plan(0.0)
@@ -109,7 +109,7 @@ def test_value_and_clear_share_are_those_of_drawing_until_a_route_is_clear(where
         assert assessment.allows_departure(np.inf, 0.0)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(6)
 @given(cells, st.integers(0, 99))
 def test_value_and_bound_are_those_of_the_game_on_the_new_map(where, value):
     made, on, ground = rough_plan(0.0)
@@ -144,8 +144,7 @@ def test_the_clear_routes_can_exceed_the_length_budget():
 
 def test_higher_losses_make_a_strategy_stale_by_the_rise_of_its_value():
     made, on, ground = rough_plan(0.0)
-    dear = np.clip(on.values, 0, 99) + np.where(on.values == 100, 1, 0)
-    dear = np.where(on.values == 100, 100, np.minimum(dear + 30, 99)).astype(np.int8)
+    dear = np.where(on.values == 100, 100, np.minimum(on.values + 30, 99)).astype(np.int8)
     assessment = ground.assess(grid(dear))
     rise = assessment.value / made.strategy.value - 1.0
     assert rise > 0.1
@@ -158,15 +157,13 @@ def test_nodes_over_the_threshold_block_their_routes():
     values = np.full((SIZE, SIZE), 10, dtype=np.int8)
     made, on, ground = planned(values, game=GameOptions(alpha_threshold=5.0))
     node = int(np.argmax(np.where(made.network.alpha > 0, made.strategy.visit_probability, 0.0)))
-    risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
-    row, column = risk_map.cells(risk_map.to_map_axes(made.network.points[node]))
-    elsewhere = ground.assess(grid(changed(values, [(0, 0)], 90)))
-    assert elsewhere.clear_share == pytest.approx(1.0, abs=ROUNDING)
-    assessment = ground.assess(grid(changed(values, [(row, column)], 90)))
-    assert assessment.clear_share == pytest.approx(1.0 - made.strategy.visit_probability[node])
+    where = made.risk_map.cells(made.risk_map.to_map_axes(made.network.points[node]))
+    for cell, lost in (((0, 0), 0.0), (where, made.strategy.visit_probability[node])):
+        share = ground.assess(grid(changed(values, [cell], 90))).clear_share
+        assert share == pytest.approx(1.0 - lost, abs=ROUNDING)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(20)
 @given(st.sampled_from((0.0, 0.4)), st.integers(0, 1000))
 def test_segments_are_clear_exactly_if_they_are_on_the_whole_map(clearance, seed):
     made, on, ground = rough_plan(clearance)
@@ -183,6 +180,7 @@ def test_segments_are_clear_exactly_if_they_are_on_the_whole_map(clearance, seed
 RISK, CLEARANCE = OccupancyOptions(obstacle_threshold=99), NetworkOptions(clearance=0.3)
 
 
+@examples(20)
 @given(seed=st.integers(0, 10**6), clearance=st.sampled_from([0.0, 0.3]))
 def test_a_paths_steps_are_clear_as_on_the_whole_map(seed, clearance):
     """Read in pieces, the map gives the same answers as an obstacle field of all of it."""

@@ -1,9 +1,12 @@
 """A strategy on condition that routes avoid some edges, against all routes one by one."""
 
+import math
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from games import drawn_routes, examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,19 +44,11 @@ def strategies(draw):
 
 def routes_of(strategy):
     """Each route as its edges, with its chance."""
-    network, p = strategy.network, strategy.edge_probability
-    found, open_ends = [], [([], network.source, 1.0)]
-    while open_ends:
-        route, node, chance = open_ends.pop()
-        if node == network.target:
-            found.append((route, chance))
-            continue
-        out = [e for e in range(len(p)) if network.tails[e] == node and p[e] > 0.0]
-        total = sum(p[e] for e in out)
-        open_ends += [([*route, e], network.heads[e], chance * p[e] / total) for e in out]
-    return found
+    routes = drawn_routes(strategy.network, strategy.edge_probability)
+    return [(list(route), chance) for route, chance in routes.items()]
 
 
+@examples(40)
 @given(strategies())
 def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
     strategy, lost = drawn
@@ -72,44 +67,26 @@ def test_a_strategy_with_circles_has_no_condition():
     assert share == 0.0 and not p.any()
 
 
-class Choices:
-    """A random generator with scripted choices that multiplies their probabilities."""
-
-    def __init__(self, heads_of, wanted):
-        self.probability, self._heads_of, self._wanted = 1.0, heads_of, wanted
-
-    def choice(self, count, p):
-        heads = self._heads_of(self._wanted[0])
-        assert len(heads) == count
-        k = heads.index(self._wanted[1])
-        self.probability, self._wanted = self.probability * p[k], self._wanted[1:]
-        return k
-
-
+@examples(15)
 @given(strategies(), st.data())
 def test_the_rest_of_a_route_has_its_conditional_probability(drawn, data):
     """P(rest | it begins at the node and is clear), from all routes one by one."""
     strategy, lost = drawn
     network, conditioned = strategy.network, ConditionedStrategy(strategy)
-    node = data.draw(st.sampled_from(range(len(network.points))))
-    rests = {}
+    node, rng = data.draw(st.sampled_from(range(len(network.points)))), np.random.default_rng(1)
+    rests = Counter()
     for route, chance in routes_of(strategy):
         nodes = [network.source, *network.heads[route].tolist()]
         if node in nodes and not lost[route[nodes.index(node):]].any():
-            rest = tuple(nodes[nodes.index(node):])
-            rests[rest] = rests.get(rest, 0.0) + chance
+            rests[tuple(nodes[nodes.index(node):])] += chance
     if not rests or node == network.target:
-        there = conditioned.draw_from(node, lost, np.random.default_rng(1))
+        there = conditioned.draw_from(node, lost, rng)
         assert (there is None) if node != network.target else there.tolist() == [node]
         return
-    after = {}
-    for rest in rests:
-        for tail, head in zip(rest, rest[1:], strict=False):
-            after.setdefault(tail, set()).add(head)
-    tails, heads = conditioned._tails, conditioned._heads
-    in_order = lambda tail: [h for t, h in zip(tails, heads, strict=True)  # noqa: E731
-                             if t == tail and h in after[tail]]
+    draws = 400
+    found = Counter(tuple(conditioned.draw_from(node, lost, rng).tolist()) for _ in range(draws))
+    assert found.keys() <= rests.keys()
     for rest, chance in rests.items():
-        rng = Choices(in_order, rest)
-        assert conditioned.draw_from(node, lost, rng).tolist() == list(rest)
-        assert rng.probability == pytest.approx(chance / sum(rests.values()))
+        share = chance / rests.total()
+        error = math.sqrt(draws * share * (1.0 - share))
+        assert found[rest] == pytest.approx(draws * share, abs=5.0 * error + 3.0)

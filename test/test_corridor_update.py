@@ -1,8 +1,7 @@
-"""Updated corridors: clear of new obstacles, and from and to moved ends."""
-
-from __future__ import annotations
+"""Corridors: as wide as obstacles allow, clear of new ones, and from and to moved ends."""
 
 import numpy as np
+import pytest
 from drive_samples import distance_to, drives
 from games import examples
 from hypothesis import assume, given
@@ -12,6 +11,11 @@ from ambush_planner import RiskMap
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.risk_map import to_world
 from ambush_planner.network.shortest_paths import distances_from, shortest_path
+from ambush_planner.routes.corridor_geometry import (
+    OBSTACLE_MARGIN,
+    limit_to_map,
+    widths_between_nodes,
+)
 from ambush_planner.routes.corridor_update import with_moved_end, with_new_obstacles
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_path
@@ -31,16 +35,7 @@ def a_route_left(network, lost, seed):
     return shortest_path(*graph, network.target)
 
 
-@examples(5)
-@given(drives)
-def test_obstacles_far_from_all_corridors_change_nothing(drive):
-    corridors, _, risk_map, clearance, _, _ = drive
-    far = np.array([[1e4, 1e4]])
-    same = with_new_obstacles(corridors, far, clearance, risk_map.resolution)
-    np.testing.assert_array_equal(same.widths, corridors.widths)
-
-
-@examples(60)
+@examples(25)
 @given(drives, st.data())
 def test_paths_keep_clear_of_new_obstacles(drive, data):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
@@ -53,6 +48,8 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     field, ends = ObstacleField(newest, clear_of_edge), corridors.uv[corridors.network.edges]
     lost = ~field.clear_segments(ends[:, 0], ends[:, 1], clearance)
     route = a_route_left(corridors.network, lost, data.draw(st.integers(0, 99)))
+    far = with_new_obstacles(corridors, np.array([[1e4, 1e4]]), clearance, risk_map.resolution)
+    np.testing.assert_array_equal(far.widths, corridors.widths)
     refitted = with_new_obstacles(corridors, centres, clearance, risk_map.resolution)
     poses = driven_path(refitted, route, 0.2)
     uv = risk_map.to_map_axes(poses[:, :2])
@@ -72,7 +69,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
             assert np.all(width <= once) and np.all(width >= np.asarray(again) - 1e-9)
 
 
-@examples(60)
+@examples(25)
 @given(drives, st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.booleans())
 def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
@@ -106,3 +103,18 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
 
 def length(points):
     return np.hypot(*np.diff(points, axis=0).T).sum()
+
+
+def test_a_cell_limits_only_the_quarter_on_its_own_side():
+    """A cell ahead on the left limits that quarter, not those on the right or behind."""
+    obstacles = np.zeros((21, 21), bool)
+    obstacles[13, 13] = True
+    uv = np.array([(6.5, 10.5), (10.5, 10.5)])
+    pairs = np.array([(0, 1)])
+    between = widths_between_nodes(uv, pairs)
+    wide = type(between)(np.full((1, 2), 5.0), np.full((1, 2, 2), 5.0))
+    risk_map = RiskMap(np.ones((21, 21)), obstacles, 1.0)
+    room = limit_to_map(wide, uv, pairs, risk_map, 0.0, True)
+    assert room.beyond[0, 1] == pytest.approx((np.hypot(2.5, 2.5) - OBSTACLE_MARGIN, 5.0))
+    assert room.beyond[0, 0] == pytest.approx((5.0, 5.0))
+    assert room.widths[0] == pytest.approx((5.0, 5.0))

@@ -1,7 +1,5 @@
 """What circulations prove, against the best response and against all routes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -53,10 +51,11 @@ class Case:
             return
         self.game = make_game(network, GameOptions(reach))
         self.near = reached(network, reach, self.game.options.held_radius)
-        self.routes, self.detour = routes, detour
         self.ambusher, self.budgets, self.bound = proof(self.game, detour)
         self.met = np.array([self.near[:, route].any(axis=1) for route in routes])
         self.length = np.array([network.lengths[route].sum() for route in routes])
+        self.once = value_by_routes(network.alpha, self.near, routes,
+                                    [(network.lengths, self.budgets[0].limit)])
 
     def least_cost(self, ambusher: Ambusher) -> float:
         """The best response among all routes, less what the budget is worth."""
@@ -76,15 +75,14 @@ cases = st.builds(Case, st.integers(0, 10**6), st.floats(0.2, 1.5),
                   st.sampled_from((1.02, 1.1, 1.3, np.inf)))
 
 
-@examples(40)
+@examples(20)
 @given(cases)
 def test_a_circulation_proves_what_its_program_says_and_never_more_than_the_optimum(case):
     """In one case of some hundreds, not all of it is taken apart into curves that count fully."""
     if case.ambusher is None or case.ambusher.circulation is None:
         return
-    once = value_by_routes(case.game.network, case.near, case.routes, case.budgets[0].limit)
     bound, least = case.bound_of(case.ambusher), case.least_cost(case.ambusher)
-    assert bound <= min(once, least, case.bound) * (1.0 + 1e-9)
+    assert bound <= min(case.once, least, case.bound) * (1.0 + 1e-9)
     assert max(bound, least) == pytest.approx(case.bound, rel=1e-9)
 
 
@@ -117,36 +115,21 @@ def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
     return Ambusher(q, (price,), circulation=curves)
 
 
-@examples(40)
+@examples(20)
 @given(cases, st.integers(0, 10**6))
 def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, seed):
     """Neither for this ambusher, nor for any."""
     if case.ambusher is None or case.ambusher.circulation is None or len(case.game.sites) < 2:
         return
     rng, ambusher = np.random.default_rng(seed), case.ambusher
-    once = value_by_routes(case.game.network, case.near, case.routes, case.budgets[0].limit)
     for _ in range(12):
         ambusher = perturbed(ambusher if rng.random() < 0.5 else case.ambusher, case.game, rng)
         bound = case.bound_of(ambusher)
         assert bound <= max(case.least_cost(ambusher), 0.0) + 1e-9
-        assert bound <= once * (1.0 + 1e-9)
+        assert bound <= case.once * (1.0 + 1e-9)
 
 
-def test_less_of_any_kind_proves_less():
-    """Half of the flow through every link and disc is worth half."""
-    game = make_game(terrain_network(3, cells=14), GameOptions(2.0))
-    ambusher, budgets, bound = proof(game, np.inf)
-    curves = ambusher.circulation
-    half = replace(curves, through=0.5 * curves.through, flow=0.5 * curves.flow)
-    assert lower_bound(game, ambusher, budgets) == pytest.approx(bound)
-    assert lower_bound(game, replace(ambusher, circulation=half), budgets) == pytest.approx(
-        bound / 2.0)
-    none = replace(curves, through=0.0 * curves.through, flow=0.0 * curves.flow)
-    assert lower_bound(game, replace(ambusher, circulation=none), budgets) == 0.0
-
-
-@pytest.mark.parametrize('detour', [1.05, 1.2, np.inf])
-@pytest.mark.parametrize('seed', [1, 3, 4])
+@pytest.mark.parametrize(('seed', 'detour'), [(1, 1.05), (3, 1.2), (4, np.inf)])
 def test_on_terrain_the_curves_and_the_best_response_agree(seed, detour):
     game = make_game(terrain_network(seed, cells=14), GameOptions(2.0))
     ambusher, budgets, bound = proof(game, detour)
@@ -192,7 +175,7 @@ def nearly_two_held_radii_apart(seed):
     return game, rng.choice([1.05, 1.2, 1.5, 3.0])
 
 
-@pytest.mark.parametrize('seed', [1011, 1029, 1234, 1425])
+@pytest.mark.parametrize('seed', [1011, 1425])
 def test_a_curve_does_not_lead_through_held_ground_that_cuts_a_disc_in_two(seed):
     """The curves prove no more than some route costs."""
     game, detour = nearly_two_held_radii_apart(seed)

@@ -1,7 +1,5 @@
 """The value bounds the mean loss of driven paths, measured by geometry alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from games import HUNT
@@ -13,9 +11,7 @@ from ambush_planner.planning.plan import depart, departure_paths
 from ambush_planner.planning.trip import plan_trip
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
-DRAWS = 1400 * HUNT
-# Without a reach lines are looked at more closely, which takes longer.
-DRAWS_WITHOUT = 450 * HUNT
+DRAWS = 400 * HUNT
 # Without a reach, a path that comes as near to a node as this passes it [spacings].
 PASSES = 0.01
 
@@ -81,9 +77,8 @@ def dense(line, step):
     return np.stack([np.interp(places, gone, xy) for xy in line.T], axis=1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('ground', 'tube', 'tracking_error'), [
-    (hills, None, 0.0), (strewn, 1.0, 0.0), (gates, None, 0.0), (hills, None, 2.0)])
+    (strewn, 1.0, 0.0), (gates, None, 0.0), (hills, None, 2.0)])
 def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube, tracking_error):
     a_plan = planned(ground, REACH, tube, tracking_error)
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
@@ -97,16 +92,15 @@ def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube, tracking
     assert mean.max() > 0.5 * a_plan.strategy.value
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('ground', [hills, strewn, gates])
+@pytest.mark.parametrize('ground', [hills, gates])
 def test_without_a_reach_no_ambush_costs_more_than_the_value(ground):
     a_plan, near = planned(ground, 0.0, None), PASSES * SPACING
-    paths = departure_paths(a_plan, DRAWS_WITHOUT, 0.5, np.random.default_rng(1))
+    paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
     mean, error = losses(a_plan, [dense(path[:, :2], near / 2) for path in paths], near)
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     # The routes as they are drawn come as close to the value as sampling allows.
     rng = np.random.default_rng(1)
-    routes = [depart(a_plan, rng).points for _ in range(DRAWS_WITHOUT)]
+    routes = [depart(a_plan, rng).points for _ in range(DRAWS)]
     mean, error = losses(a_plan, routes, near)
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     assert (mean + 4 * error).max() >= 0.95 * a_plan.strategy.value

@@ -1,6 +1,4 @@
-"""Driven paths: within the corridors, clear of obstacles, short and smooth."""
-
-from __future__ import annotations
+"""Driven paths: within the corridors, clear of obstacles, short and smooth; their taut strings."""
 
 import itertools
 
@@ -8,8 +6,9 @@ import numpy as np
 import pytest
 from drive_samples import distance_to, drives, some_route
 from games import examples
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 
 from ambush_planner import InvalidOption, Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.maps.obstacles import ObstacleField
@@ -23,7 +22,7 @@ from ambush_planner.routes.driven_path import (
     tight_turns,
     turn_radii,
 )
-from ambush_planner.routes.taut_string import portals_along
+from ambush_planner.routes.taut_string import Portals, portals_along, taut_strings
 
 
 def dense(poses, parts=20):
@@ -33,9 +32,9 @@ def dense(poses, parts=20):
     return np.concatenate([poses[:-1, None, :2] + share * steps[:, None]]).reshape(-1, 2)
 
 
-@examples(60)
+@examples(25)
 @given(drives)
-def test_the_path_stays_clear_and_in_its_tube(drive):
+def test_the_path_stays_clear_in_its_tube_and_short(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network
     poses = driven_path(corridors, route, 0.2)
@@ -49,9 +48,13 @@ def test_the_path_stays_clear_and_in_its_tube(drive):
         others = np.delete(network.points, route, axis=0)
         if len(others):
             assert distance_to(others, poses[:, :2]).min() > 1e-3
+    # Where a portal is all on one side of the node, the path keeps a margin from the node.
+    detour = MAX_MARGIN * portals_along(corridors, [route]).width
+    drawn = np.hypot(*np.diff(network.points[route], axis=0).T).sum()
+    assert np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() <= drawn + 2 * detour.sum() + 1e-9
 
 
-@examples(60)
+@examples(25)
 @given(drives, st.sampled_from((0.03, 0.2, 1.0, 7.0)))
 def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
     corridors, route = drive[:2]
@@ -106,7 +109,7 @@ def test_a_tube_of_zero_gives_the_drawn_route():
     assert distance_to(poses[:, :2], drawn).max() < 1e-9
 
 
-@pytest.mark.parametrize('radius', [0.2, 0.5, 1.0])
+@pytest.mark.parametrize('radius', [0.2, 1.0])
 def test_turns_have_the_requested_radius_if_the_tube_allows_it(radius):
     """A right angle between two legs of 10 m in a tube of 2 m allows turns of more than 1 m."""
     corridors = corridors_on(open_map(), (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
@@ -132,18 +135,6 @@ def test_turn_radii_of_a_circle_a_line_and_a_turn_on_the_spot():
     path = np.concatenate((circle, [on, on + [0.0, 0.0, 0.3]]))
     assert turn_radii(path)[-2:].tolist() == [np.inf, 0.0]
     assert [tight_turns(path, radius) for radius in (0.0, 1.0, 3.0, 4.0)] == [0, 1, 1, 2]
-
-
-@examples(50)
-@given(drives)
-def test_no_path_is_much_longer_than_its_route(drive):
-    corridors, route = drive[:2]
-    poses = driven_path(corridors, route, 0.2)
-    portals = portals_along(corridors, [route])
-    # Where a portal is all on one side of the node, the path keeps a margin from the node.
-    detour = MAX_MARGIN * portals.width
-    drawn = np.hypot(*np.diff(corridors.network.points[route], axis=0).T).sum()
-    assert np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() <= drawn + 2 * detour.sum() + 1e-9
 
 
 def test_a_turn_round_the_corner_of_a_block_is_round():
@@ -177,7 +168,7 @@ def test_a_route_of_one_edge_is_a_straight_line():
 
 def test_routes_with_the_same_shortened_nodes_share_a_path():
     corridors = corridors_on(open_map(), (1.2, 1.3), (8.7, 8.4))
-    routes = [some_route(corridors.network, seed) for seed in range(300)]
+    routes = [some_route(corridors.network, seed) for seed in range(100)]
     once = list({route.tobytes(): route for route in routes}.values())
     paths = [path.round(6).tobytes() for path in driven_paths(corridors, once, 0.3)]
     shortened = [corridors.shortened(route).tobytes() for route in once]
@@ -186,7 +177,7 @@ def test_routes_with_the_same_shortened_nodes_share_a_path():
     assert len(set(paths)) <= len(made) < len(once)
 
 
-@examples(30)
+@examples(10)
 @given(drives, st.sampled_from((0.0, 0.6)))
 def test_paths_made_together_match_single_ones(drive, radius):
     corridors, route = drive[:2]
@@ -196,7 +187,7 @@ def test_paths_made_together_match_single_ones(drive, radius):
         np.testing.assert_allclose(path, driven_path(corridors, route, 0.3, radius), atol=1e-12)
 
 
-@pytest.mark.parametrize('tube', [-0.1, np.nan, np.inf])
+@pytest.mark.parametrize('tube', [-0.1, np.nan])
 def test_rejects_an_invalid_tube(tube):
     with pytest.raises(InvalidOption, match='tube'):
         corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=tube)
@@ -207,7 +198,7 @@ def test_unneeded_nodes_are_skipped_only_without_a_tube():
     network = corridors.network
     links = {tuple(link) for link in corridors.links.tolist()}
     left_out = 0
-    for seed in range(20):
+    for seed in range(10):
         route = some_route(network, seed)
         shorter = corridors.shortened(route)
         assert set(shorter.tolist()) <= set(route.tolist())
@@ -224,3 +215,52 @@ def test_unneeded_nodes_are_skipped_only_without_a_tube():
 def longer(network, three):
     a, b, c = network.points[three]
     return np.hypot(*(b - a)) + np.hypot(*(c - b)) > np.hypot(*(c - a)) + 1e-9
+
+
+def string(portals, margin):
+    """The corners (C, 2) of the taut string."""
+    ends = {side: portals.places(margin, side) for side in (1, -1)}
+    (corners,) = taut_strings(portals, margin, [0])
+    return np.array([ends[side or 1][k] for k, side in corners])
+
+
+@examples(20)
+@given(drives, st.floats(0.0, 0.45))
+def test_the_taut_string_is_the_shortest_line_through_the_portals(drive, share):
+    corridors, route = drive[:2]
+    assume(len(route) > 2)
+    assert_taut(portals_along(corridors, [route]), share)
+
+
+def assert_taut(portals, share):
+    """The string is as short as a general minimiser finds, over one place on each portal."""
+    margin = share * portals.width
+    low, high = (margin - portals.right)[1:-1], (portals.left - margin)[1:-1]
+
+    def length(t):
+        points = portals.nodes.copy()
+        points[1:-1] += t[:, None] * portals.leftward[1:-1]
+        steps = np.diff(points, axis=0)
+        size = np.hypot(*steps.T)
+        pull = -np.diff(steps / size[:, None], axis=0)
+        return size.sum(), (pull * portals.leftward[1:-1]).sum(axis=1)
+
+    found = minimize(
+        length, (low + high) / 2, jac=True, method='L-BFGS-B',
+        bounds=np.stack((low, high), axis=1), options={'ftol': 1e-15, 'maxiter': 5000},
+    )
+    size = np.hypot(*np.diff(string(portals, margin), axis=0).T).sum()
+    assert size == pytest.approx(found.fun, rel=1e-5)
+    assert size <= found.fun * (1 + 1e-9)
+
+
+def test_portals_approached_from_behind():
+    """Two sharp turns, one after the other: from the start, the second portal looks reversed."""
+    nodes = [(4.2683, 2.8259), (4.55, 3.85), (3.85, 4.55), (3.85, 3.85), (3.15, 4.55),
+             (2.45, 5.25), (1.75, 5.25), (1.0186, 5.3343)]
+    leftward = [(0, 0), (-0.9668, -0.2556), (0.3827, -0.9239), (0.3827, -0.9239),
+                (-0.7071, -0.7071), (-0.3827, -0.9239), (-0.0573, -0.9984), (0, 0)]
+    left = [0, 0.6201, 0.2387, 0.1018, 0.7, 0.5762, 0.0339, 0]
+    right = [0, 0.1404, 0.0807, 0.2387, 0.0606, 0.0448, 0.4692, 0]
+    arrays = (np.array(values, float) for values in (nodes, leftward, left, right))
+    assert_taut(Portals(*arrays, np.zeros(len(nodes)), np.array([0, len(nodes)])), 0.0)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from commands import run_here
-from games import examples, random_map, terrain_network, terrain_networks
+from games import examples, random_map, terrain_networks
 from hypothesis import given
 
 from ambush_planner import (
@@ -21,7 +21,6 @@ from ambush_planner import (
 )
 from ambush_planner.commands import frontier as command
 from ambush_planner.commands.frontier import COLUMNS
-from ambush_planner.commands.inputs import read_risk_map
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
@@ -29,7 +28,7 @@ from ambush_planner.maps.occupancy import OccupancyMap
 ENTROPY = 0.02
 
 
-@examples(8)
+@examples(4)
 @given(terrain_networks)
 def test_each_row_is_certified_and_looser_budgets_cost_no_value(network):
     rows = frontier(network, detours=(1.3, 1.0, 1.1), slacks=(0.0, 0.3, 0.05))
@@ -45,16 +44,7 @@ def test_each_row_is_certified_and_looser_budgets_cost_no_value(network):
     assert all(loose <= tight * (1 + 1e-5) for tight, loose in pairwise(bounds))
 
 
-def test_looser_budgets_buy_entropy():
-    """On a larger network; on tiny ones the acyclic part may change with the budget."""
-    network = terrain_network(5, cells=24)
-    rows = frontier(network, detours=(1.1, 1.2, 1.4), slacks=(0.0, 0.03, 0.3))
-    for sweep in (rows[:3], rows[3:]):
-        assert all(b.route_entropy > a.route_entropy for a, b in pairwise(sweep))
-    assert [row.lower_bound for row in rows[3:]] == pytest.approx([rows[1].lower_bound] * 3)
-
-
-@examples(7)
+@examples(3)
 @given(terrain_networks)
 def test_rows_equal_cold_solves(network):
     detours, game = (1.5, 1.05), GameOptions(ambush_radius=1.5)
@@ -116,28 +106,16 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
     assert done.out.count('\n') == 6 and 'f.png' in done.out
 
 
-def test_risk_map_from_an_npz_file(map_file, tmp_path):
-    risk_map = random_map(1, yaw=0.5)
-    np.savez(
-        tmp_path / 'map.npz', alpha=risk_map.alpha, obstacles=risk_map.obstacles,
-        resolution=risk_map.resolution, origin=risk_map.origin,
-    )
-    read = read_risk_map(tmp_path / 'map.npz', None)
-    assert np.array_equal(read.alpha, risk_map.alpha) and read.origin == risk_map.origin
-    np.savez(tmp_path / 'half.npz', alpha=risk_map.alpha)
-    (tmp_path / 'no.npz').write_bytes(b'no')
-    for name, reason in (('half.npz', "no 'obstacles'"), ('no.npz', 'no.npz'), ('not', 'not')):
-        done = run(tmp_path / name, *ENDS, '-o', tmp_path / 'f.csv')
-        assert done.code == 3 and reason in done.err, done.err
-        assert 'Traceback' not in done.err
-
-
-@pytest.mark.parametrize(('arguments', 'reason'), [
-    (('--set', 'strategy.max_detour=0.5'), 'max_detour'), (('--detours', '0.5'), 'max_detour'),
-    (('--goal', '95', '95'), 'goal'), (('-o', 'f.png'), 'name the table .csv'),
+@pytest.mark.parametrize(('name', 'arguments', 'reason'), [
+    ('map.yaml', ('--set', 'strategy.max_detour=0.5'), 'max_detour'),
+    ('map.yaml', ('--detours', '0.5'), 'max_detour'), ('map.yaml', ('--goal', '95', '95'), 'goal'),
+    ('map.yaml', ('-o', 'f.png'), '.csv'), ('half.npz', (), "no 'obstacles'"),
+    ('no.npz', (), 'no.npz'), ('not', (), 'not'),
 ])
-def test_bad_input_exits_3_with_one_line(map_file, tmp_path, arguments, reason):
-    done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
+def test_bad_input_exits_3_with_one_line(map_file, tmp_path, name, arguments, reason):
+    np.savez(tmp_path / 'half.npz', alpha=np.ones((2, 2)))
+    (tmp_path / 'no.npz').write_bytes(b'no')
+    done = run(map_file.with_name(name), *ENDS, '-o', tmp_path / 'f.csv', *arguments)
     assert done.code == 3 and reason in done.err
     assert done.err.startswith('ambush frontier: ') and done.err.count('\n') == 1
     assert not (tmp_path / 'f.csv').exists()

@@ -1,15 +1,19 @@
 """The Gibbs law: gradient, entropy, all routes by hand, Clarabel, and weights beyond e^700."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from itertools import pairwise
 
-import networkx
 import numpy as np
 import pytest
-from games import PLAIN, examples, networks, terrain_network, unbalanced
+from games import (
+    PLAIN,
+    examples,
+    least_weight,
+    networks,
+    routes_of,
+    terrain_network,
+    unbalanced,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from route_entropy import most_route_entropy, route_entropy
@@ -41,15 +45,7 @@ def on_all(network, acyclic, values) -> np.ndarray:
     return whole
 
 
-def routes_of(network, acyclic) -> list[list[int]]:
-    """Every route as positions of its edges in the acyclic part."""
-    place = {tuple(network.edges[e].tolist()): k for k, e in enumerate(acyclic.edge)}
-    graph = networkx.DiGraph(list(place))
-    routes = networkx.all_simple_paths(graph, network.source, network.target)
-    return [[place[step] for step in pairwise(route)] for route in routes]
-
-
-@examples(50)
+@examples(25)
 @given(networks(), st.integers(0, 10**6), st.sampled_from((0.1, 1.0, 30.0)))
 def test_every_route_has_the_probability_of_its_weight(network, seed, size):
     case = forward(network)
@@ -58,7 +54,9 @@ def test_every_route_has_the_probability_of_its_weight(network, seed, size):
     acyclic = case[1]
     weights = size * np.random.default_rng(seed).random(len(acyclic.edge))
     log_z, p, share = acyclic.law(weights)
-    routes = routes_of(network, acyclic)
+    place = np.full(len(network.edges), -1)
+    place[acyclic.edge] = np.arange(len(acyclic.edge))
+    routes = [place[route] for route in routes_of(network, place >= 0)]
     by_hand = np.array([weights[route].sum() for route in routes])
     assert log_z == pytest.approx(np.logaddexp.reduce(-by_hand), abs=1e-9)
     likely = np.exp(-by_hand - log_z)
@@ -75,7 +73,7 @@ def rows_of(part, acyclic, budget=1.3) -> csr_matrix:
     return vstack((2.0 * part.hits[:, acyclic.edge], csr_matrix(lengths / lengths.sum() * budget)))
 
 
-@examples(40)
+@examples(12)
 @given(st.integers(0, 10**6), st.floats(0.0, 3.0))
 def test_the_entropy_of_p_is_the_dual_value(seed, size):
     network = terrain_network(seed, cells=8)
@@ -88,7 +86,7 @@ def test_the_entropy_of_p_is_the_dual_value(seed, size):
     assert route_entropy(network, whole) == pytest.approx(log_z + v @ (rows @ p), rel=1e-9)
 
 
-@examples(10)
+@examples(6)
 @given(st.integers(0, 10**6), st.floats(0.0, 3.0), st.sampled_from((0.0, 2.0)))
 def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
     """Of the limits' uses by the multipliers; more rows than fit one chunk of right sides."""
@@ -111,7 +109,7 @@ def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
         assert (covariance + np.diag(diagonal)) @ found == pytest.approx(right, abs=1e-5)
 
 
-@pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
+@pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 2.0), (16, 0.0)])
 def test_the_optimum_agrees_with_clarabel(cells, reach):
     network = terrain_network(3, cells=cells)
     part, acyclic = forward(network)
@@ -122,7 +120,9 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     hits = game.hits[:, acyclic.edge]
     limits = np.append(np.full(hits.shape[0], 0.9 * (hits @ uniform).max()),
                        0.95 * lengths @ uniform)
-    limits[-1] = max(limits[-1], 1.02 * shortest(network, acyclic))
+    costs = np.full(len(network.edges), np.inf)
+    costs[acyclic.edge] = lengths
+    limits[-1] = max(limits[-1], 1.02 * least_weight(network, costs))
     rows = vstack((hits, csr_matrix(lengths))).tocsr()
     scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
     start = np.zeros(len(limits))
@@ -138,14 +138,7 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     assert dual == pytest.approx(most, rel=1e-5)
 
 
-def shortest(network, acyclic) -> float:
-    graph = networkx.DiGraph()
-    for k in acyclic.edge:
-        graph.add_edge(*network.edges[k].tolist(), weight=network.lengths[k])
-    return networkx.dijkstra_path_length(graph, network.source, network.target)
-
-
-@examples(35)
+@examples(15)
 @given(networks(alphas=PLAIN), st.floats(0.2, 0.99))
 def test_infeasible_limits_are_proved_infeasible(network, tightness):
     """All of the source's edges together may be used less than once."""
@@ -171,7 +164,7 @@ def ladder(rungs: int) -> Network:
     return Network(np.array(points, float), alpha, np.array(edges), 0, 2 * rungs + 1)
 
 
-@pytest.mark.parametrize('weight', [-3.0, 0.0, 0.5, 5.0, 200.0])
+@pytest.mark.parametrize('weight', [-3.0, 0.5, 200.0])
 def test_partition_functions_beyond_floating_point(weight):
     """1500 rungs: log Z from 1039 - 1501 w, far beyond e^700 on either side; levels jump, too."""
     rungs = 1500
@@ -183,16 +176,3 @@ def test_partition_functions_beyond_floating_point(weight):
         assert log_z == pytest.approx(exact, rel=1e-10)
         assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9
         acyclic.law(np.full(len(acyclic.edge), weight + 1.0))
-
-
-def test_weights_far_apart_leave_the_best_route():
-    network = terrain_network(9, cells=9)
-    _, acyclic = forward(network)
-    weights = 1e6 * np.random.default_rng(3).random(len(acyclic.edge))
-    _, p, _ = acyclic.law(weights)
-    graph = networkx.DiGraph()
-    for k, weight in zip(acyclic.edge, weights, strict=True):
-        graph.add_edge(*network.edges[k].tolist(), weight=weight)
-    best = networkx.dijkstra_path_length(graph, network.source, network.target)
-    assert p @ weights == pytest.approx(best, rel=1e-6)
-    assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9

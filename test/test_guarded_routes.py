@@ -57,13 +57,9 @@ class Names:
 
     def __init__(self, node):
         interface = interface_of(node)
-
-        def names(found):
-            return {name for name in found if '/_action/' not in name}
-
-        self.published = names(interface.publishers)
-        self.subscribed = names(interface.subscribers)
-        self.served = names(interface.services)
+        self.published, self.subscribed, self.served = (
+            {name for name in found if '/_action/' not in name}
+            for found in (interface.publishers, interface.subscribers, interface.services))
         self.actions = {name for name, _ in get_action_server_names_and_types_by_node(
             node, node.get_name(), node.get_namespace())}
 
@@ -74,33 +70,26 @@ def names():
         yield Names(running.planner)
 
 
-def test_the_node_may_do_all_that_it_does(names):
-    profile = Profile('/ambush_planner')
-    assert {'/path', *(f'/ambush_planner/{topic}' for topic in MARKER_TOPICS)} <= names.published
-    assert {f'/{topic}' for topic in INPUTS} <= names.subscribed
-    assert '/ambush_planner/get_plan' in names.served
-    assert names.published <= profile.listed('topic', 'publish')
-    assert names.subscribed <= profile.listed('topic', 'subscribe')
-    assert names.served <= profile.listed('service', 'reply')
-    assert names.actions <= profile.listed('action', 'execute')
-
-
-def test_the_node_may_do_nothing_else(names):
+def test_the_node_may_do_what_it_does_and_nothing_else(names):
     """Apart from topics and services that other installed packages add."""
-    profile = Profile('/ambush_planner')
-    others = {'/ambush_planner/transition_event', '/bond'}
-    assert profile.listed('topic', 'publish') <= names.published | others
-    others = {'/alpha_map_updates', '/costmap', '/costmap_updates', '/tf', '/tf_static', '/clock',
-              '/parameter_events'}
-    assert profile.listed('topic', 'subscribe') <= names.subscribed | others
+    node, profile = '/ambush_planner', Profile('/ambush_planner')
+    assert {'/path', *(f'{node}/{topic}' for topic in MARKER_TOPICS)} <= names.published
+    assert {f'/{topic}' for topic in INPUTS} <= names.subscribed
+    assert f'{node}/get_plan' in names.served
     of_a_lifecycle = {
-        f'/ambush_planner/{name}' for name in (
+        f'{node}/{name}' for name in (
             'change_state', 'get_state', 'get_available_states', 'get_available_transitions',
-            'get_transition_graph', 'is_path_valid')
-    }
-    assert profile.listed('service', 'reply') <= names.served | of_a_lifecycle
-    assert profile.listed('action', 'execute') == {
-        f'/ambush_planner/compute_path_{kind}' for kind in ('to_pose', 'through_poses')}
+            'get_transition_graph', 'is_path_valid')}
+    heard = {'/alpha_map_updates', '/costmap', '/costmap_updates', '/tf', '/tf_static', '/clock',
+             '/parameter_events'}
+    for kind, access, does, others in (
+        ('topic', 'publish', names.published, {f'{node}/transition_event', '/bond'}),
+        ('topic', 'subscribe', names.subscribed, heard),
+        ('service', 'reply', names.served, of_a_lifecycle),
+        ('action', 'execute', names.actions,
+         {f'{node}/compute_path_{kind}' for kind in ('to_pose', 'through_poses')}),
+    ):
+        assert does <= profile.listed(kind, access) <= does | others
 
 
 def test_an_operator_may_ask_and_read_but_not_pass_for_the_node(names):
@@ -145,7 +134,7 @@ def spy_on_everything(running):
     return found
 
 
-def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
+def test_a_route_that_is_not_published_is_in_the_answer_and_its_recording_alone(tmp_path, capfd):
     with stage(tmp_path, {'path.publish': False}) as running:
         client = running.give()
         heard = spy_on_everything(running)
@@ -170,22 +159,16 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
                 assert not any(np.array(xy).tobytes() in data for xy in own), topic
         for x, y in own:
             assert f'{x:.4f}' not in said and f'{y!r}' not in said
+    for file, path in zip(recordings_in(tmp_path), paths, strict=True):
+        recorded = read_recording(file)
+        assert '/path' not in {each.topic for each in recorded.messages}
+        kept = recorded.in_role('path')
+        assert kept.topic == '/ambush_planner/get_plan/path'
+        assert deserialize_message(kept.data, PathMessage) == path
+        assert Verifier().verify(file).holds
 
 
 def _of_the_network(xy, heard):
     """Whether a marker of the whole network or strategy shows this place anyway."""
     return any(np.array(xy).tobytes() in data
                for topic in MARKER_TOPICS for data in heard[f'/ambush_planner/{topic}'])
-
-
-def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):
-    with stage(tmp_path, {'path.publish': False}) as running:
-        answered = running.give().get_plan(pose(*START), pose(*GOAL))
-        wait_until(lambda: list(tmp_path.glob('*/*.mcap')), 'a recording')
-    (file,) = recordings_in(tmp_path)
-    recorded = read_recording(file)
-    assert '/path' not in {each.topic for each in recorded.messages}
-    kept = recorded.in_role('path')
-    assert kept.topic == '/ambush_planner/get_plan/path'
-    assert deserialize_message(kept.data, PathMessage) == answered
-    assert Verifier().verify(file).holds

@@ -1,17 +1,13 @@
 """Hiding places in obstacles: their cells and losses, and their effect on a plan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
+from ambush_planner import GameOptions, NetworkOptions, RiskMap, build_network
 from ambush_planner.network.hiding_places import with_hiding_places
-from ambush_planner.planning.options import DriveOptions, PlanningOptions
+from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import add_hiding_places
-from ambush_planner.planning.trip import plan_trip
 
 START, GOAL = (0.5, 10.0), (39.5, 10.0)
 
@@ -76,16 +72,3 @@ def test_no_hiding_places_without_an_ambush_radius():
     assert add_hiding_places(network, risk_map, PlanningOptions(game=game)) is network
     reaching = PlanningOptions(game=replace(game, ambush_radius=3.0))
     assert len(add_hiding_places(network, risk_map, reaching).points) > len(network.points)
-
-
-@pytest.mark.parametrize('hides', [False, True])
-def test_a_plan_uses_hiding_places_if_enabled(hides):
-    options = PlanningOptions(
-        NetworkOptions(spacing=2.0),
-        GameOptions(ambush_radius=3.0, secured_radius=6.0, ambush_in_obstacles=hides),
-        StrategyOptions(), DriveOptions(tube=0.0),
-    )
-    made = plan_trip(walled_map(), START, GOAL, options)
-    sites = made.strategy.game.sites
-    inside = walled_map().obstacles[walled_map().cells(made.network.points[sites])]
-    assert inside.any() == hides

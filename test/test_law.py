@@ -1,7 +1,5 @@
 """The law's entropy against Clarabel's optimum, its limits, and what it may use."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -64,10 +62,9 @@ def check_entropy(strategy, missing: float) -> None:
         assert strategy.route_entropy >= least * (1.0 - missing) - 1e-5
 
 
-@pytest.mark.parametrize('method', METHODS)
-@examples(4)
-@given(seed=st.integers(0, 10**6), cells=st.integers(6, 16), detour=st.sampled_from(DETOURS),
-       slack=st.sampled_from((0.01, 0.1)))
+@examples(10)
+@given(seed=st.integers(0, 10**6), method=st.sampled_from(METHODS), cells=st.integers(6, 16),
+       detour=st.sampled_from(DETOURS), slack=st.sampled_from((0.01, 0.1)))
 def test_without_a_reach_it_is_the_greatest_within_a_thousandth(method, seed, cells, detour, slack):
     network = terrain_network(seed, method, cells)
     strategy = solve(network, options=StrategyOptions(max_detour=detour, risk_slack=slack))
@@ -78,25 +75,21 @@ def test_without_a_reach_it_is_the_greatest_within_a_thousandth(method, seed, ce
         assert strategy.entropy_gap <= 0.05 * strategy.route_entropy + 0.05
 
 
-@examples(20)
+@examples(12)
 @given(networks(alphas=PLAIN), st.sampled_from(DETOURS))
 def test_on_any_network(network, detour):
     check_entropy(solve(network, options=StrategyOptions(max_detour=detour)), 1e-3)
 
 
-@pytest.mark.parametrize('reach', [1.5, 3.0])
-@examples(12)
-@given(st.integers(0, 10**6), st.sampled_from((1.2, np.inf)), st.sampled_from((0.01, 0.05)))
+@examples(10)
+@given(st.sampled_from((1.5, 3.0)), st.integers(0, 10**6), st.sampled_from((1.2, np.inf)),
+       st.sampled_from((0.01, 0.05)))
 def test_with_a_reach_it_is_the_greatest_within_its_own_rows(reach, seed, detour, slack):
     """Rounds end when the entropy grows by less than a thousandth: up to 1 % may be missing."""
     network = terrain_network(seed, cells=12)
     strategy = solve(network, GameOptions(reach), StrategyOptions(
         max_detour=detour, risk_slack=slack))
     check_entropy(strategy, 1e-2)
-
-
-def test_a_medium_game():
-    check_entropy(solve(terrain_network(2, cells=36)), 1e-3)
 
 
 def test_the_papers_example():
@@ -107,35 +100,14 @@ def test_the_papers_example():
     assert (strategy.edge_probability > 0.0).all()
 
 
-@pytest.mark.parametrize('reach', [0.0, 2.0])
-@pytest.mark.parametrize('detour', [1.05, 1.2, np.inf])
+@pytest.mark.parametrize(('reach', 'detour'), [(0.0, 1.05), (2.0, 1.2), (0.0, np.inf)])
 def test_more_slack_buys_more_entropy(reach, detour):
     """Also much of it: a law may not exceed the budget by a share of the slack."""
     network = terrain_network(5, cells=14)
     entropies = [solve(network, GameOptions(reach), StrategyOptions(
         max_detour=detour, risk_slack=slack)).route_entropy
-        for slack in (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)]
+        for slack in (0.0, 0.01, 0.1, 0.3)]
     assert all(b > a for a, b in zip(entropies[:-1], entropies[1:], strict=True))
-
-
-def test_an_exposure_budget_lowers_exposure_and_entropy():
-    network = terrain_network(6, cells=14)
-    free, dark = (
-        solve(network, options=StrategyOptions(max_detour=1.5, max_exposure=e, risk_slack=0.05))
-        for e in (np.inf, 1.1)
-    )
-    assert dark.expected_exposure <= 1.1 * dark.least_exposure * (1 + 1e-6)
-    assert free.expected_exposure > dark.expected_exposure
-    assert dark.route_entropy < free.route_entropy
-
-
-def test_an_excessively_costly_site_is_avoided():
-    network = terrain_network(2, cells=12)
-    alpha = network.alpha.copy()
-    alpha[len(alpha) // 2] = 1e9
-    barred = quiet_network(network.points, alpha, network.edges, network.source, network.target)
-    strategy = solve(barred)
-    assert strategy.visit_probability[len(alpha) // 2] == 0.0
 
 
 def test_routes_that_avoid_all_sites_have_value_zero():

@@ -1,7 +1,5 @@
 """The paper's linear programs: its 8-node example, its observations, and length weights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from games import (
@@ -47,9 +45,8 @@ def test_the_papers_example_interior_point_uses_all_seven():
 
 
 @pytest.mark.parametrize('method', METHODS)
-@pytest.mark.parametrize('seed', [1, 2])
-def test_simplex_has_less_edge_entropy_than_interior_point(method, seed):
-    network = terrain_network(seed, method, 14)
+def test_simplex_has_less_edge_entropy_than_interior_point(method):
+    network = terrain_network(1, method, 14)
     vertex, centre = solved(network, 'simplex'), solved(network, 'interior_point')
     assert vertex.edge_entropy < centre.edge_entropy
     assert np.count_nonzero(vertex.edge_probability > 1e-9) < np.count_nonzero(
@@ -65,7 +62,7 @@ def test_the_interior_point_solution_has_cycles_and_the_default_has_none():
     assert raw.expected_length > ours.expected_length
 
 
-@examples(25)
+@examples(15)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.3, 0.9)), st.sampled_from(LINEAR))
 def test_length_weight_minimises_the_weighted_sum(network, weight, solver):
     """No budget gives a better (1 - w) z + w length; the bound holds for its own length."""
@@ -93,7 +90,7 @@ def test_length_weight_by_hand():
         assert (hasty.value, hasty.expected_length) == pytest.approx((4.0, 2.0), rel=1e-6)
 
 
-@pytest.mark.parametrize('seed', [16, 17, 20])
+@pytest.mark.parametrize('seed', [16, 17])
 def test_the_interior_point_method_finds_the_shortest_routes(seed):
     """At a max_detour of 1, the routes within the budget have no interior on the whole network."""
     network = terrain_network(seed, METHODS[seed % 5], 20 + seed)

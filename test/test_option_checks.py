@@ -1,11 +1,10 @@
 """Options of a wrong type or out of range: an error of ours that names them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
+from ambush_planner.maps import OccupancyOptions
 from ambush_planner.option_checks import check_at_least
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
@@ -33,6 +32,26 @@ def test_numpy_numbers_are_accepted(record):
         default = getattr(record(), name)
         kind = np.int32 if isinstance(default, int) else np.float32
         assert getattr(record(**{name: kind(default)}), name) == default or kind is np.float32
+
+
+@pytest.mark.parametrize('record, name, values', [
+    (StrategyOptions, 'solver', ['magic', None]), (StrategyOptions, 'max_detour', [0.99]),
+    (StrategyOptions, 'max_exposure', [0.99]), (StrategyOptions, 'risk_slack', [-0.1, np.inf]),
+    (StrategyOptions, 'length_weight', [-0.1, 1.0]), (StrategyOptions, 'time_limit', [0.0]),
+    (GameOptions, 'ambush_radius', [np.inf]), (GameOptions, 'secured_radius', [-0.1]),
+    (GameOptions, 'ambushers', [0, 1.5]), (GameOptions, 'ambush_in_obstacles', ['yes']),
+    (NetworkOptions, 'method', ['hexagons']), (NetworkOptions, 'spacing', [-1.0, np.inf]),
+    (NetworkOptions, 'clearance', [-0.1]), (NetworkOptions, 'target_nodes', [1]),
+    (OccupancyOptions, 'alpha_min', [-1.0, np.nan, 1e-310]),
+    (OccupancyOptions, 'alpha_max', [0.5, np.inf, 1e291]),
+    (OccupancyOptions, 'obstacle_threshold', [0, 102]),
+    (OccupancyOptions, 'unknown_alpha', [np.nan, 1e291]),
+])
+def test_values_out_of_range_are_named(record, name, values):
+    for value in values:
+        with pytest.raises(InvalidOption, match=name) as caught:
+            record(**{name: value})
+        assert str(value) in str(caught.value)
 
 
 def test_at_least():

@@ -1,7 +1,5 @@
 """Doors and corridors narrower than the node spacing, and maps divided by obstacles."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -38,15 +36,14 @@ def crossing(risk_map, method='uniform_delaunay', **options):
 @pytest.mark.parametrize('method', DELAUNAY)
 @pytest.mark.parametrize('thickness', [1, 5])
 def test_finds_a_door_of_one_cell_anywhere(method, thickness):
-    for row in range(6, 13):
-        for column in range(7 + row % 2, 14, 2):  # as on a chessboard
+    for row in range(6, 13, 2):
+        for column in range(7 + row % 4 // 2, 14, 2):  # as on a chessboard
             crossing(walled(row, column, thickness), method)
 
 
-@pytest.mark.parametrize('clearance', [1.4, 1.49])
-def test_finds_a_corridor_slightly_wider_than_the_clearance(clearance):
-    for row, column in itertools.product(range(6, 13), range(7, 14, 2)):
-        crossing(walled(row, column, 5, 3), clearance=clearance, clear_of_edge=False)
+def test_finds_a_corridor_slightly_wider_than_the_clearance():
+    for row, column in itertools.product(range(6, 13), (7, 11)):
+        crossing(walled(row, column, 5, 3), clearance=1.49, clear_of_edge=False)
 
 
 def test_finds_a_bent_corridor():

@@ -1,6 +1,4 @@
-"""The value with a reach, against all routes, and against drawn routes."""
-
-from __future__ import annotations
+"""The value with a reach, against all routes."""
 
 import numpy as np
 import pytest
@@ -16,33 +14,24 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.sparse import csr_matrix
 
 from ambush_planner import (
     GameOptions,
     Network,
-    NetworkOptions,
-    RiskMap,
     StrategyOptions,
-    build_network,
     solve,
 )
-from ambush_planner.game.certificate.best_response import best_response
+from ambush_planner.game.certificate.best_response import Grounds, best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import entry_value
-from ambush_planner.game.route_sampler import route_edges
 from ambush_planner.game.strategy import make_budgets
 
-ROUTES = 10_000
-# Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
-DEVIATIONS = 5.0
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
-@pytest.mark.parametrize('ambushers', [1, 2, 3])
-@examples(30)
-@given(st.integers(0, 10**6), st.floats(0.2, 1.5), st.sampled_from([-1.0, 0.0, 0.5, 2.0]),
-       st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
+@examples(90)
+@given(st.integers(1, 3), st.integers(0, 10**6), st.floats(0.2, 1.5),
+       st.sampled_from([-1.0, 0.0, 0.5, 2.0]), st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
 def test_value_and_bound_enclose_the_value_over_all_routes(
     ambushers, seed, reach, held, detour, inside
 ):
@@ -54,7 +43,8 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
     game = GameOptions(reach, held, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
     near = reached(network, reach, game.held_radius)
-    once = value_by_routes(network, near, routes, strategy.length_budget, ambushers)
+    limits = [(network.lengths, strategy.length_budget)]
+    once = value_by_routes(network.alpha, near, routes, limits, ambushers)
     assert strategy.lower_bound <= once * (1 + 1e-7) + 1e-9
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1 - 2e-6) - 1e-9
@@ -62,7 +52,7 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
         assert strategy.value <= once * (1 + 0.01 + 1e-5) + 1e-9
 
 
-@examples(20)
+@examples(6)
 @given(st.integers(0, 10**6), st.floats(0.0, 2.0), st.sampled_from((1.1, np.inf)))
 def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
     network = terrain_network(seed, cells=9)
@@ -74,7 +64,7 @@ def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
         bound = max(bound, strategy.lower_bound)
 
 
-@examples(40)
+@examples(20)
 @given(st.integers(0, 10**6), st.floats(0.5, 2.0), st.floats(0.0, 2.0))
 def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     rng, network = np.random.default_rng(seed), planar_network(seed)
@@ -91,6 +81,11 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     found = best_response(game, q, budgets, (price,))
     assert found.bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
     assert sorted(found.edges.tolist()) in [sorted(route) for route in routes]
+    # A search that is cut short proves no more.
+    base, charge = price * budgets[0].excess, (game.loss * q)[None, game.sites]
+    least = costs.min() + price * budgets[0].margin
+    bound, _ = Grounds(game, game.hits).least_cost(base, charge, ((9, 3), (81, 10**6)))
+    assert bound <= least * (1.0 + 1e-9) + 1e-9
 
 
 def test_a_route_that_comes_back_to_a_disc_is_hit_once():
@@ -111,34 +106,3 @@ def test_the_value_is_the_worst_loss_with_each_route_counted_once(seed, reach, d
     hits = geometric_hits(network, reach).toarray() > 0.0
     losses = network.alpha * hit_once(network, strategy.edge_probability, hits)
     assert strategy.value == pytest.approx(losses.max(), rel=1e-9, abs=1e-12)
-
-
-def hilly_network(nodes_across: int) -> Network:
-    """A 100 m square with a smooth risk and a block in the middle, mid-left to mid-right."""
-    cells = 100
-    v, u = np.meshgrid(*2 * [(np.arange(cells) + 0.5) / cells], indexing='ij')
-    alpha = 1 + 4 * np.exp(-((u - 0.7) ** 2 + (v - 0.25) ** 2) / 0.08)
-    block = (np.abs(u - 0.5) < 0.12) & (np.abs(v - 0.5) < 0.12)
-    return build_network(
-        RiskMap(alpha, block, 1.0),
-        (3.0, 50.0),
-        (97.0, 50.0),
-        NetworkOptions(spacing=cells / nodes_across),
-    )
-
-
-@pytest.mark.parametrize('radius', [0.0, 10.0])
-def test_no_site_is_hit_more_often_than_the_value_allows(radius):
-    strategy = solve(hilly_network(20), GameOptions(ambush_radius=radius, secured_radius=12.0))
-    network, rng = strategy.network, np.random.default_rng(7)
-    near = (reached(network, radius, 12.0) if radius else
-            np.equal.outer(np.arange(len(network.points)), network.heads))
-    used = [route_edges(network, route) for route in strategy.sample_routes(ROUTES, rng)]
-    which = np.repeat(np.arange(ROUTES), [len(edges) for edges in used])
-    shape = (ROUTES, len(network.edges))
-    drives = csr_matrix((np.ones(len(which)), (which, np.concatenate(used))), shape=shape)
-    hits = np.asarray((drives @ csr_matrix(near.T.astype(float)) > 0).sum(axis=0)).ravel()
-    frequency = hits / ROUTES
-    error = np.sqrt(np.maximum(frequency * (1 - frequency), 1 / ROUTES) / ROUTES)
-    loss = strategy.game.loss
-    assert (loss * (frequency - DEVIATIONS * error) <= strategy.value).all()

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from games import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner.maps import (
@@ -28,12 +29,6 @@ def test_resampling_preserves_a_plane():
     np.testing.assert_allclose(result.heights, 8.0 * plane(37, 100, 1.0, 1.0), rtol=1e-6)
 
 
-def test_square_cells_are_not_resampled():
-    heights = np.random.default_rng(0).uniform(size=(300, 200)).astype(np.float32)
-    result = elevation_from_raster(Raster(heights.astype(float), 0.1, 0.1))
-    np.testing.assert_array_equal(result.heights, heights)
-
-
 @pytest.mark.parametrize('resolution', [-1.0, np.inf, 1e6, 1e-6])
 def test_rejects_an_invalid_resolution(resolution):
     with pytest.raises(InvalidTerrain, match='resolution'):
@@ -57,20 +52,11 @@ def test_a_sample_at_a_known_cells_centre_is_known():
     )
 
 
-def test_a_slope_reaches_the_border_of_finer_cells():
-    raster = Raster(30.0 * plane(6, 7, 0.2, 0.1), 30.0, 30.0)
-    result = slope(elevation_from_raster(raster, 1.0))
-    np.testing.assert_allclose(result, np.hypot(0.2, 0.1), atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ('heights', 'resolution', 'reason'),
-    [
-        (np.zeros(4), 1.0, '2 x 2'), (np.zeros((1, 4)), 1.0, '2 x 2'),
-        (np.full((3, 3), np.nan), 1.0, 'no elevation is known'),
-        (np.full((3, 3), np.inf), 1.0, 'finite'), (np.zeros((3, 3)), 0.0, 'resolution'),
-    ],
-)
+@pytest.mark.parametrize(('heights', 'resolution', 'reason'), [
+    (np.zeros(4), 1.0, '2 x 2'), (np.zeros((1, 4)), 1.0, '2 x 2'),
+    (np.full((3, 3), np.nan), 1.0, 'no elevation is known'),
+    (np.full((3, 3), np.inf), 1.0, 'finite'), (np.zeros((3, 3)), 0.0, 'resolution'),
+])
 def test_rejects_malformed_elevations(heights, resolution, reason):
     with pytest.raises(InvalidTerrain, match=reason):
         Elevation(heights, resolution)
@@ -96,6 +82,7 @@ def test_rejects_roads_that_cover_another_area():
         mask_from_raster(Raster(np.zeros((50, 50)), 10.0, 10.0), elevation)
 
 
+@examples(20)
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.5, 90.0))
 def test_slope_is_exact_on_planes(north, east, resolution):
     elevation = Elevation(resolution * plane(8, 9, north, east), resolution)
@@ -127,7 +114,7 @@ def naive_depth(heights, resolution, radius):
     return depth - heights
 
 
-@settings(max_examples=30, deadline=None)
+@examples(12)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 15.9))
 def test_depth_matches_a_brute_force_search_of_the_disc(seed, radius):
     rng = np.random.default_rng(seed)
@@ -141,6 +128,7 @@ def test_depth_matches_a_brute_force_search_of_the_disc(seed, radius):
     np.testing.assert_allclose(result[here], expected[here], rtol=1e-6)
 
 
+@examples(20)
 @given(st.floats(16.0, 400.0))
 def test_large_discs_are_covered_from_inside(radius):
     rectangles = np.array(disc_rectangles(radius))

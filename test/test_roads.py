@@ -1,4 +1,4 @@
-"""Networks of roads: against networkx and the files themselves, brute force, a recording node."""
+"""Networks of roads: against networkx and the files themselves; a recording node."""
 
 import json
 import math
@@ -8,10 +8,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 import pytest
-from games import exact_value, examples, program_value
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.optimize import linprog
+from games import exact_value, program_value
 
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
@@ -31,7 +28,6 @@ from ambush_planner import (
     build_network,
     plan_trip,
 )
-from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.options import ROAD_TUBE
 from ambush_planner.planning.plan import depart, departure_paths
 
@@ -101,8 +97,8 @@ def as_networkx(timed):
     return graph
 
 
-@pytest.mark.parametrize('detour', [math.inf, 1.2])
-@pytest.mark.parametrize('name', ['town.geojson', 'town.gpkg', 'untimed.gpkg'])
+@pytest.mark.parametrize(('name', 'detour'), [
+    ('town.geojson', math.inf), ('town.gpkg', 1.2), ('untimed.gpkg', math.inf)])
 def test_a_town_against_networkx(streets, name, detour):
     """Least cost and value; from junction to junction, so that both graphs have the ends."""
     timed, graph = name != 'untimed.gpkg', as_networkx(name != 'untimed.gpkg')
@@ -147,9 +143,7 @@ def test_nodes_and_edges_are_those_of_the_file(streets):
 
 
 @pytest.mark.parametrize(('game', 'tube'), [
-    (GameOptions(secured_radius=150.0), None), (GameOptions(45.0, 150.0), None),
-    (GameOptions(secured_radius=150.0), 3.0),
-])
+    (GameOptions(45.0, 150.0), None), (GameOptions(secured_radius=150.0), 3.0)])
 def test_paths_keep_to_the_roads(streets, game, tube):
     options = PlanningOptions(roads(streets, 'town.gpkg|layername=streets'), game)
     options = replace(options, drive=replace(options.drive, tube=tube))
@@ -170,54 +164,9 @@ def test_paths_keep_to_the_roads(streets, game, tube):
     assert edges.issuperset(pairwise(route))
 
 
-def best_over_all_routes(game):
-    """The value by a program over all simple routes, each hit once; by networkx and HiGHS."""
-    network = game.network
-    graph = networkx.DiGraph(network.edges.tolist())
-    number = {tuple(edge): k for k, edge in enumerate(network.edges.tolist())}
-    hits = game.hits.toarray() > 0
-    columns = [hits[:, [number[edge] for edge in pairwise(route)]].any(axis=1)
-               for route in networkx.all_simple_paths(graph, network.source, network.target)]
-    losses = np.array(columns).T * game.loss[game.sites][:, None]
-    rows = np.hstack((losses, -np.ones((len(losses), 1))))
-    total = np.append(np.ones(len(columns)), 0.0)[None]
-    return linprog(np.append(np.zeros(len(columns)), 1.0), rows, np.zeros(len(rows)), total, [1.0],
-                   method='highs').fun
-
-
-@examples(30)
-@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.9]))
-def test_small_networks_against_all_routes(seed, radius):
-    """Crossing and one-way roads: the bound is below the best law of all routes, the value above.
-
-    Without a reach, both are the value.
-    """
-    rng = np.random.default_rng(seed)
-    places = rng.uniform(0.5, 9.5, (8, 2))
-    pairs = np.array([(i, j) for i in range(8) for j in range(i + 1, 8)])
-    pairs = pairs[rng.permutation(len(pairs))[:13]]
-    speeds = rng.choice([0.0, 1.0, 2.0], (13, 2))
-    speeds[~speeds.any(axis=1)] = 1.0
-    graph = RoadGraph(places, pairs, speeds, timed=True)
-    risk_map = RiskMap(rng.uniform(1.0, 4.0, (20, 20)), np.zeros((20, 20), bool), 0.5)
-    options = PlanningOptions(NetworkOptions('graph', 30.0, graph=graph), GameOptions(radius),
-                              EXACT)
-    options = replace(options, drive=replace(options.drive, tube=0.0))
-    try:
-        plan = plan_trip(risk_map, places[0], places[1], options)
-    except NoRoute:
-        return
-    strategy, best = plan.strategy, best_over_all_routes(plan.strategy.game)
-    assert strategy.lower_bound <= best * (1.0 + 1e-6) + 1e-9
-    assert strategy.value >= best * (1.0 - 1e-6) - 1e-9
-    if radius == 0.0 or not strategy.counting_gap:
-        assert strategy.value <= best * (1.0 + 1e-4) + 1e-9
-
-
-@pytest.mark.parametrize('name', ['town.gpkg', 'untimed.gpkg'])
-def test_the_best_order_of_a_trip_on_one_way_roads(streets, name):
+def test_the_best_order_of_a_trip_on_one_way_roads(streets):
     stops = [on_map((900.0, 160.0)), on_map((160.0, 930.0))]
-    options = PlanningOptions(roads(streets, name), GameOptions(secured_radius=100.0))
+    options = PlanningOptions(roads(streets, 'town.gpkg'), GameOptions(secured_radius=100.0))
     best = plan_trip(ground(), on_map(START), on_map(GOAL), options, stops=stops, order='best')
     both = [plan_trip(ground(), on_map(START), on_map(GOAL), options, stops=each)
             for each in (stops, stops[::-1])]
@@ -254,7 +203,7 @@ def test_a_graph_of_nav2_route(tmp_path):
     assert ways == {((1, 1), (11, 1)), ((11, 1), (11, 11)), ((1, 1), (1, 11)), ((1, 11), (6, 12)),
                     ((6, 12), (11, 11))}
     assert np.allclose(network.seconds, network.lengths / 0.5)
-    with pytest.raises(NoRoute, match='one-way in the other direction'):
+    with pytest.raises(NoRoute, match='one-way'):
         build_network(risk_map, (11.0, 1.0), (1.0, 11.0), options)
 
 
@@ -267,14 +216,14 @@ STREET = [(10.0, 10.0), (90.0, 10.0)]
 
 
 @pytest.mark.parametrize(('file', 'rows', 'words'), [
-    ('none.gpkg', None, 'network.graph: .*none.gpkg: no such file|No such file'),
+    ('none.gpkg', None, 'none.gpkg|No such file'),
     ('text.gpkg', 'no roads', 'text.gpkg'),
-    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'not a graph or FeatureC'),
-    ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: no point has the id 16 of its endid'),
+    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'bad.geojson'),
+    ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: .*16'),
     ('empty.gpkg', geopandas.GeoDataFrame(geometry=[Point(1, 1)], crs=CRS), 'no LineString in it'),
-    ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway must be yes, no or -1, got 'somet"),
+    ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway .*'sometimes'"),
     ('speed.gpkg', lines(STREET, STREET[::-1], speed_kph=[50.0, None]),
-     'speed_kph: 1 of 2 lines have no speed above 0; give all lines one, or none'),
+     'speed_kph: 1 of 2'),
 ])
 def test_bad_files_are_refused_in_one_sentence(file, rows, words, tmp_path):
     if isinstance(rows, str):
@@ -287,19 +236,19 @@ def test_bad_files_are_refused_in_one_sentence(file, rows, words, tmp_path):
 
 
 @pytest.mark.parametrize(('rows', 'options', 'error', 'words'), [
-    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'not in metres .WGS 84., and the map has'),
-    (lines(STREET, crs='EPSG:2263'), {}, InvalidOption, 'not in metres .NAD83 / New York Long'),
+    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'not in metres .WGS 84'),
+    (lines(STREET, crs='EPSG:2263'), {}, InvalidOption, 'not in metres .NAD83'),
     (lines(STREET, crs=None), {'join_distance': 5.0}, StartBlocked,
-     r'start \(20.000, 20.000\) is 10.0 m from the nearest road; move it, or raise join_distance'),
-    (lines(STREET, crs=None), {}, GoalBlocked, 'goal .* is 70.0 m from the nearest road'),
-    (lines([(500.0, 0.0), (900.0, 0.0)], crs=None), {}, StartBlocked, 'on a map without roads'),
+     r'start \(20.000, 20.000\) .*10.0 m .*join_distance'),
+    (lines(STREET, crs=None), {}, GoalBlocked, 'goal .*70.0 m'),
+    (lines([(500.0, 0.0), (900.0, 0.0)], crs=None), {}, StartBlocked, 'without roads'),
     (lines(STREET, [(60.0, 80.0), (95.0, 80.0)], crs=None), {}, NoRoute,
-     r'two of 2 separate parts, of 0.09 and 0.035 km, 70 m apart at .*share a vertex'),
+     '2 separate parts, of 0.09 and 0.035 km, 70 m apart'),
     (lines(STREET, [(90.0, 10.0), (90.0, 80.0)], crs=None, oneway=['no', '-1']), {}, NoRoute,
-     'one-way in the other direction'),
+     'one-way'),
     (lines(STREET, [(90.0, 10.0), (90.0, 80.0)], crs=None), {'clearance': 3.0}, NoRoute,
-     'obstacles of the map block 2 pieces'),
-    (lines(STREET, crs=None), {'spacing': 1e-9}, InvalidOption, 'choose a larger spacing'),
+     'obstacles .*2 pieces'),
+    (lines(STREET, crs=None), {'spacing': 1e-9}, InvalidOption, 'spacing'),
 ])
 def test_roads_that_do_not_fit_are_refused(rows, options, error, words, tmp_path):
     rows.to_file(tmp_path / 'roads.gpkg')

@@ -1,7 +1,5 @@
 """Drawn routes have the published probabilities; dense paths keep to their corners."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -27,7 +25,7 @@ def check_route(network, route) -> None:
     assert np.isin(route[:-1] * count + route[1:], steps).all()
 
 
-@examples(50)
+@examples(25)
 @given(networks(), st.sampled_from(SOLVERS), st.integers(0, 9))
 def test_routes_of_any_network_are_simple_and_use_its_edges(network, solver, seed):
     strategy = solve(network, options=StrategyOptions(solver))
@@ -55,12 +53,10 @@ def edge_counts(network, routes) -> np.ndarray:
 
 
 @pytest.mark.parametrize('draw', [one_by_one, at_once])
-@pytest.mark.parametrize(
-    'network', [paper_example(), terrain_network(3, cells=9)], ids=['paper', 'terrain']
-)
-def test_drawn_frequencies_are_the_published_probabilities(network, draw):
+def test_drawn_frequencies_are_the_published_probabilities(draw):
     """Every edge's count is binomial: normal approximation, Bonferroni over the edges."""
-    strategy, draws = solve(network), 20_000
+    network, draws = terrain_network(3, cells=9), 10_000
+    strategy = solve(network)
     counts = edge_counts(network, draw(strategy, draws, 42))
     p = strategy.edge_probability
     often = (p * draws > 30) & ((1 - p) * draws > 30)
@@ -74,7 +70,7 @@ def test_drawn_frequencies_are_the_published_probabilities(network, draw):
 
 @pytest.mark.parametrize('draw', [one_by_one, at_once])
 def test_whole_routes_have_the_probability_of_their_steps(draw):
-    network, draws = paper_example(), 20_000
+    network, draws = paper_example(), 10_000
     strategy = solve(network)
     drawn = Counter(tuple(route.tolist()) for route in draw(strategy, draws, 7))
     assert len(drawn) == 7
@@ -89,12 +85,10 @@ def test_whole_routes_have_the_probability_of_their_steps(draw):
     assert statistic < chdtri(6, FALSE_ALARM)
 
 
-@pytest.mark.parametrize('solver', ['max_entropy', 'interior_point'])
-def test_routes_at_once_have_the_distribution_of_single_routes(solver):
-    """This includes strategies with cycles: compare two samples of each edge's use."""
+def test_routes_at_once_have_the_distribution_of_single_routes_of_strategies_with_cycles():
     network, draws = terrain_network(5, 'uniform_delaunay', 14), 4_000
-    strategy = solve(network, options=StrategyOptions(solver, np.inf))
-    assert is_acyclic(network, strategy.edge_probability) == (solver == 'max_entropy')
+    strategy = solve(network, options=StrategyOptions('interior_point', np.inf))
+    assert not is_acyclic(network, strategy.edge_probability)
     single = edge_counts(network, one_by_one(strategy, draws, 3))
     many = edge_counts(network, at_once(strategy, draws, 4))
     share = (single + many) / (2 * draws)
@@ -103,19 +97,13 @@ def test_routes_at_once_have_the_distribution_of_single_routes(solver):
     assert (z**2).max() < chdtri(1, FALSE_ALARM / often.sum())
 
 
-def test_zero_and_one_routes_at_once():
-    strategy = solve(paper_example())
-    assert strategy.sample_routes(0, np.random.default_rng(1)) == []
-    (route,) = strategy.sample_routes(1, np.random.default_rng(1))
-    check_route(paper_example(), route)
-
-
-def test_the_same_generator_state_gives_the_same_routes():
+def test_the_same_generator_state_gives_the_same_routes_and_none_are_none():
     strategy = solve(terrain_network(3, cells=12))
     one, two = (np.random.default_rng(5) for _ in range(2))
     first = [strategy.sample_route(one).tolist() for _ in range(8)]
     assert first == [strategy.sample_route(two).tolist() for _ in range(8)]
     assert len({tuple(route) for route in first}) > 1
+    assert strategy.sample_routes(0, one) == []
 
 
 def test_a_walk_that_circles_ten_thousand_times_is_still_simple():

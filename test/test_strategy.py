@@ -1,14 +1,11 @@
 """Laws of every published strategy by independent oracles; budgets, time limits, errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from games import (
     NASTY,
-    PLAIN,
     connected_flow,
     exact_value,
     examples,
@@ -28,6 +25,7 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from route_entropy import route_entropy
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -42,6 +40,7 @@ from ambush_planner import (
     build_network,
     solve,
 )
+from ambush_planner.game.revaluation import revalue
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
@@ -63,7 +62,9 @@ def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None
     shortest = least_weight(network, network.lengths)
     assert strategy.shortest_length == pytest.approx(shortest, rel=1e-12)
     assert strategy.expected_length <= max_detour * shortest * (1 + 1e-6)
-    check_entropies(strategy)
+    used = p[p > 0.0]
+    assert strategy.edge_entropy == pytest.approx(-(used * np.log(used)).sum(), rel=1e-9, abs=1e-9)
+    assert strategy.route_entropy == pytest.approx(route_entropy(network, p), rel=1e-9, abs=1e-9)
 
 
 def check_flow(network, p, solver: str) -> None:
@@ -95,26 +96,18 @@ def check_value(strategy, max_detour: float, slack: float = 0.0) -> None:
     assert value_is_right(network, strategy.value, budget, slack + 2e-5)
 
 
-def check_entropies(strategy) -> None:
-    p, tails = strategy.edge_probability, strategy.network.tails
-    used = p > 0.0
-    leaving = np.bincount(tails, weights=p)[tails]
-    edge = -(p[used] * np.log(p[used])).sum()
-    route = -(p[used] * np.log(p[used] / leaving[used])).sum()
-    assert strategy.edge_entropy == pytest.approx(edge, rel=1e-9, abs=1e-9)
-    assert strategy.route_entropy == pytest.approx(route, rel=1e-9, abs=1e-9)
-
-
 @examples(60)
-@given(networks(), st.sampled_from(DETOURS), st.sampled_from((0.0, SLACK)))
-def test_default_solver_on_any_network(network, max_detour, slack):
-    strategy = solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=slack))
-    check_laws(strategy, max_detour)
+@given(st.one_of(networks(), networks(), terrain_networks), st.sampled_from(DETOURS),
+       st.sampled_from((0.0, SLACK)), st.sampled_from((*SOLVERS, 'max_entropy')))
+def test_any_solver_on_any_network(network, max_detour, slack, solver):
+    strategy = solve(network, options=StrategyOptions(solver, max_detour, risk_slack=slack))
+    check_laws(strategy, max_detour, solver)
+    slack *= solver == 'max_entropy'
     check_value(strategy, max_detour, slack)
     assert strategy.value <= strategy.lower_bound * (1 + slack + 1e-5)
 
 
-@examples(60)
+@examples(30)
 @given(networks(alphas=NASTY), st.sampled_from(DETOURS))
 def test_losses_from_1e_9_to_1e9(network, max_detour):
     strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
@@ -124,24 +117,7 @@ def test_losses_from_1e_9_to_1e9(network, max_detour):
         assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
-@examples(35)
-@given(networks(), st.sampled_from(DETOURS), st.sampled_from(SOLVERS[1:]))
-def test_linear_programs_on_any_network(network, max_detour, solver):
-    strategy = solve(network, options=StrategyOptions(solver, max_detour))
-    check_laws(strategy, max_detour, solver)
-    check_value(strategy, max_detour)
-
-
-@examples(10)
-@given(terrain_networks, st.sampled_from(DETOURS))
-def test_all_solvers_find_one_value_on_terrain(network, max_detour):
-    for solver in SOLVERS:
-        strategy = solve(network, options=StrategyOptions(solver, max_detour))
-        check_laws(strategy, max_detour, solver)
-        check_value(strategy, max_detour, SLACK if solver == 'max_entropy' else 0.0)
-
-
-@examples(28)
+@examples(12)
 @given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
        st.sampled_from((0.0, 0.01, 0.3)))
 def test_several_ambushers_are_within_the_slack_of_the_linear_program(
@@ -157,33 +133,6 @@ def test_several_ambushers_are_within_the_slack_of_the_linear_program(
     assert strategy.value <= tight * (1 + slack + 2e-5) + 1e-9
 
 
-@pytest.mark.parametrize('reach', [0.0, 2.1])
-@examples(2)
-@given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
-def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
-    """As in a depot: narrow places, and a budget that decides which of them can be reached."""
-    network = ground_network(seed, 'depot')
-    reach *= float(np.median(network.lengths))
-    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
-        max_detour=detour, risk_slack=slack))
-    least = program_value(network, geometric_hits(network, reach) if reach else None,
-                          strategy.length_budget)
-    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
-    assert strategy.lower_bound <= least * (1 + 1e-5)
-    assert strategy.value <= least * (1 + slack + 2e-5)
-    assert reach or strategy.value >= least * (1 - 2e-5)
-
-
-@examples(25)
-@given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
-def test_risk_slack_bounds_the_extra_risk(network, slack, max_detour):
-    strict, loose = (solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=s))
-                     for s in (0.0, slack))
-    check_laws(loose, max_detour)
-    assert loose.value <= (1 + slack) * strict.value * (1 + 2e-5)
-    assert loose.lower_bound <= strict.value
-
-
 def test_equal_inputs_give_equal_strategies():
     one, two = (solve(terrain_network(3)) for _ in range(2))
     assert np.array_equal(one.edge_probability, two.edge_probability)
@@ -191,6 +140,7 @@ def test_equal_inputs_give_equal_strategies():
 
 def test_published_arrays_are_read_only():
     strategy = solve(paper_example())
+    assert f'{strategy.value:.4g}' in repr(strategy)
     for name in ('edge_probability', 'visit_probability', 'ambush_probability'):
         with pytest.raises(ValueError, match='read-only'):
             getattr(strategy, name)[0] = 0.5
@@ -224,8 +174,8 @@ def test_no_time_at_all_raises_time_limit(solver):
         solve(network, options=tight)
 
 
-@pytest.mark.parametrize('limit', [1e-9, 1e-3, 3e-3, 0.01, 0.03, 0.1])
-@pytest.mark.parametrize('detour, reach', [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
+@pytest.mark.parametrize('limit', [1e-9, 3e-3, 0.03])
+@pytest.mark.parametrize('detour, reach', [(1.05, 0.0), (1.2, 3.0), (np.inf, 0.0)])
 def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach):
     """Never another error; value and bound are the strategy's own; none is published over."""
     network, game = terrain_network(1, cells=24), GameOptions(ambush_radius=reach)
@@ -250,24 +200,13 @@ def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach)
     assert route[0] == network.source and route[-1] == network.target
 
 
-# Warm starts and other losses.
-
-
-@pytest.mark.parametrize('seed', [1, 2, 3])
-def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
-    network = terrain_network(seed, cells=24)
+def test_a_warm_start_ends_at_the_same_optimum_sooner():
+    network = terrain_network(1, cells=24)
     options = StrategyOptions(max_detour=1.3)
     first = solve(network, options=options)
     again = solve(network, options=options, warm=first.multipliers)
     assert again.iterations < first.iterations / 4
-    near = StrategyOptions(max_detour=1.32, risk_slack=0.012)
-    cold, warm = solve(network, options=near), solve(network, options=near, warm=first.multipliers)
-    assert warm.iterations < cold.iterations
-    assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=5e-3)
-    assert warm.value == pytest.approx(cold.value, rel=0.012)
-
-
-# Random games of any kind.
+    assert again.route_entropy == pytest.approx(first.route_entropy, rel=5e-3)
 
 
 @pytest.mark.parametrize(('seed', 'reach'), [(0, 0.0), (3, 2.0)])
@@ -327,31 +266,17 @@ def test_losses_of_obstacle_cells_are_ignored_even_nan():
 
 
 @pytest.mark.parametrize('solver', SOLVERS)
-def test_no_route(solver):
+def test_no_route_or_none_within_the_budget(solver):
     network = quiet_network([[0, 0], [1, 0], [2, 0]], [0, 1, 0], [(0, 1)], 0, 2)
     with pytest.raises(NoRoute, match=r'from \(0.000, 0.000\) to \(2.000, 0.000\)'):
         solve(network, options=StrategyOptions(solver))
     with pytest.raises(NoRoute):
         solve(quiet_network([[0, 0], [1, 0]], [0, 0], [], 0, 1), options=StrategyOptions(solver))
-
-
-@pytest.mark.parametrize('solver', SOLVERS)
-def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
+    # The threshold forbids the shortest route.
     network = quiet_network([[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0],
                             [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     with pytest.raises(BudgetInfeasible, match=r'budget of 2\.4 m'):
         solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
-
-
-@pytest.mark.parametrize('name, value', [
-    ('solver', 'magic'), ('solver', None), ('max_detour', 0.99), ('max_detour', np.nan),
-    ('max_exposure', 0.99), ('max_exposure', np.nan), ('risk_slack', -0.1), ('risk_slack', np.inf),
-    ('length_weight', -0.1), ('length_weight', 1.0), ('time_limit', 0.0), ('time_limit', -1.0),
-])
-def test_options_out_of_range_are_named(name, value):
-    with pytest.raises(InvalidOption, match=name) as caught:
-        StrategyOptions(**{name: value})
-    assert str(value) in str(caught.value)
 
 
 def test_contradicting_options_are_named():
@@ -379,7 +304,7 @@ def test_budgets_of_zero_are_feasible():
     assert solve(network).expected_length == 0.0
 
 
-@examples(60)
+@examples(30)
 @given(networks(alphas=(0.0, 0.0, 0.5, 1.0, 3.0)), st.sampled_from((0.0, 1.0, 2.0)),
        st.sampled_from((1.0, 1.05, 1.5, 3.0, np.inf)), st.sampled_from((1.0, 1.05, 1.5, np.inf)))
 def test_any_budgets_are_kept_or_infeasible(network, radius, detour, exposure):
@@ -409,3 +334,30 @@ def test_an_exposure_budget_by_hand():
         max_detour=np.inf, max_exposure=e, risk_slack=0.0)) for e in (np.inf, 1.1))
     assert (free.value, tight.value) == pytest.approx((0.8, 0.9), rel=1e-4)
     assert tight.exposure_price > 0.0 and free.exposure_price == 0.0
+
+
+# What a strategy is worth on other losses.
+
+
+@pytest.mark.parametrize('reach', [0.0, 2.0])
+def test_revalue_gives_the_value_on_the_new_losses(reach):
+    network = terrain_network(4, cells=14)
+    game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
+    strategy = solve(network, game, free)
+    same = revalue(strategy, network.alpha)
+    assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
+    changed = replace(network, alpha=network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
+    other, best = revalue(strategy, changed.alpha), solve(changed, game, free)
+    entered = np.arange(len(changed.alpha))[:, None] == changed.heads
+    hits = geometric_hits(changed, reach).toarray() > 0.0 if reach else entered
+    hit = hit_once(changed, strategy.edge_probability, hits)
+    assert other.value == pytest.approx((changed.alpha * hit).max())
+    assert other.bound <= best.value and best.lower_bound <= other.value
+
+
+def test_twice_the_losses_give_twice_the_value():
+    network = terrain_network(4, cells=10)
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    twice = revalue(strategy, 2.0 * network.alpha)
+    assert twice.value == pytest.approx(2 * strategy.value)
+    assert twice.bound == pytest.approx(2 * strategy.lower_bound)

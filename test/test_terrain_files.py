@@ -25,27 +25,26 @@ def test_npz_has_north_first(tmp_path):
     assert (raster.row_step, raster.column_step) == (7.0, 5.0)
 
 
-@pytest.mark.parametrize(
-    ('arrays', 'reason'),
-    [
-        ({'height': np.zeros((3, 3)), 'resolution': 1.0}, 'elevation'),
-        ({'elevation': np.zeros((3, 3))}, 'resolution'),
-        ({'elevation': np.zeros(3), 'resolution': 1.0}, 'shape'),
-        ({'elevation': np.zeros((3, 3)), 'resolution': -1.0}, 'positive'),
-        ({'elevation': np.array([['a', 'b']]), 'resolution': 1.0}, 'numeric'),
-        ({'elevation': np.array([[None, 1]], dtype=object), 'resolution': 1.0}, 'npz'),
-    ],
-)
+@pytest.mark.parametrize(('arrays', 'reason'), [
+    ({'height': np.zeros((3, 3)), 'resolution': 1.0}, 'elevation'),
+    ({'elevation': np.zeros((3, 3))}, 'resolution'),
+    ({'elevation': np.zeros(3), 'resolution': 1.0}, 'shape'),
+    ({'elevation': np.zeros((3, 3)), 'resolution': -1.0}, 'positive'),
+    ({'elevation': np.array([['a', 'b']]), 'resolution': 1.0}, 'numeric'),
+    ({'elevation': np.array([[None, 1]], dtype=object), 'resolution': 1.0}, 'npz'),
+])
 def test_rejects_unusable_npz_files(tmp_path, arrays, reason):
     with pytest.raises(InvalidTerrain, match=reason):
         read_raster(save(tmp_path / 'a.npz', **arrays))
 
 
-def test_rejects_a_truncated_npz_file(tmp_path):
+def test_rejects_files_that_are_broken_or_no_rasters(tmp_path):
     whole = save(tmp_path / 'a.npz', elevation=np.zeros((30, 30)), resolution=1.0).read_bytes()
     (tmp_path / 'b.npz').write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InvalidTerrain, match='b.npz'):
-        read_raster(tmp_path / 'b.npz')
+    (tmp_path / 'b.tif').write_text('hello')
+    for name in ('b.npz', 'b.tif'):
+        with pytest.raises(InvalidTerrain, match=name):
+            read_raster(tmp_path / name)
 
 
 def write_geotiff(path, heights, crs, transform, nodata=None):
@@ -61,28 +60,21 @@ def write_geotiff(path, heights, crs, transform, nodata=None):
 def test_geotiff_in_metres_with_nodata(tmp_path):
     heights = np.arange(12, dtype=np.int16).reshape(3, 4)
     heights[0, 1] = -9999
-    path = write_geotiff(
-        tmp_path / 'a.tif', heights, 'EPSG:32632', (25, 0, 5e5, 0, -30, 4e6), nodata=-9999
-    )
+    path = write_geotiff(tmp_path / 'a.tif', heights, 'EPSG:32632', (25, 0, 5e5, 0, -30, 4e6),
+                         nodata=-9999)
     raster = read_raster(path)
     assert (raster.row_step, raster.column_step) == (30.0, 25.0)
     assert np.isnan(raster.values[2, 1]) and raster.values[0, 3] == 11.0
     assert (raster.corner, raster.crs) == ((500000.0, 3999910.0), 'EPSG:32632')
 
 
-@pytest.mark.parametrize(
-    ('crs', 'west', 'north', 'step', 'utm'),
-    [
-        ('EPSG:4326', -84.2, 36.5, 1 / 1200, 'EPSG:32616'),
-        ('EPSG:4326', 18.4, -33.9, 1 / 1200, 'EPSG:32734'),
-        ('EPSG:4326', 5.3, 60.4, 1 / 1200, 'EPSG:32632'),
-        ('EPSG:3857', -9.37e6, 4.37e6, 100.0, 'EPSG:32616'),  # its metres are 0.81 m there
-        ('EPSG:2264', 1.5e6, 6e5, 300.0, 'EPSG:32617'),  # feet
-    ],
-)
-def test_a_geotiff_without_true_metres_is_reprojected_to_its_utm_zone(
-    tmp_path, crs, west, north, step, utm
-):
+@pytest.mark.parametrize(('crs', 'west', 'north', 'step', 'utm'), [
+    ('EPSG:4326', 18.4, -33.9, 1 / 1200, 'EPSG:32734'),
+    ('EPSG:3857', -9.37e6, 4.37e6, 100.0, 'EPSG:32616'),  # its metres are 0.81 m there
+    ('EPSG:2264', 1.5e6, 6e5, 300.0, 'EPSG:32617'),  # feet
+])
+def test_a_geotiff_without_true_metres_is_reprojected_to_its_utm_zone(tmp_path, crs, west, north,
+                                                                      step, utm):
     """Heights that are a plane in the source come out as pyproj says, cell by cell."""
     pyproj = pytest.importorskip('pyproj')
     rows, columns = np.mgrid[:40, :40] + 0.5
@@ -106,34 +98,23 @@ def test_a_geotiff_with_a_system_of_its_own_has_an_unknown_one(tmp_path):
     assert read_raster(path).crs is None
 
 
-def test_no_utm_zone_near_the_poles(tmp_path):
-    path = write_geotiff(tmp_path / 'a.tif', np.zeros((12, 12), np.float32), 'EPSG:4326',
-                         (0.001, 0, 179.95, 0, -0.001, -85.0))
-    with pytest.raises(InvalidTerrain, match=r'a\.tif: no UTM zone contains latitude -85'):
-        read_raster(path)
-
-
 def test_rejects_arrays_that_are_too_large_before_loading_them(tmp_path, monkeypatch):
     monkeypatch.setattr(elevation_file, 'MAX_CELLS', 1000)
     with pytest.raises(InvalidTerrain, match='limit of 1000 cells; crop'):
         read_raster(save(tmp_path / 'a.npz', elevation=np.zeros((40, 40)), resolution=1.0))
 
 
-def test_rejects_a_rotated_geotiff(tmp_path):
-    path = write_geotiff(
-        tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'EPSG:32632', (9, 3, 0, 3, -9, 0)
-    )
-    with pytest.raises(InvalidTerrain, match='gdalwarp'):
+@pytest.mark.parametrize(('crs', 'transform', 'reason'), [
+    ('EPSG:32632', (9, 3, 0, 3, -9, 0), 'gdalwarp'),  # rotated
+    ('EPSG:4326', (0.001, 0, 179.95, 0, -0.001, -85.0), r'a\.tif: .*latitude -85'),  # near a pole
+])
+def test_rejects_geotiffs_that_cannot_be_used(tmp_path, crs, transform, reason):
+    path = write_geotiff(tmp_path / 'a.tif', np.zeros((12, 12), np.float32), crs, transform)
+    with pytest.raises(InvalidTerrain, match=reason):
         read_raster(path)
 
 
-def test_rejects_a_file_that_is_not_a_raster(tmp_path):
-    (tmp_path / 'a.tif').write_text('hello')
-    with pytest.raises(InvalidTerrain, match='a.tif'):
-        read_raster(tmp_path / 'a.tif')
-
-
-@pytest.mark.parametrize('shape', [(3, 7), (1, 1), (13, 10)])
+@pytest.mark.parametrize('shape', [(1, 1), (13, 10)])
 def test_written_maps_read_back_unchanged(tmp_path, shape):
     values = np.random.default_rng(1).integers(-1, 101, shape).astype(np.int8)
     write_map(tmp_path / 'm.yaml', OccupancyMap(values, 0.05, (-3.0, 2.5, 0.1)), 'one\ntwo')
@@ -171,18 +152,11 @@ def test_modes_of_map_server(tmp_path):
         assert read_map(tmp_path / 'm.yaml').values[0].tolist() == expected
 
 
-@pytest.mark.parametrize(
-    ('change', 'reason'),
-    [
-        ({'image': None}, 'image'),
-        ({'mode': 'colour'}, 'mode'),
-        ({'resolution': 0.0}, 'resolution'),
-        ({'resolution': 'x'}, 'resolution'),
-        ({'origin': [0, 0]}, 'origin'),
-        ({'image': 'short.pgm'}, 'too short'),
-        ({'image': 'text.pgm'}, 'not a readable image'),
-    ],
-)
+@pytest.mark.parametrize(('change', 'reason'), [
+    ({'image': None}, 'image'), ({'mode': 'colour'}, 'mode'), ({'resolution': 0.0}, 'resolution'),
+    ({'resolution': 'x'}, 'resolution'), ({'origin': [0, 0]}, 'origin'),
+    ({'image': 'short.pgm'}, 'too short'), ({'image': 'text.pgm'}, 'not a readable image'),
+])
 def test_rejects_malformed_map_files(tmp_path, change, reason):
     write_map(tmp_path / 'm.yaml', OccupancyMap(np.zeros((3, 3), np.int8), 1.0))
     (tmp_path / 'short.pgm').write_bytes(b'P5 30 30 255\nab')

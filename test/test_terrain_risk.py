@@ -36,13 +36,6 @@ def test_values_follow_the_stated_formula(name):
     np.testing.assert_allclose(ground.values, 99.0 * share, atol=0.501)
 
 
-def test_only_the_ratio_of_weights_counts():
-    elevation = Elevation(hills(), 10.0)
-    first = terrain_map(elevation, TerrainOptions(weights=(1.0, 2.0, 3.0, 4.0)))
-    second = terrain_map(elevation, TerrainOptions(weights=(0.1, 0.2, 0.3, 0.4)))
-    np.testing.assert_array_equal(first.values, second.values)
-
-
 def test_cliffs_are_obstacles_and_the_largest_risk_is_none():
     heights = np.zeros((60, 30))
     heights[:20], heights[40:] = 400.0, 400.0
@@ -81,11 +74,9 @@ def test_rejects_roads_of_another_shape():
         terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))
 
 
-@pytest.mark.parametrize(
-    'values',
-    [{'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
-     {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}],
-)
+@pytest.mark.parametrize('values', [
+    {'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
+    {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}])
 def test_rejects_options_out_of_range(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         TerrainOptions(**values)

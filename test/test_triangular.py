@@ -36,19 +36,3 @@ def test_solves_as_dense_algebra_does(monkeypatch, in_place, shape):
         right = rng.normal(size=shape)
         solved = system.solve(dense[row, column][mixed], right.copy())
         assert solved == pytest.approx(np.linalg.solve(np.eye(30) - dense, right))
-
-
-@pytest.mark.parametrize('in_place', [True, False])
-def test_rows_are_added_one_by_one_and_the_others_stay(monkeypatch, in_place):
-    monkeypatch.setattr(triangular, 'IN_PLACE', in_place)
-    rng = np.random.default_rng(2)
-    matrix = np.tril(rng.random((9, 9)) / 4.0, -1)
-    row, column = np.nonzero(matrix)
-    system, y = Recursion(row, column, 9), np.ones(9)
-    system.add_rows(matrix[row, column], y, 3, 7)
-    expected = np.ones(9)
-    for k in range(3, 7):
-        expected[k] += matrix[k] @ expected
-    assert y == pytest.approx(expected)
-    system.add_rows(matrix[row, column], y, 5, 5)
-    assert y == pytest.approx(expected)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,10 +39,8 @@ def asked(goal=(10.0, 0.0), stops=(), frames=FRAMES):
 @pytest.mark.parametrize(('request_', 'place', 'goal_tolerance', 'continues'), [
     (asked(), (0.0, 0.0), 0.0, True),
     (asked((10.05, 0.05)), (4.0, 0.3), 0.0, True),  # a goal that drifts
-    (asked((10.3, 0.0)), (4.0, 0.0), 0.0, False),
-    (asked((10.3, 0.0)), (4.0, 0.0), 0.5, True),
-    (asked(), (4.0, 0.6), 0.0, False),  # beside the path
-    (asked(), (-0.6, 0.0), 0.0, False),
+    (asked((10.3, 0.0)), (4.0, 0.0), 0.0, False), (asked((10.3, 0.0)), (4.0, 0.0), 0.5, True),
+    (asked(), (4.0, 0.6), 0.0, False), (asked(), (-0.6, 0.0), 0.0, False),  # beside the path
     (asked(stops=[(5.0, 0.0)]), (4.0, 0.0), 0.0, False),
     (asked(frames=('map', 'other')), (4.0, 0.0), 0.0, False),
     (asked(frames=('odom', 'base_link')), (4.0, 0.0), 0.0, False),
@@ -88,13 +87,10 @@ def test_the_stops_that_remain_are_asked_for(x, stops, continues):
     corners = [(0, 0), *STOPS, (10, 0)]
     trip = trip_on(corners, stops=STOPS, passes=(1, 2))
     assert trip.continues(asked(stops=stops), (x, 0.0), 0.0) == continues
-
-
-def test_stops_that_are_visited_in_another_order():
-    trip = trip_on([(0, 0), *STOPS, (10, 0)], stops=STOPS[::-1], passes=(1, 2), visits=(1, 0))
-    assert trip.continues(asked(stops=STOPS[::-1]), (2.0, 0.0), 0.0)
-    assert trip.continues(asked(stops=STOPS[1:]), (5.0, 0.0), 0.0)
-    assert not trip.continues(asked(stops=STOPS[:1]), (5.0, 0.0), 0.0)
+    if x != 9.0:  # visited in another order than given
+        other = trip_on(corners, stops=STOPS[::-1], passes=(1, 2), visits=(1, 0))
+        given = stops[::-1] if len(stops) == 2 else stops
+        assert other.continues(asked(stops=given), (x, 0.0), 0.0) == continues
 
 
 def test_a_round_trip_that_is_asked_for_again_is_a_new_one():
@@ -110,6 +106,7 @@ def test_a_round_trip_that_is_asked_for_again_is_a_new_one():
     assert trip.continues(asked((0.0, 0.0)), (0.2, 0.2), 0.0), 'the goal remains'
 
 
+@examples(25)
 @given(x=st.floats(0.0, 9.5), beside=st.floats(-0.45, 0.45))
 def test_the_rest_begins_at_the_robot_and_ends_at_the_goal(x, beside):
     trip = trip_on([(0, 0), (10, 0)])
@@ -134,6 +131,7 @@ def test_a_route_changes_at_the_next_node_or_at_the_last_one(place, nodes):
     assert trip.nodes_ahead(place).tolist() == nodes
 
 
+@examples(20)
 @given(seed=st.integers(0, 10**6))
 def test_a_robot_that_follows_its_path_stays_on_it_to_the_end(seed):
     """However the path winds and crosses itself; the robot is seen every metre or more often."""

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from games import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import OccupancyGrid
 from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
@@ -17,7 +18,7 @@ from ambush_planner.ros import subscriptions
 BOTH = {'map.costmap': True}
 
 
-@settings(max_examples=60, deadline=None)
+@examples(15)
 @given(seed=st.integers(0, 2**31), scale=st.sampled_from([0.3, 0.5, 1.0, 1.7, 3.0]),
        turn=st.sampled_from([0.0, 0.3, math.pi / 2]), unknown=st.booleans())
 def test_a_cell_is_an_obstacle_if_one_lies_on_it(seed, scale, turn, unknown):

@@ -31,7 +31,7 @@ def solve_on_network(risk_map, options, warm=None):
     return planner.solve_on_network(risk_map, network, options, warm)
 
 
-@examples(5)
+@examples(3)
 @given(
     st.integers(0, 99), st.sampled_from((0.0, 2.0)), st.sampled_from((1.1, 1.3, np.inf)),
     st.lists(st.tuples(st.integers(0, 23), st.integers(4, 19), st.sampled_from((0, 80, 100))),
