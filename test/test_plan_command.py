@@ -127,8 +127,8 @@ ENDS = ('--start', -195, -50, '--goal', 190, 105)
 
 def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     files = [tmp_path / name for name in ('r.geojson', 'r.gpkg', 'r.csv')]
-    options = ('--set', 'game.secured_radius=40', 'game.ambush_radius=30', 'network.spacing=20')
-    done = run_here(plan, plain, *ENDS, '--via', -50, 95, 100, -80, '-n', 9, '-o', *files, *options)
+    options = ('--set', 'game.secured_radius=40', 'game.ambush_radius=30', 'network.spacing=30')
+    done = run_here(plan, plain, *ENDS, '--via', -50, 95, '-n', 5, '-o', *files, *options)
     assert done.code == 0, done.err
     assert all(word in done.out for word in ('value', 'lower bound', 'mean length', 'would cost'))
     document = json.loads(files[0].read_text())
@@ -140,7 +140,7 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
         assert set(each['properties']) == {'departure', 'length', 'time'}
         along = each['geometry']['coordinates']
         assert (along[0], along[-1]) == ([-195.0, -50.0], [190.0, 105.0])  # exactly
-        assert [-50.0, 95.0] in along and [100.0, -80.0] in along
+        assert [-50.0, 95.0] in along
     layers = dict(pyogrio.list_layers(files[1]))
     assert set(layers) == set(lines) == {'routes', 'edges', 'sites', 'held_ground', 'forbidden'}
     tables = {name: geopandas.read_file(files[1], layer=name) for name in layers}
@@ -148,9 +148,9 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     assert tables['forbidden'].area.sum() == 60 * 100.0
     held = tables['held_ground'].union_all()
     inside = held.buffer(-0.03 * 40.0)  # a site stands for places around it
-    assert len(tables['held_ground']) == 4 and not inside.contains(tables['sites'].geometry).any()
+    assert len(tables['held_ground']) == 3 and not inside.contains(tables['sites'].geometry).any()
     assert held.distance(shapely.Point(-155.0, -50.0)) == pytest.approx(0.0, abs=1e-9)
-    drawn_on = tables['edges'].union_all().buffer(0.35 * 20 + 1e-6)  # the tube
+    drawn_on = tables['edges'].union_all().buffer(0.35 * 30 + 1e-6)  # the tube
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 
