@@ -34,7 +34,7 @@ demo: $(VENV)/.demo
 paper: $(VENV)/.demo
 	$(BIN)/python -m paper
 
-# Test files run in parallel. test/watchdog.py ends a run that hangs or loses a worker.
+# Test files run in parallel. test/watchdog.py ends a run that loses a worker.
 PARALLEL := -n auto --dist loadfile --max-worker-restart 0
 
 # pytest fails with exit code 5 if it finds no test.
@@ -58,8 +58,8 @@ benchmark: $(VENV)/.test
 
 endurance: $(VENV)/.test
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -k kill --kills 100 --timeout 3600 \
-		-o session_limit=3600 test/test_recorder.py
-	HUNT=10 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_limit=7200 \
+		test/test_recorder.py
+	HUNT=10 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py
 	$(BIN)/python benchmarks/node_soak.py

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-import watchdog
 from hypothesis import HealthCheck, settings
+from watchdog import Watchdog
 
 ROOT = Path(__file__).resolve().parents[1]
 # `paper` is not installed; at the end of the path, so that an installed package takes precedence.
@@ -25,12 +25,12 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 def pytest_addoption(parser):
-    watchdog.pytest_addoption(parser)
     parser.addoption('--kills', type=int, default=2, help='nodes to kill while they record')
 
 
 def pytest_configure(config):
-    watchdog.pytest_configure(config)
+    if not hasattr(config, 'workerinput'):
+        config.pluginmanager.register(Watchdog())
     # xdist would start with the files that have most tests; slow tests come first here.
     config.option.loadscopereorder = False
 

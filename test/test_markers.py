@@ -11,7 +11,6 @@ from ambush_planner.game.strategy import solve
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.network.network import Network
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.markers import (
@@ -96,11 +95,3 @@ def test_network_draws_each_pair_once(strategy):
     ends = positions(marker).reshape(-1, 4)
     assert len(np.unique(ends, axis=0)) == len(ends) == len(pairs)
     assert 0.0 < marker.color.a < 1.0
-
-
-def test_edges_of_one_direction_are_drawn_too():
-    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    edges = np.array([[3, 2], [2, 1], [1, 2], [1, 0]])
-    marker = only(network_lines(Network(points, np.zeros(4), edges, 3, 0), header()))
-    ends = positions(marker).reshape(-1, 2, 2)
-    np.testing.assert_array_equal(ends, points[[[0, 1], [1, 2], [2, 3]]])
