@@ -83,10 +83,9 @@ def test_mcap_ros2_reads_whole_files(files):
         assert {'/alpha_map', '/start_pose', '/goal_pose', '/path', '/diagnostics'} <= set(topics)
 
 
-@pytest.mark.parametrize('suffix', ['', '.bag'])
-def test_rosbags_converts_whole_files(files, tmp_path, suffix, monkeypatch):
+def test_rosbags_converts_whole_files(files, tmp_path, monkeypatch):
     """To another bag of ROS 2, and to one of ROS 1."""
-    for place in (files[0].parent, *files):
+    for place, suffix in ((files[0].parent, ''), (files[0], '.bag')):
         copy = tmp_path / f'{place.stem}{suffix}'
         monkeypatch.setattr(sys, 'argv', [
             'rosbags-convert', '--src', str(place), '--dst', str(copy)])
@@ -105,7 +104,7 @@ def test_a_player_drives_a_node_to_all_departures(tmp_path):
         # As a player does before it starts: its publishers and clients find the node.
         assert all(each.wait_for_service(10.0) for each in client._services.values())
         # Slower than recorded, so that a busy machine gets the inputs before the request.
-        answers = play(files, client, rate=0.5)
+        answers = play(files, client, rate=1.0)
         assert [answer.success if hasattr(answer, 'success') else bool(answer.plan.poses)
                 for answer in answers] == [True] * len(files)
         wait_until(lambda: len(client.received['path']) == len(files), 'paths')

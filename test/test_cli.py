@@ -79,13 +79,6 @@ def test_solvers_print_nothing_between_our_lines(tmp_path):
     assert json.loads(plan.stdout)['verdict'] == 'holds', plan.stderr
 
 
-def test_paths_are_relative_below_the_current_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert cli.place(tmp_path / 'a' / 'b.mcap') == os.path.join('a', 'b.mcap')
-    assert cli.place(tmp_path.parent) == str(tmp_path.parent)
-    assert cli.place(tmp_path / 'a\x1b[2J\udcff') == 'a\\x1b[2J\\udcff'
-
-
 def test_shell_completion(tmp_path):
     line, word = 'ambush demo --ou', '--output'
     pytest.importorskip('argcomplete', reason='optional')

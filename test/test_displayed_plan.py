@@ -121,15 +121,6 @@ def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
     assert client.call('new_route').success
 
 
-def test_a_risk_slack_does_not_keep_departures_waiting():
-    with stage(parameters={'strategy.risk_slack': 0.6, 'strategy.max_gap': 0.05}) as running:
-        client = running.give()
-        assert client.call('new_route').success
-        assert client.call('new_route').success
-        assert displays(client) == 1
-        assert float(client.diagnostics(departures='2')['gap']) > 0.0
-
-
 @pytest.fixture(scope='module')
 def still():
     with stage() as running:

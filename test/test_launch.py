@@ -12,15 +12,12 @@ from pathlib import Path
 
 import interfaces
 import pytest
-import yaml
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from ros_harness import Client, free_domain, pose, risk_grid, ros_context, spinning, stage
-from test_config import flat
+from ros_harness import Client, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, answer_of, wait_until
 
-from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning.parameters import PARAMETERS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -141,21 +138,6 @@ def test_arguments_reach_the_node(tmp_path):
         said = (tmp_path / 'output').read_text()
         assert f'publish {names}/convoy/ambush_planner/new_route' in said
         assert not node.count_subscribers('/risk')
-
-
-def test_paths_for_nav2_are_dense_enough_for_mppi():
-    ((_, node),) = yaml.safe_load(NAV2.read_text()).items()
-    values = flat(node['ros__parameters']) | {'robot_base_frame': ''}
-    grid = risk_grid()
-    grid.data[0] = 99
-    with stage(parameters={**values, 'network.spacing': 0.5}) as running:
-        client = running.give(grid)
-        assert client.call('new_route').success
-        points = path_from_ros(client.last('path'))[:, :2]
-        assert not client.get_plan(pose(0.25, 0.25), pose(8.5, 5.5)).poses, '99 is an obstacle'
-    steps = ((points[1:] - points[:-1]) ** 2).sum(axis=1) ** 0.5
-    assert steps.max() <= 0.05 + 1e-6  # MPPI wants 20 of them in about 1.4 m
-    assert len(points) >= 20
 
 
 # A substitute for nav2_simple_commander, with the names that the document uses.

@@ -114,11 +114,6 @@ class Browser:
         self._ask('Input.dispatchMouseEvent', type=what, x=x, y=y, button=button, clickCount=1,
                   buttons=0 if what in ('mouseReleased', 'mouseWheel') else 1, **more)
 
-    def touch(self, what, *places):
-        """Put fingers on the screen, move or lift them."""
-        points = [{'x': x, 'y': y, 'id': k} for k, (x, y) in enumerate(places)]
-        self._ask('Input.dispatchTouchEvent', type=what, touchPoints=points)
-
     def key(self, key, text=''):
         """Press and release a key by its DOM name."""
         for what in ('keyDown', 'keyUp'):
@@ -289,7 +284,7 @@ def test_the_mouse_moves_zooms_and_tells(browser, page):
         assert state(browser)[2] == pytest.approx(zoom, rel=1e-3)
 
 
-def test_keyboard_and_fingers_move_and_zoom(browser, page):
+def test_the_keyboard_moves_and_zooms(browser, page):
     opened(browser, page)
     browser.evaluate(f'document.querySelector("{MAP} [data-zoom=all]").focus()')
     browser.key('Tab')
@@ -303,12 +298,6 @@ def test_keyboard_and_fingers_move_and_zoom(browser, page):
     assert state(browser)[0] > x and state(browser)[1] > y
     browser.key('0', '0')
     assert state(browser) == [x, y, 1.0]
-    opened(browser, page, 390)
-    x, y = browser.centre(f'{MAP} canvas')
-    browser.touch('touchStart', (x - 30, y), (x + 30, y))
-    browser.touch('touchMove', (x - 60, y), (x + 60, y))
-    browser.touch('touchEnd')
-    assert state(browser)[2] == pytest.approx(2.0, rel=0.05)
 
 
 def test_the_policy_stops_scripts_and_pictures_from_elsewhere(browser, page, tmp_path):

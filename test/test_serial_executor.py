@@ -55,15 +55,11 @@ def test_an_error_before_the_work_goes_to_the_future(errors):
     assert isinstance(future.exception(0.0), ZeroDivisionError)
 
 
-@pytest.mark.parametrize('closed', [False, True])
-def test_work_is_refused_after_the_end_and_a_cancelled_future_stays_cancelled(
-        executor, errors, closed):
+def test_work_is_refused_after_the_end_and_a_cancelled_future_stays_cancelled(executor, errors):
     future, cancelled = Future(), Future()
     cancelled.cancel()
-    if closed:
-        executor.close()
-        executor.submit(lambda: None, future)
-        assert isinstance(future.exception(0.0), Closed)
     executor.submit(lambda: 1 / 0, cancelled)
     executor.close()
+    executor.submit(lambda: None, future)
+    assert isinstance(future.exception(0.0), Closed)
     assert cancelled.cancelled() and not errors

@@ -12,7 +12,6 @@ import pytest
 from handed_on import HandedOn, halt_workers, process_id
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.errors import GoalBlocked
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
@@ -71,14 +70,6 @@ def test_the_worker_finds_the_same_plan_as_this_process(queue):
     np.testing.assert_array_equal(theirs.network.points, ours.network.points)
     assert theirs.strategy.value == ours.strategy.value
     assert not theirs.strategy.edge_probability.flags.writeable, 'arrays stay read-only'
-
-
-def test_the_planners_errors_reach_the_caller(queue):
-    values = np.zeros((20, 20), dtype=np.int8)
-    values[10, 18] = 100
-    with pytest.raises(GoalBlocked, match=r'goal \(18.500, 10.500\) lies in an obstacle'):
-        submit(queue, 'key', request(values=values)).result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT), 'the same worker continues'
 
 
 def test_an_internal_error_has_frames_but_no_values(queue):

@@ -7,14 +7,12 @@ import interfaces
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from robots import ROBOT, Robot, quaternion, transform
+from robots import ROBOT, Robot, transform
 from ros_harness import free_domain, pose, risk_grid, ros_context, spinning, stage
 from rosgraph_msgs.msg import Clock
-from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
@@ -85,27 +83,6 @@ def running_tf(**arguments):
 def tf():
     with running_tf() as tf:
         yield tf
-
-
-def position(given):
-    p = given.pose.position
-    return np.array((p.x, p.y, p.z))
-
-
-def test_a_pose_in_space_is_turned_and_moved(tf):
-    turn, ahead = Rotation.from_euler('xyz', (0.9, 0.2, -1.3)), np.array((2.0, -0.5, 1.0))
-    there = pose(3.0, 4.0, frame='arm')
-    there.pose.orientation = quaternion(turn)
-    beyond = pose(0.0, 0.0, frame='arm')
-    beyond.pose.position = Point(
-        **dict(zip('xyz', position(there) + turn.apply(ahead), strict=True)))
-    tf.fix(transform('map', 'arm', 1.0, -2.0, 3.0, turn=(0.4, -0.7, 2.1)))
-    wait_until(lambda: tf.position(there), 'the transform')
-    there, beyond = (tf.frames.to_frame(each, 'goal', 'map', math.inf) for each in (there, beyond))
-    assert there.header.frame_id == 'map'
-    q = there.pose.orientation
-    turned = Rotation.from_quat((q.x, q.y, q.z, q.w)).inv()
-    assert turned.apply(position(beyond) - position(there)) == pytest.approx(ahead)
 
 
 def test_unknown_frames_and_invalid_orientations_are_errors(tf):

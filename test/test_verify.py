@@ -16,7 +16,6 @@ from waiting import TIMEOUT
 from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.recordings.map_changes import changed_map, map_changes_file
 from ambush_planner.recordings.verify import replan_problems
 from ambush_planner.worker.process import WorkerProcess
 
@@ -216,13 +215,3 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
     other_route(forger)
     code, out = verified(forger.save(tmp_path / 'forged.mcap'), capsys)
     assert code == 1 and 'route: the recorded entropy draws another' in out
-
-
-def test_changes_lead_from_one_map_to_the_other():
-    before = np.random.default_rng(1).integers(-1, 60, (1000, 1000), dtype=np.int8)
-    after = before.copy()
-    after[500:503, 300:303] = 100
-    data = map_changes_file(before, after)
-    assert len(data) < 1000
-    assert np.array_equal(changed_map(before, data), after)
-    assert map_changes_file(before, before) == b''
