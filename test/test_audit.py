@@ -151,10 +151,9 @@ def test_two_ambushers_wait_at_two_places():
     assert strategy.value == pytest.approx(4.0 / 3.0, rel=0.02)
 
 
-@pytest.mark.parametrize('reach', [0.0, 2.0])
-def test_watching_honest_draws_brings_about_the_value(reach):
+def test_watching_honest_draws_brings_about_the_value():
     """He chooses before the draw, so by 5 standard errors he gets at most the value."""
-    strategy = solve(terrain_network(3, cells=12), GameOptions(ambush_radius=reach))
+    strategy = solve(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
     result = run(strategy, drawn(strategy, 800, 6), resamples=19)
     losses = result.observer_losses
     assert result.observer_loss <= strategy.value + 5.0 * losses.std() / np.sqrt(len(losses))

@@ -1,11 +1,9 @@
-"""What ROS users take for granted: names, remapping, QoS, simulated time, several nodes."""
+"""What ROS users take for granted: frames, remapping, simulated time, several nodes."""
 
 import math
 
 from builtin_interfaces.msg import Time
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_harness import (
-    MARKER_TOPICS,
     free_domain,
     pose,
     risk_grid,
@@ -38,21 +36,6 @@ def test_topics_and_name_can_be_remapped():
         client.diagnostics(state='ready')
         assert client.call('new_route').message.endswith('is published on /plan')
         assert client.received['/diagnostics'][-1].status[0].name == 'planner_7'
-
-
-def test_quality_of_service_is_as_the_interface_table_says():
-    with stage() as running:
-        planner = running.planner
-        for topic in ('path', *(f'ambush_planner/{each}' for each in MARKER_TOPICS)):
-            (info,) = planner.get_publishers_info_by_topic(topic)
-            assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL, topic
-            assert info.qos_profile.reliability == ReliabilityPolicy.RELIABLE, topic
-        (info,) = planner.get_subscriptions_info_by_topic('alpha_map')
-        assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        for topic in ('start_pose', 'goal_pose', 'initialpose'):
-            # Volatile, or RViz' tools would not match.
-            (info,) = planner.get_subscriptions_info_by_topic(topic)
-            assert info.qos_profile.durability == DurabilityPolicy.VOLATILE, topic
 
 
 def test_several_nodes_side_by_side_in_one_domain():

@@ -1,4 +1,4 @@
-"""Solves in a real worker process: shared, queued, cancelled, timed out, killed."""
+"""Solves in a real worker process: queued behind others, overtaken, withdrawn, killed."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected
+from ambush_planner.worker.solve_errors import SolveCancelled, Unexpected
 from ambush_planner.worker.solve_queue import SolveQueue
 
 
@@ -81,21 +81,6 @@ def test_an_internal_error_has_frames_but_no_values(queue):
     assert 'nowhere' not in str(caught.value) + caught.value.frames
 
 
-def test_equal_solves_are_shared_others_wait_and_a_full_queue_refuses(queue):
-    first = submit(queue, 'slow', slow_request())
-    begun(queue)
-    assert submit(queue, 'slow', slow_request()) is first, 'also while it runs'
-    waiting = [submit(queue, k, request(), size=2) for k in range(2)]
-    with pytest.raises(QueueFull, match=r'is running \(for [\d.]+ s\) and 2 others are waiting'):
-        submit(queue, 'third', request(), size=2)
-    assert submit(queue, 1, request(), size=2) is waiting[1], 'a shared solve does not count'
-    assert not waiting[0].done()
-    assert queue.cancel() == 3
-    for each in (first, *waiting):
-        with pytest.raises(SolveCancelled):
-            each.result(TIMEOUT)
-
-
 def test_background_solves_run_last(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
@@ -148,20 +133,6 @@ def test_an_idle_worker_that_dies_is_replaced_before_the_next_solve(queue):
     wait_until(lambda: not used.alive, 'the end of the worker')
     assert submit(queue, 'next', request()).result(TIMEOUT)
     assert queue._worker is not used
-
-
-def test_close_ends_everything_at_once():
-    queue = SolveQueue()
-    running, waiting = submit(queue, 'slow', slow_request()), submit(queue, 'key', request())
-    begun(queue)
-    worker = Path(f'/proc/{process_id(queue._worker)}')
-    queue.close()
-    for future in (running, waiting):
-        with pytest.raises(SolveCancelled, match='shutting down'):
-            future.result(0)
-    assert not worker.exists()
-    with pytest.raises(SolveCancelled, match='shutting down'):
-        submit(queue, 'key', request())
 
 
 ORPHAN = """
