@@ -34,9 +34,3 @@ def test_map_is_drawn_at_its_origin(axes):
     image = figures.draw_risk_map(axes, risk_map)
     shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
     np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
-
-
-def test_obstacles_are_masked(axes):
-    obstacles = np.array([[True, False]])
-    image = figures.draw_risk_map(axes, RiskMap(np.ones((1, 2)), obstacles, 1.0))
-    np.testing.assert_array_equal(image.get_array().mask, obstacles)

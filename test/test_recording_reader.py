@@ -1,10 +1,12 @@
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
+import shutil
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from audit_samples import departure, drawn, record, sample_plan
 from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
@@ -184,3 +186,13 @@ def test_random_sources_that_repeat_or_are_short(files, tmp_path):
     forger = Forger(files[SEEDED])
     forger.entries.update(departure_id='another')
     assert len(source_findings([*honest, read_departure(forger.save(path))])) == 1
+
+
+def test_departures_come_in_order_of_time_then_number_and_copies_count_once(tmp_path):
+    plan = sample_plan()
+    paths = record(tmp_path, [
+        departure(plan, route, number, stamp_ns=stamp) for route, number, stamp in zip(
+            drawn(plan, 4), (7, 3, 2, 1), (5, 0, 0, 9), strict=True)])
+    shutil.copy(paths[0], tmp_path / 'copy_0.mcap')
+    found = read_departures(recordings_in(tmp_path), pytest.fail)
+    assert [each.number for each in found] == [2, 3, 7, 1]
