@@ -1,6 +1,5 @@
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
-
 import interfaces
 from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
@@ -11,6 +10,9 @@ from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
 from test_compute_path import LONG
 from test_node_life import threads
 from waiting import answer_of
+
+from ambush_planner.errors import AmbushPlannerError
+from ambush_planner.ros import planner_node
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 WAITING = {'autostart': False}
@@ -148,6 +150,23 @@ def test_after_shutdown_it_refuses_requests():
         assert not running.client.call('new_route').success
         assert not manager.change('configure')
         assert manager.state == 'finalized'
+
+
+def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
+    def broken(*_):
+        raise AmbushPlannerError('no room')
+
+    with stage(parameters=WAITING) as running:
+        manager = Manager(running.client)
+        before = threads()
+        monkeypatch.setattr(planner_node, 'Subscriptions', broken)
+        assert not manager.change('configure')
+        assert manager.state == 'unconfigured'
+        assert 'no room' in running.client.diagnostics(state='unconfigured')['message']
+        assert threads() == before
+        monkeypatch.undo()
+        start(running)
+        assert running.give().call('new_route').success
 
 
 def test_a_manager_hears_the_heartbeat_of_an_active_node():

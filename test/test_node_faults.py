@@ -12,7 +12,7 @@ from nav_msgs.srv import GetPlan
 from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
-from waiting import TIMEOUT
+from waiting import TIMEOUT, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings.verify import Verifier
@@ -96,6 +96,18 @@ def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monk
                        if topic == '/diagnostics']
             values = {pair.key: pair.value for pair in reports[0].status[0].values}
             assert values['departure_id'] in said.message and values['recording'] == 'on'
+
+
+def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
+    with stage(tmp_path) as running:
+        departs(running.give())
+    (path,) = recordings(tmp_path)
+    left = path.with_name(f'{path.parent.name}_1.mcap.tmp')
+    left.write_bytes(b'half')
+    os.utime(left, (0.0, 0.0))
+    with stderr_in(tmp_path / 'log') as said, stage(tmp_path):
+        wait_until(lambda: f'removed the unfinished file {left}' in said(), 'the warning')
+    assert not left.exists() and recordings(tmp_path) == [path]
 
 
 def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
