@@ -144,6 +144,13 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 
+def test_a_map_that_carries_no_risk_is_named(tmp_path):
+    write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((20, 20), np.int8), 10.0))
+    done = run_here(plan, tmp_path / 'map.yaml', '--start', 15, 15, '--goal', 185, 185, '-o',
+                    tmp_path / 'r.csv', '--set', 'network.spacing=20')
+    assert done.code == 0 and 'the map carries no risk' in done.err, done.err
+
+
 def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     def run(*seed):
         done = run_here(plan, plain, *ENDS, '-n', 3, '-o', tmp_path / 'r.csv', *seed,

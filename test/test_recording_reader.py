@@ -135,6 +135,7 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
     (lambda f: f.attachments.pop('strategy.npz'), 'strategy.npz: missing'),
     (lambda f: f.attachments.update({'map_changes.npz': b'PK'}), 'map_changes.npz: .*malformed'),
     (lambda f: f.set_arrays(edges=np.array([None])), 'strategy.npz'),
+    (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'strategy.npz'),
     (lambda f: f.entries.update(route=[0, 10**6]), 'metadata: .*malformed'),
     (lambda f: f.entries['parameters'].pop('seed'), 'parameters: missing'),
     (lambda f: f.edit('map', lambda m: m.data.pop()), 'map: the map holds 399 cells'),
