@@ -1,6 +1,6 @@
-"""Colours of pictures, reports and layouts.
+"""Colours of pictures, reports and layouts, which colour-blind readers can tell apart.
 
-test_colours.py checks that files with literals agree, and that colour-blind readers see them.
+`report_map.js`, `report.css`, `report_section.html` and the layouts in `config` repeat them.
 """
 
 OBSTACLE = '#1c1714'

@@ -26,6 +26,7 @@ from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.commands.node_process import lock_domain
+from ambush_planner.recordings import type_name
 from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
@@ -179,27 +180,19 @@ class Client:
 
 
 def interface_of(planner):
-    """Return what a planner publishes, subscribes to and serves by the graph: types by name.
+    """Return what a planner publishes, subscribes to and serves: types by name.
 
-    Maps arrive at a hidden node; the one for transforms is left out. Discovery takes a while, even
-    of nodes in the same process.
+    Maps arrive at a hidden node; the one for transforms is left out.
     """
     nodes = planner, planner._topic_subscriptions._maps._node
-    made = {
-        'publisher': {each.topic_name for node in nodes for each in node.publishers},
-        'subscriber': {each.topic_name for node in nodes for each in node.subscriptions},
-        'service': {each.service_name for node in nodes for each in node.services},
-    }
 
-    def in_graph(kind):
-        types_of = getattr(planner, f'get_{kind}_names_and_types_by_node')
-        found = {name: only for node in nodes
-                 for name, (only,) in types_of(node.get_name(), node.get_namespace())}
-        return made[kind] <= found.keys() and found
+    def made(kind, name, type_):
+        return {getattr(each, name): type_name(getattr(each, type_))
+                for node in nodes for each in getattr(node, kind)}
 
-    return SimpleNamespace(**{
-        f'{kind}s': wait_until(lambda kind=kind: in_graph(kind), 'the graph') for kind in made
-    })
+    return SimpleNamespace(publishers=made('publishers', 'topic_name', 'msg_type'),
+                           subscribers=made('subscriptions', 'topic_name', 'msg_type'),
+                           services=made('services', 'service_name', 'srv_type'))
 
 
 class Stage:

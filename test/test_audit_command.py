@@ -50,8 +50,7 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
     assert [path.name for path in out.iterdir()] == ['audit.png'] and set(good.iterdir()) == before
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
     assert stat.S_IMODE((out / 'audit.png').stat().st_mode) == 0o600
-    image = imread(out / 'audit.png')
-    assert image.shape[1] > 1350 and np.std(image) > 0.05
+    assert np.std(imread(out / 'audit.png')) > 0.05
     (out / 'audit.png').write_text('mine')
     with pytest.raises(SystemExit) as stop:
         audit.main([str(good), '-o', str(out)])
@@ -59,7 +58,6 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
     assert (out / 'audit.png').read_text() == 'mine'
     assert audit.main([str(good), '-o', str(out), '--replace', '--quiet']) == 0
     assert capsys.readouterr() == ('', '')
-    assert imread(out / 'audit.png').shape == image.shape
 
 
 @pytest.mark.parametrize(('routes', 'said'), [
@@ -74,7 +72,6 @@ def test_a_finding_exits_1(tmp_path, a_plan, capsys, routes, said):
 
 @pytest.mark.parametrize(('entry', 'seed', 'said'), [
     (lambda k: [source(1)], -1, 'the same as that of'),
-    (lambda k: [k + 2**190], -1, 'fewer than 192 bits'),
     (lambda k: [3, k], 3, 'drawn with a fixed seed'),
 ])
 def test_random_sources_that_repeat_are_short_or_fixed_are_found(

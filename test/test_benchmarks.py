@@ -16,11 +16,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
     'mesh_convergence': '--families hills-coarse --each 1 --fractions 2 1 --seed 1',
-    'others': '--families hills-coarse --each 1 --nodes 150 --seed 1',
-    'random_games': '--first 57 --count 3',
-    'routes': '--maps maze --departures 4 --nodes 1000',
-    'solver': '--kinds plan nodes --sizes 150 --each 1 --families gates city --seed 1 --limit 60 '
-              '--early --changes 2 --peers --json rows.json',
+    'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
+    'random_games': '--first 57 --count 1',
+    'routes': '--maps maze --departures 2 --nodes 300',
+    'solver': '--kinds plan nodes --sizes 100 --each 1 --families gates --seed 1 --limit 60 '
+              '--early --changes 1 --peers --json rows.json',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',

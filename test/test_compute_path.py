@@ -17,13 +17,6 @@ pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 # A solve of minutes, which the tests cancel.
 LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
-# Nav2's numbers.
-CODES = {
-    'UNKNOWN': 200, 'INVALID_PLANNER': 201, 'TF_ERROR': 202, 'GOAL_OUTSIDE_MAP': 204,
-    'START_OCCUPIED': 205,
-}
-
-
 @pytest.fixture(scope='module')
 def action():
     """The action's type."""
@@ -85,22 +78,44 @@ def asking(action, *arguments, name='compute_path_to_pose', **options):
         yield Goals(action, running, name)
 
 
-def test_a_goal_is_a_departure(action, tmp_path):
-    with asking(action, tmp_path) as goals:
-        status, result = goals.result(goals.send())
+@pytest.fixture(scope='module')
+def goals(action, tmp_path_factory):
+    """Goals of a node that records, and answers for another planner."""
+    folder = tmp_path_factory.mktemp('runs')
+    with asking(action, folder, {'planner_ids': ['', 'GridBased']}) as goals:
+        goals.folder = folder
+        yield goals
+
+
+def test_a_goal_is_a_departure_for_each_of_the_planner_ids(goals):
+    for number, name in enumerate(('', 'GridBased', 'ambush_planner'), 1):
+        last = goals.send(planner_id=name)
+        status, result = goals.result(last)
         assert (status, result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0)
         assert (result.path.poses[0].pose, result.path.poses[-1].pose) == (START.pose, GOAL.pose)
-        assert result.path == goals.client.last('path')
-        spent = result.planning_time
-        assert spent.sec + 1e-9 * spent.nanosec > 0.0
-        goals.client.diagnostics(departures='1', code='NONE')
-        last = goals.send(planner_id='ambush_planner')
-        again = goals.result(last)[1]
-        assert goals.client.last('path', 2) == again.path
-        assert goals.cancel(last) == 0, 'the route is drawn'
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 2, 'the recordings')
-    for file in tmp_path.rglob('*.mcap'):
-        assert read_with_rosbags(file)
+        assert result.path == goals.client.last('path', number)
+        assert result.planning_time.sec + result.planning_time.nanosec > 0
+        goals.client.diagnostics(departures=str(number), code='NONE')
+    assert goals.cancel(last) == 0, 'the route is drawn'
+    wait_until(lambda: len(list(goals.folder.rglob('*.mcap'))) == 3, 'the recordings')
+    assert all(read_with_rosbags(file) for file in goals.folder.rglob('*.mcap'))
+
+
+def test_a_goal_that_fails_has_nav2s_code_and_a_reason(goals):
+    before = len(goals.client.received['path'])
+    for code, part, fields in (
+        (201, "'Smac'", {'planner_id': 'Smac'}),
+        (202, 'frame_id', {'start': pose(1.5, 5.5, frame='')}),
+        (205, 'obstacle', {'start': pose(5.0, 5.5)}),
+        (204, 'outside', {'goal': pose(99.0, 5.5)}),
+        (200, 'position', {'goal': pose(float('nan'), 5.5)}),
+        (202, 'robot_base_frame', {'start': None}),
+    ):
+        got, message = goals.refused(**fields)
+        assert (got, part in message) == (code, True), message
+    assert len(goals.client.received['path']) == before
+    goals.client.diagnostics(code='NO_START')
+    assert goals.result(goals.send())[0] == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_a_goal_through_poses_is_a_trip(action):
@@ -115,24 +130,8 @@ def test_a_goal_through_poses_is_a_trip(action):
         goals.client.diagnostics(stops='2')
         for code, words, poses in ((309, 'goals is empty', []),
                                    (302, 'in one', [pose(3.0, 8.0, frame='odom'), *stops, GOAL])):
-            status, result = goals.result(goals.send(goals=poses))
-            assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, code)
-            assert words in result.error_msg
-
-
-def test_the_newest_goal_wins(action, submitted):
-    with asking(action, None, LONG) as goals:
-        old = [goals.send(goal=pose(8.0, 1.0 + k)) for k in range(3)]
-        asked = goals.client.send('new_route')  # another client's
-        newest = goals.send()
-        for each in old:
-            status, result = goals.result(each)
-            assert status == GoalStatus.STATUS_ABORTED
-            assert 'a newer request' in result.error_msg
-        wait_until(lambda: len(submitted) == 5, 'the requests')
-        assert not asked.done()
-        goals.client.call('cancel')
-        assert goals.result(newest)[0] == GoalStatus.STATUS_ABORTED
+            got, message = goals.refused(goals=poses)
+            assert (got, words in message) == (code, True), message
 
 
 def test_a_path_that_is_not_published_is_in_the_result(action):
@@ -144,29 +143,14 @@ def test_a_path_that_is_not_published_is_in_the_result(action):
         assert not any(path.poses for path in goals.client.received['path'])
 
 
-def test_a_goal_that_fails_has_nav2s_code_and_a_reason(action):
-    with asking(action) as goals:
-        for code, part, fields in (
-            ('INVALID_PLANNER', "'GridBased'", {'planner_id': 'GridBased'}),
-            ('TF_ERROR', 'frame_id', {'start': pose(1.5, 5.5, frame='')}),
-            ('START_OCCUPIED', 'obstacle', {'start': pose(5.0, 5.5)}),
-            ('GOAL_OUTSIDE_MAP', 'outside', {'goal': pose(99.0, 5.5)}),
-            ('UNKNOWN', 'position', {'goal': pose(float('nan'), 5.5)}),
-            ('TF_ERROR', 'robot_base_frame', {'start': None}),
-        ):
-            got, message = goals.refused(**fields)
-            assert got == CODES[code], message
-            assert part in message
-        assert not goals.client.received['path']
-        goals.client.diagnostics(code='NO_START')
-        assert goals.result(goals.send())[0] == GoalStatus.STATUS_SUCCEEDED
-
-
-def test_cancelling_one_goal_leaves_the_others(action, submitted):
+def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(action, submitted):
     with asking(action, None, LONG) as goals:
-        one, other = goals.send(), goals.send()
-        asked = goals.client.send('new_route')
-        wait_until(lambda: len(submitted) == 3, 'the requests')
+        old, one = goals.send(goal=pose(8.0, 1.0)), goals.send()
+        asked = goals.client.send('new_route')  # another client's
+        newest = goals.send()
+        status, result = goals.result(old)
+        assert status == GoalStatus.STATUS_ABORTED and 'a newer request' in result.error_msg
+        wait_until(lambda: len(submitted) == 4, 'the requests')
         goals.client.diagnostics(state='solving')
         halt_workers()
         assert goals.cancel(one) == 1
@@ -174,48 +158,36 @@ def test_cancelling_one_goal_leaves_the_others(action, submitted):
         assert goals.client.diagnostics()['state'] == 'solving', 'the others wait for this solve'
         assert not asked.done()
         assert goals.client.call('cancel').message == 'the solve was cancelled'
-        assert goals.result(other)[0] == GoalStatus.STATUS_ABORTED
+        assert goals.result(newest)[0] == GoalStatus.STATUS_ABORTED
         wait_until(asked.done, 'the answer of new_route')
+        only = goals.send()
+        goals.client.diagnostics(state='solving')
+        halt_workers()
+        assert goals.cancel(only) == 1
+        goals.client.diagnostics(state='ready')
+        assert goals.result(only)[0] == GoalStatus.STATUS_CANCELED
+        assert goals.client.call('cancel').message == 'no solve is running'
         assert not goals.client.received['path']
 
 
-def test_a_solve_ends_when_its_only_goal_is_cancelled(action):
-    with asking(action, None, LONG) as goals:
-        handle = goals.send()
-        goals.client.diagnostics(state='solving')
-        halt_workers()
-        assert goals.cancel(handle) == 1
-        goals.client.diagnostics(state='ready')
-        assert goals.result(handle)[0] == GoalStatus.STATUS_CANCELED
-        assert goals.client.call('cancel').message == 'no solve is running'
-
-
-def test_answers_for_the_planners_of_planner_ids(action):
-    with asking(action, None, {'planner_ids': ['', 'GridBased']}) as goals:
-        for name in ('', 'GridBased', 'ambush_planner'):
-            assert goals.result(goals.send(planner_id=name))[0] == GoalStatus.STATUS_SUCCEEDED
-        assert goals.refused(planner_id='Smac')[0] == CODES['INVALID_PLANNER']
-
-
-def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(action):
+def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
     kind = import_module('nav2_msgs.srv').IsPathValid
-    with stage() as running:
-        client = running.give(risk_grid(np.full((20, 20), 10)))
-        service = client.node.create_client(kind, 'ambush_planner/is_path_valid')
-        path = client.get_plan(START, GOAL)
+    client, flat = goals.client, np.full((20, 20), 10)
+    client.publish('alpha_map', risk_grid(flat))
+    service = client.node.create_client(kind, 'ambush_planner/is_path_valid')
+    path = client.get_plan(START, GOAL)
 
-        def validity(path):
-            answer = answer_of(service, kind.Request(path=path))
-            return answer.is_valid, list(answer.invalid_pose_indices)
+    def validity(path):
+        answer = answer_of(service, kind.Request(path=path))
+        return answer.is_valid, list(answer.invalid_pose_indices)
 
-        assert validity(path) == (True, [])
-        blocked = np.full((20, 20), 10)
-        middle = path.poses[len(path.poses) // 2].pose.position
-        blocked[int(middle.y / 0.5), int(middle.x / 0.5)] = 100
-        client.publish('alpha_map', risk_grid(blocked))
-        wait_until(lambda: not validity(path)[0], 'the new map')
-        assert len(path.poses) // 2 in validity(path)[1]
-        assert not validity(type(path)(header=path.header))[0]
-        path.header.frame_id = 'odom'
-        assert validity(path) == (False, [])
-        client.diagnostics(code='TF_ERROR')
+    assert validity(path) == (True, [])
+    middle = path.poses[len(path.poses) // 2].pose.position
+    flat[int(middle.y / 0.5), int(middle.x / 0.5)] = 100
+    client.publish('alpha_map', risk_grid(flat))
+    wait_until(lambda: not validity(path)[0], 'the new map')
+    assert len(path.poses) // 2 in validity(path)[1]
+    assert not validity(type(path)(header=path.header))[0]
+    path.header.frame_id = 'odom'
+    assert validity(path) == (False, [])
+    client.diagnostics(code='TF_ERROR')

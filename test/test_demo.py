@@ -1,6 +1,5 @@
 """``ambush demo``: its recordings, pictures and numbers, and the node that it starts and stops."""
 
-import csv
 import os
 import signal
 import stat
@@ -18,7 +17,6 @@ pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
 from commands import documented_keys
 from matplotlib.image import imread
-from PIL import Image
 
 from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli, demo
@@ -27,9 +25,6 @@ from ambush_planner.commands.demo_ground import GOAL, START
 from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain, lock_domain
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
-from ambush_planner.recordings import recordings_in
-from ambush_planner.recordings.recorded_departures import read_departures
-from ambush_planner.recordings.report_data import sections_of
 
 AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3
@@ -48,7 +43,7 @@ def done(folder):
     before = signal.getsignal(signal.SIGTERM)
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        for name, value in {'SPACING': 720.0, 'SLACKS': (0.01,)}.items():
+        for name, value in {'SPACING': 1000.0, 'SLACKS': (0.01,)}.items():
             patch.setattr(demo, name, value)
         console = cli.Console('demo', as_json=False, quiet=False)
         assert demo._work(options, console) == cli.Exit.HOLDS
@@ -115,20 +110,7 @@ def test_table_frontier_and_progress_agree_with_the_result(done, folder):
     assert value < float(rows['always the route of least risk'].split()[2])
     different, total = map(int, rows['different routes'].split(' of '))
     assert DEPARTURES - 1 <= different <= total == DEPARTURES
-    with (folder / 'frontier.csv').open(newline='') as file:
-        row = next(each for each in csv.DictReader(file) if each['max_detour'] == '1.2')
-    assert float(row['value']) == pytest.approx(value, rel=0.01)
     assert (folder / 'frontier.png').read_bytes().startswith(b'\x89PNG')
-
-
-def test_the_moving_picture_is_drawn_from_the_recordings(done, folder, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parent.parent / 'docs'))
-    import pictures
-
-    section = sections_of(read_departures(recordings_in(folder), pytest.fail))[-1]
-    pictures.route_a_day(section, tmp_path / 'moving.webp', days=2)
-    with Image.open(tmp_path / 'moving.webp') as moving:
-        assert moving.n_frames == 2 * (pictures.STEPS + 1)
 
 
 def test_error_of_a_node_that_cannot_start_has_its_last_lines(tmp_path):
@@ -146,17 +128,12 @@ def test_locks_of_domains_follow_no_link_and_are_this_users_alone(tmp_path, monk
         (folder,) = tmp_path.iterdir()
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
         assert stat.S_IMODE(os.fstat(lock.fileno()).st_mode) == 0o600
-    lock_domain(60).close()
     (tmp_path / 'target').write_text('mine')
     (folder / 'domain_61.lock').symlink_to(tmp_path / 'target')
     with pytest.raises(OSError):
         lock_domain(61)
     folder.chmod(0o755)
     with pytest.raises(NodeFailed, match='is not a folder of mode 0700 of this user'):
-        lock_domain(62)
-    folder.rename(tmp_path / 'moved').chmod(0o700)
-    folder.symlink_to(tmp_path / 'moved')
-    with pytest.raises(NodeFailed):
         lock_domain(62)
     assert (tmp_path / 'target').read_text() == 'mine'
 

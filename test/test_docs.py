@@ -21,29 +21,13 @@ def anchors(document):
     return {re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-') for heading in headings}
 
 
-@pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
-def test_links_lead_somewhere(document):
-    for link in re.findall(r'\]\(([^)\s]+)\)', document.read_text()):
-        if '://' in link:
-            continue
-        name, _, anchor = link.partition('#')
-        target = document.parent / name if name else document
-        assert target.exists(), link
-        assert not anchor or anchor in anchors(target), link
-
-
-def test_the_modules_of_the_contributors_tables_exist():
-    package = ROOT / 'ambush_planner'
-    text = (ROOT / 'CONTRIBUTING.md').read_text()
-    rooms, solving = (text.split(head)[1].split('\n\n')[0].splitlines()[2:]
-                      for head in ('| room | ', '| solving the game | '))
-    found = [(row.split('`')[1], row.split('|')[3]) for row in rooms]
-    found += [('game', row.split('|')[2]) for row in solving]
-    assert sorted({room for room, _ in found}) == sorted(
-        path.parent.name for path in package.glob('*/__init__.py'))
-    for room, names in found:
-        for name in re.findall(r'`([\w/]+)`', names):
-            assert (package / room / f'{name}.py').is_file(), name
+def test_links_lead_somewhere():
+    for document in DOCUMENTS:
+        for link in re.findall(r'\]\(([^)\s]+)\)', document.read_text()):
+            name, _, anchor = link.partition('#')
+            target = document.parent / name if name else document
+            assert '://' in link or target.exists(), (document, link)
+            assert '://' in link or not anchor or anchor in anchors(target), (document, link)
 
 
 def test_the_reference_lists_every_public_name_with_its_file():
@@ -58,34 +42,29 @@ def test_the_reference_lists_every_public_name_with_its_file():
         assert re.search(rf'(?m)^(class|def) {name}\b', source), name
 
 
-def test_the_theorys_statements_are_numbered_in_order_and_references_exist():
+def test_references_to_the_theorys_statements_and_sections_exist():
     text = (ROOT / 'docs/theory.md').read_text()
-    made = re.findall(r'(?m)^\*\*(?:Definition|Proposition|Corollary) (\d+)\.(\d+)', text)
-    for section in {first for first, _ in made}:
-        numbers = [int(second) for first, second in made if first == section]
-        assert numbers == list(range(1, len(numbers) + 1)), section
-        assert re.search(rf'(?m)^## {section}\. ', text)
+    made = re.findall(r'(?m)^\*\*(?:Definition|Proposition|Corollary) (\d+\.\d+)', text)
     prose = re.sub(r'(?ms)^```math.*?^```$|\$`[^`\n]+`\$', '', text)
-    named = re.findall(r'(?:Definition|Proposition|Corollary) (\d+\.\d+)|\((\d\.\d+)[ )]', prose)
-    assert {a or b for a, b in named} <= {'.'.join(each) for each in made}
+    named = re.findall(r'(?:Definition|Proposition|Corollary) (\d+\.\d+)', prose)
+    assert len(made) == len(set(made)) and set(named) <= set(made)
     sections = re.findall(r'[Ss]ections? (\d+)', prose)
     assert all(re.search(rf'(?m)^## {each}\. ', text) for each in sections)
 
 
-@pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
-def test_formulas_parse(document):
+def test_formulas_parse():
     converter = pytest.importorskip('latex2mathml.converter', reason='it has no rosdep key')
-    text = document.read_text()
-    formulas = re.findall(r'(?ms)^ *```math\n(.*?)^ *```$', text)
-    text = re.sub(r'(?ms)^ *```.*?^ *```$', '', text)
-    formulas += re.findall(r'\$`([^`\n]+)`\$', text)
-    for formula in formulas:
-        assert '\\' not in converter.convert(formula), f'unknown command in {formula}'
-        assert r'\operatorname' not in formula, f'GitHub refuses \\operatorname: {formula}'
-        bare = re.sub(r'\\[{}]', '', formula)
-        assert bare.count('{') == bare.count('}'), formula
-    plain = re.sub(r'(?<!\w)\$`[^`\n]+`\$|`[^`\n]*`', '', text)
-    assert '$' not in plain, 'formulas are written $`...`$, on one line, or in ```math'
+    for document in DOCUMENTS:
+        text = document.read_text()
+        formulas = re.findall(r'(?ms)^ *```math\n(.*?)^ *```$', text)
+        text = re.sub(r'(?ms)^ *```.*?^ *```$', '', text)
+        for formula in [*formulas, *re.findall(r'\$`([^`\n]+)`\$', text)]:
+            assert '\\' not in converter.convert(formula), f'unknown command in {formula}'
+            assert r'\operatorname' not in formula, f'GitHub refuses \\operatorname: {formula}'
+            bare = re.sub(r'\\[{}]', '', formula)
+            assert bare.count('{') == bare.count('}'), formula
+        plain = re.sub(r'(?<!\w)\$`[^`\n]+`\$|`[^`\n]*`', '', text)
+        assert '$' not in plain, f'{document}: formulas are written $`...`$ or in ```math'
 
 
 @pytest.mark.parametrize('name', [

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from ambush_planner import figures
 from ambush_planner.maps.risk_map import RiskMap
-from paper.figures import binned_directions
 
 
 @pytest.fixture
@@ -35,27 +34,3 @@ def test_map_is_drawn_at_its_origin(axes):
     image = figures.draw_risk_map(axes, risk_map)
     shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
     np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
-
-
-def test_obstacles_are_masked(axes):
-    obstacles = np.array([[True, False]])
-    image = figures.draw_risk_map(axes, RiskMap(np.ones((1, 2)), obstacles, 1.0))
-    np.testing.assert_array_equal(image.get_array().mask, obstacles)
-
-
-def test_binned_directions_are_weighted_means():
-    points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
-    direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
-    places, mean, share = binned_directions(points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0)
-    np.testing.assert_allclose(places, [[0.3, 0.1], [2.5, 0.5]])
-    np.testing.assert_allclose(mean, [[0.75, 0.25], [0.6, 0.8]])
-    np.testing.assert_allclose(share, [1.0, 0.5])
-    places, mean, share = binned_directions(points, direction, np.zeros(4), 1.0)
-    assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
-
-
-def test_scale_bar_has_a_round_length(axes):
-    figures.frame(axes, RiskMap(np.ones((4, 30)), np.zeros((4, 30), bool), 100.0), '')
-    figures.scale_bar(axes)
-    assert [text.get_text() for text in axes.texts] == ['500 m']
-    assert np.ptp(axes.lines[0].get_xdata()) == 500.0 and len(axes.get_xticks()) == 0

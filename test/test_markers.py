@@ -11,7 +11,6 @@ from ambush_planner.game.strategy import solve
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.network.network import Network
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.markers import (
@@ -65,29 +64,21 @@ def test_edges_in_use_are_drawn_from_tail_to_head(strategy):
 
 
 def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
-    marker = only(mean_direction(strategy, header()))
-    strokes = positions(marker).reshape(-1, 6, 2)
+    strokes = positions(only(mean_direction(strategy, header()))).reshape(-1, 6, 2)
     visited = (strategy.visit_probability >= 1e-4) & (np.hypot(*strategy.mean_direction().T) > 1e-6)
     np.testing.assert_array_equal(strokes[:, 0], strategy.network.points[visited])
     shafts, wanted = strokes[:, 1] - strokes[:, 0], strategy.mean_direction()[visited]
-    across = shafts[:, 0] * wanted[:, 1] - shafts[:, 1] * wanted[:, 0]
-    np.testing.assert_allclose(across, 0.0, atol=1e-12)
-    assert ((shafts * wanted).sum(axis=1) > 0.0).all()
-    assert (strokes[:, [2, 4]] == strokes[:, [1, 1]]).all(), 'barbs begin at the tip'
+    cosine = (shafts * wanted).sum(axis=1) / np.hypot(*shafts.T) / np.hypot(*wanted.T)
+    np.testing.assert_allclose(cosine, 1.0)
 
 
 def test_sites_are_where_the_ambusher_waits(strategy):
     marker = only(ambush_sites(strategy, header()))
     q = strategy.ambush_probability
     np.testing.assert_array_equal(positions(marker), strategy.network.points[q >= 1e-4 * q.max()])
-    assert alphas(marker).max() == pytest.approx(0.9)  # the path is seen through it
-
-
-def test_sites_are_as_wide_as_the_ambush_reaches(strategy):
     reaching = solve(strategy.network, GameOptions(ambush_radius=1.2))
     scale = only(ambush_sites(reaching, header())).scale
-    assert (scale.x, scale.y) == (2.4, 2.4)
-    assert scale.z < 1.0
+    assert (scale.x, scale.y) == (2.4, 2.4), 'as wide as the ambush reaches'
 
 
 def test_network_draws_each_pair_once(strategy):
@@ -96,11 +87,3 @@ def test_network_draws_each_pair_once(strategy):
     ends = positions(marker).reshape(-1, 4)
     assert len(np.unique(ends, axis=0)) == len(ends) == len(pairs)
     assert 0.0 < marker.color.a < 1.0
-
-
-def test_edges_of_one_direction_are_drawn_too():
-    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    edges = np.array([[3, 2], [2, 1], [1, 2], [1, 0]])
-    marker = only(network_lines(Network(points, np.zeros(4), edges, 3, 0), header()))
-    ends = positions(marker).reshape(-1, 2, 2)
-    np.testing.assert_array_equal(ends, points[[[0, 1], [1, 2], [2, 3]]])

@@ -5,8 +5,7 @@ import re
 
 import pytest
 import yaml
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_harness import interface_of, stage, wait_until
+from ros_harness import interface_of, stage
 from ros_yaml import EXAMPLES, filled, type_of
 
 from ambush_planner.maps.ros_messages import pose_from_ros
@@ -28,7 +27,6 @@ def command_of(name):
 
 
 COMMANDS = {name: command_of(name) for name in FILES}
-REQUESTS = [name for name, words in COMMANDS.items() if words[0] == 'service']
 
 
 def example(name):
@@ -37,92 +35,68 @@ def example(name):
     return filled(getattr(kind, 'Request', kind)(), yaml.safe_load(FILES[name].read_text()))
 
 
-class Sender:
-    """Sends examples as their command lines do."""
-
-    def __init__(self, running):
-        self.client, self.planner = running.client, running.planner
-        self._publishers = {}
-
-    def publish(self, name):
-        """Publish an example with the QoS of its command line, and return it."""
-        *words, topic, kind = COMMANDS[name]
-        message = example(name)
-        if name not in self._publishers:
-            flags = dict(zip(words, words[1:], strict=False))
-            qos = QoSProfile(
-                depth=1,
-                reliability=ReliabilityPolicy[flags.get('--qos-reliability', 'reliable').upper()],
-                durability=DurabilityPolicy[flags.get('--qos-durability', 'volatile').upper()])
-            self._publishers[name] = self.client.node.create_publisher(type_of(kind), topic, qos)
-        publisher = self._publishers[name]
-        wait_until(publisher.get_subscription_count, f'a compatible subscription of {topic}')
-        publisher.publish(message)
-        return message
-
-    def call(self, name):
-        """Call a service with an example, and return the answer."""
-        return self.client.call(name, example(name))
-
-
 @pytest.fixture(scope='module')
-def sender():
-    with stage(parameters={'network.spacing': 0.0}) as running:
-        sender = Sender(running)
+def running():
+    with stage() as running:
         for name in ('alpha_map', 'start_pose', 'goal_pose'):
-            sender.publish(name)
+            send(running.client, name)
         running.client.diagnostics(state='ready')
-        yield sender
+        yield running
 
 
-def test_every_subscription_and_service_has_an_example(sender):
+@pytest.fixture
+def client(running):
+    return running.client
+
+
+def send(client, name):
+    """Publish an example with the durability of its command line, and return it."""
+    assert ('transient_local' in COMMANDS[name]) == (name == 'alpha_map')
+    message = example(name)
+    client.publish(COMMANDS[name][-2], message)
+    return message
+
+
+def departs(client, condition):
+    """Depart until the path is as wanted, and return its poses."""
+    client.call_until('new_route', lambda answer: answer.success and condition(
+        [each.pose for each in client.last('path').poses]))
+    return client.last('path').poses
+
+
+def test_every_subscription_and_service_has_an_example_and_every_request_an_answer(running):
     examples = {topic: kind for *_, topic, kind in COMMANDS.values()}
-    interface = interface_of(sender.planner)
+    interface = interface_of(running.planner)
     inputs = {**interface.subscribers, **interface.services}
     assert examples == {
         name: kind for name, kind in inputs.items() if not kind.startswith(FOREIGN)}
     for name, words in COMMANDS.items():
         assert words[-2] in (f'/{name}', f'/ambush_planner/{name}')
-        assert name in REQUESTS or '--once' in words
-
-
-@pytest.mark.parametrize('name', REQUESTS)
-def test_every_request_is_answered(sender, name):
-    assert sender.call(name) is not None
+        if words[0] == 'service':
+            assert running.client.call(name, example(name)) is not None
+        else:
+            assert '--once' in words
 
 
 @pytest.mark.parametrize('start', ['start_pose', 'initialpose'])
-def test_new_route(sender, start):
-    sender.publish('goal_pose')
-    pose = sender.publish(start).pose
+def test_new_route(client, start):
+    send(client, 'goal_pose')
+    pose = send(client, start).pose
     position = getattr(pose, 'pose', pose).position
-
-    def departs_there():
-        assert sender.call('new_route').success
-        paths = sender.client.received['path']
-        return paths and paths[-1].poses[0].pose.position == position
-
-    wait_until(departs_there, 'a path from the start of the example')
-    path = sender.client.received['path'][-1]
-    assert path.poses[-1].pose == example('goal_pose').pose
+    poses = departs(client, lambda path: path[0].position == position)
+    assert poses[-1].pose == example('goal_pose').pose
 
 
-def test_via_poses(sender):
-    stops = sender.publish('via_poses').poses
-
-    def visits_stops():
-        assert sender.call('new_route').success
-        path = sender.client.received['path'][-1]
-        places = [(each.pose.position.x, each.pose.position.y) for each in path.poses]
-        return all((stop.position.x, stop.position.y) in places for stop in stops)
-
-    wait_until(visits_stops, 'a path via the stops')
+def test_via_poses(client):
+    stops = send(client, 'via_poses').poses
+    places = {(stop.position.x, stop.position.y) for stop in stops}
+    departs(client, lambda path: places <= {(each.position.x, each.position.y) for each in path})
 
 
-def test_get_plan_moves_the_goal_out_of_the_block(sender):
+def test_get_plan_moves_the_goal_out_of_the_block(client):
     request = example('get_plan')
-    path = sender.call('get_plan').plan
+    path = client.call('get_plan', request).plan
     wanted, found = (pose_from_ros(stamped.pose) for stamped in (request.goal, path.poses[-1]))
     assert 0.0 < math.dist(wanted, found) <= request.tolerance
-    assert not sender.client.get_plan(request.start, request.goal, 0.0).poses
-    sender.client.diagnostics(code='GOAL_OCCUPIED')
+    assert not client.get_plan(request.start, request.goal, 0.0).poses
+    client.diagnostics(code='GOAL_OCCUPIED')

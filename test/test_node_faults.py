@@ -15,7 +15,6 @@ from test_node_process import client_in, exit_code, node_process
 from waiting import TIMEOUT, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
-from ambush_planner.recordings import read_recording
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
 
@@ -81,7 +80,7 @@ def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monk
         assert {heard for _, heard in steps} == {0}
         with pytest.raises(OSError, match='No space left'):
             (tmp_path / 'filler').write_bytes(bytes(4_000_000))
-        for _ in range(3):
+        for _ in range(2):
             refused = client.call('new_route')
             assert not refused.success and 'No space left on device' in refused.message
             assert not client.get_plan(START, GOAL).poses
@@ -93,7 +92,6 @@ def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monk
         assert len(files) == len(client.received['path']) == 2, 'refused departures leave no file'
         for path, said in zip(files, (answer, later), strict=True):
             assert Verifier().verify(path).holds
-            assert read_recording(path).entries['call']['response']['message'] == said.message
             reports = [each for topic, _, each in read_with_rosbags(path)
                        if topic == '/diagnostics']
             values = {pair.key: pair.value for pair in reports[0].status[0].values}
@@ -134,7 +132,7 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
             assert 'the disk does not respond' in report['message']
             # Nobody waits any more: this would not be answered in time.
             monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
-            for _ in range(20):
+            for _ in range(5):
                 departs(client)
         finally:
             monkeypatch.undo()
@@ -148,7 +146,7 @@ def test_all_departures_are_recorded_when_the_node_ends(tmp_path):
             'network.spacing:=1.0') as process, client_in(domain) as client:
         client.publish('alpha_map', risk_grid())
         client.diagnostics(message='waiting for start_pose, goal_pose')
-        for _ in range(60):
+        for _ in range(30):
             client.send('get_plan', GetPlan.Request(start=START, goal=GOAL))
         wait_until(lambda: len(client.received['path']) > 3, 'some departures')
         assert exit_code(process, signal.SIGINT) == 0

@@ -2,13 +2,10 @@
 
 import ast
 import re
-import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
-import zipfile
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -70,12 +67,6 @@ def dependencies(*kinds):
     return [element.text for kind in kinds for element in manifest().findall(kind)]
 
 
-def test_the_text_for_package_indexes_stands_alone():
-    text = setup_arguments()['long_description']
-    assert '](' not in text and 'ambush plan' in text
-    assert text.startswith('# ambush_planner\n') and text.count('**The guarantee.**') == 1
-
-
 def imported_packages(folder=NAME, walk=ast.walk):
     """Return the top-level names that sources import, without the standard library and ours."""
     ours = {NAME, *NOT_INSTALLED}
@@ -135,44 +126,6 @@ def test_all_imports_are_declared_for_pip():
     for name, extra in FROM_PIP.items():
         wanted = REQUIREMENTS.get(name, name)
         assert any(requirement.startswith(wanted) for requirement in extras[extra])
-
-
-def test_pip_install_leaves_nothing_in_the_checkout(tmp_path):
-    copy, wheels = tmp_path / 'checkout', tmp_path / 'wheels'
-    for path in tracked_files():
-        target = copy / path.relative_to(ROOT)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(path, target)
-    if not (find_spec('wheel') or find_spec('setuptools.command.bdist_wheel')):
-        pytest.skip('this setuptools needs the package wheel')
-    before = sorted(copy.rglob('*'))
-    built = subprocess.run(
-        [sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--no-build-isolation', '--no-index',
-         '-w', str(wheels), str(copy)],
-        capture_output=True, text=True, timeout=120, check=False)
-    assert built.returncode == 0, built.stdout + built.stderr
-    assert sorted(copy.rglob('*')) == before
-    (wheel,) = wheels.iterdir()
-    with zipfile.ZipFile(wheel) as archive:
-        names = archive.namelist()
-    installed = {name.split('/')[0] for name in names if '.dist-info' not in name}
-    assert installed == {NAME, f'{NAME}-{setup_arguments()["version"]}.data'}
-    for package in setup_arguments()['packages']:
-        assert f'{package.replace(".", "/")}/__init__.py' in names
-
-
-@pytest.mark.parametrize(('address', 'refused'), [('a@b.invalid', True), ('a@b.org', False)])
-def test_a_release_needs_a_maintainer_with_an_address(tmp_path, address, refused):
-    for name in ('package.xml', 'setup.py', 'CITATION.cff'):
-        (tmp_path / name).write_text(f'maintainer: {address}')
-    (tmp_path / 'Makefile').write_text((ROOT / 'Makefile').read_text())
-    (tmp_path / '.ci').mkdir()
-    (tmp_path / '.ci/package').write_text('#!/bin/sh\ntouch packaged')
-    (tmp_path / '.ci/package').chmod(0o755)
-    done = subprocess.run(['make', 'release'], cwd=tmp_path, capture_output=True, text=True,
-                          timeout=60, check=False)
-    assert ('name a maintainer' in done.stdout) == refused == bool(done.returncode), done.stderr
-    assert (tmp_path / 'packaged').exists() != refused
 
 
 def test_executables():

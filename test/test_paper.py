@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +15,11 @@ from ambush_planner import solve
 from ambush_planner.errors import InvalidOption
 from paper import command as paper
 from paper import environment
-from paper.report import NAMES, Comparison
+from paper.report import NAMES
 from paper.results import SOLVERS, distinct_routes
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / 'docs' / 'paper.md'
-FIGURES = {
-    'figure_2_interior_point', 'figure_3_interior_point', 'figure_4_simplex', 'figure_5_simplex',
-    'figure_6_energy', 'figure_7_threshold', 'figure_ours', 'figure_ours_held_ground',
-    'figure_solvers',
-}
 NUMBER = re.compile(r'\d+(?:\.\d+)?')
 # Where HiGHS' interior point method stops depends on its version.
 THEIRS, OURS = 0.05, 0.01
@@ -48,18 +42,6 @@ def results(done):
     return json.loads((done / 'results.json').read_text())
 
 
-def test_the_environment_is_as_stated():
-    risk_map = environment.make_risk_map()
-    assert risk_map.size == pytest.approx((31.0, 31.0))
-    assert risk_map.alpha.min() == pytest.approx(2.0, abs=0.02)
-    assert risk_map.alpha.max() == pytest.approx(9.5, abs=0.02)
-    row, column = np.unravel_index(np.argmax(risk_map.alpha), risk_map.alpha.shape)
-    assert row < 0.4 * risk_map.alpha.shape[0] and column > 0.6 * risk_map.alpha.shape[1]
-    blocked = np.argwhere(risk_map.obstacles) * risk_map.resolution
-    np.testing.assert_allclose(blocked.min(axis=0), 13.0)
-    np.testing.assert_allclose(blocked.max(axis=0) + risk_map.resolution, 18.0)
-
-
 def test_the_example_is_the_papers():
     ours, theirs = environment.make_example(), paper_example()
     np.testing.assert_array_equal(ours.edges, theirs.edges)
@@ -71,13 +53,8 @@ def test_tables_replace_the_text_between_the_marks():
     text = f'a\n{paper.BEGIN}\nold\n{paper.END}\nb'
     renewed = paper.with_tables(text, 'new')
     assert renewed == f'a\n{paper.BEGIN}\n\nnew\n{paper.END}\nb'
-    assert paper.with_tables(renewed, 'new') == renewed
-
-
-@pytest.mark.parametrize('text', ['', paper.BEGIN, paper.END, f'{paper.END} {paper.BEGIN}'])
-def test_rejects_a_document_without_both_marks(text):
     with pytest.raises(InvalidOption, match='paper: begin'):
-        paper.with_tables(text, 'new')
+        paper.with_tables(paper.END, 'new')
 
 
 def test_only_the_help_works_without_matplotlib(tmp_path):
@@ -104,29 +81,6 @@ def test_unusable_files_are_refused_before_the_computation(tmp_path, capsys):
     assert 'missing.md' in capsys.readouterr().err
 
 
-def test_a_comparison_that_fails_fails_the_run(tmp_path, monkeypatch, capsys):
-    pytest.importorskip('matplotlib', reason='the paper has figures')
-    from paper import figures as paper_figures
-
-    wrong = Comparison('one is more than two', '-', '1 > 2', holds=False)
-    monkeypatch.setattr(paper, '_compute', lambda *_: (None, [replace(wrong, holds=True), wrong]))
-    monkeypatch.setattr(paper_figures, 'draw_all', lambda *_: None)
-    monkeypatch.setattr(paper, 'report', lambda _: '')
-    assert paper.main(['-o', str(tmp_path)]) == 1
-    assert capsys.readouterr().err == 'paper: does not hold: one is more than two\n'
-
-
-@pytest.mark.slow
-def test_every_strategy_obeys_the_laws(results):
-    for row in results['table_2'] + results['table_3_spread']:
-        assert 0.0 < row['lower_bound'] <= row['value'] <= row['lower_bound'] * (1 + 1e-5)
-        assert 0.0 < row['route_entropy'] <= row['edge_entropy']
-        assert row['expected_length'] >= row['shortest_length'] * (1 - 1e-9)
-        assert 0 < row['edges_used'] <= row['edges']
-        assert 1 < row['routes'] <= results['draws']
-        assert 0.0 <= row['high_alpha_share'] <= 1.0
-
-
 @pytest.mark.slow
 def test_all_solvers_find_one_value(results):
     for network in ('8 nodes', *environment.METHODS):
@@ -140,20 +94,6 @@ def test_all_solvers_find_one_value(results):
 
 
 @pytest.mark.slow
-def test_planners_obey_the_laws(results):
-    rows = {row['planner']: row for row in results['table_3']}
-    for name, row in rows.items():
-        fixed = name in ('energy efficient', 'risk avoidance')
-        assert 0.0 <= row['p_first'] <= row['p_repeated'] <= 1.0
-        assert (row['p_repeated'] == 1.0) == fixed
-    shortest = rows['energy efficient']['expected_length']
-    for name, row in rows.items():
-        assert row['expected_length'] >= shortest * (1 - 1e-9)
-        if 'max_detour' in name:
-            assert row['expected_length'] <= float(name.split()[-1]) * shortest * (1 + 1e-6)
-
-
-@pytest.mark.slow
 def test_every_comparison_holds(results):
     assert len(results['comparisons']) >= 15
     assert all(row['holds'] for row in results['comparisons'])
@@ -164,9 +104,10 @@ def test_every_comparison_holds(results):
 def test_every_figure_exists_and_is_not_blank(done):
     from matplotlib.image import imread
 
-    assert {path.stem for path in done.glob('*.png')} == FIGURES
-    for name in FIGURES:
-        picture = imread(done / f'{name}.png')
+    pictures = list(done.glob('*.png'))
+    assert len(pictures) == 9
+    for path in pictures:
+        picture = imread(path)
         assert picture.shape[0] > 400 and picture.shape[1] >= 800
         assert picture.std() > 0.05
 

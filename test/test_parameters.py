@@ -1,7 +1,6 @@
 """Parameters: described, ranged, checked as a set, and set in any order."""
 
 import math
-import random
 
 import numpy as np
 import pytest
@@ -10,21 +9,16 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
-from scipy.ndimage import distance_transform_edt
-from test_config import flat
-from test_launch import NAV2
 from waiting import answer_of
 
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
-from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.node_parameters import parameters_from
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
-from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
@@ -69,62 +63,45 @@ def test_defaults_are_the_cores_own():
     assert parameters.seed == -1
 
 
-@pytest.mark.parametrize('name', PARAMETERS)
-def test_every_parameter_is_described_and_ranged(node, name):
-    descriptor = node.describe_parameter(name)
-    assert descriptor.description.endswith('.')
-    ranges = {
-        ParameterType.PARAMETER_DOUBLE: descriptor.floating_point_range,
-        ParameterType.PARAMETER_INTEGER: descriptor.integer_range,
-    }
-    if descriptor.type in ranges:
-        (within,) = ranges[descriptor.type]
-        assert within.from_value <= PARAMETERS[name].default <= within.to_value
+def test_every_parameter_is_described_and_ranged(node):
+    for name, declaration in PARAMETERS.items():
+        descriptor = node.describe_parameter(name)
+        assert descriptor.description.endswith('.')
+        for within in (*descriptor.floating_point_range, *descriptor.integer_range):
+            assert within.from_value <= declaration.default <= within.to_value
+        numeric = descriptor.type in (ParameterType.PARAMETER_DOUBLE,
+                                      ParameterType.PARAMETER_INTEGER)
+        assert numeric == bool(descriptor.floating_point_range or descriptor.integer_range)
 
 
 @pytest.mark.parametrize('values, words', [
-    ({'map__alpha_max': math.inf}, 'map.alpha_max must be finite'),
     ({'map__alpha_max': 1e10}, 'map.alpha_max must be 0 or in 1e-09..1e+09'),
     ({'map__obstacle_threshold': 102}, 'Max: 101'),
     ({'map__obstacle_threshold': 50.0}, 'Wrong parameter type'),
     ({'network__method': 'hexagons'}, 'network.method must be one of uniform_delaunay'),
-    ({'network__spacing': -1.0}, 'out of range'),
     ({'network__spacing': math.inf}, 'network.spacing must be finite'),
     ({'network__clearance': math.nan}, 'out of range'),
-    ({'route__tube': -0.5}, 'route.tube must be finite and >= 0 [m], got -0.5'),
-    ({'route__turning_radius': math.inf}, 'route.turning_radius must be finite'),
-    ({'strategy__solver': 'magic'}, 'strategy.solver must be one of max_entropy'),
-    ({'strategy__length_weight': 1.0}, 'strategy.length_weight must be in [0, 1)'),
-    ({'route__path_spacing': math.inf}, 'route.path_spacing must be finite'),
-    *(({name: value}, 'read-only: it is read at the start') for name, value in (
+    ({'route__tube': -0.5}, 'route.tube must be finite and >= 0'),
+    ({'route__tracking_error': 0.2, 'game__ambush_radius': 0.0}, 'game.ambush_radius must be'),
+    ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
+     'strategy.length_weight 0.01 needs the strategy.solver'),
+    *(({name: value}, 'read-only') for name, value in (
         ('seed', 7), ('path__publish', False), ('parameters__locked', True),
         ('recording__enabled', False), ('recording__directory', '/tmp'),
         ('recording__compression', 'lz4'), ('recording__required', True))),
-    ({'route__tracking_error': 0.2, 'game__ambush_radius': 0.0},
-     'route.tracking_error 0.2 is added to the reach of ambushes, so game.ambush_radius must be'),
-    ({'map__alpha_min': 20.0, 'map__alpha_max': 10.0},
-     '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
-    ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
-     'strategy.length_weight 0.01 needs the strategy.solver'),
-    ({'strategy__length_weight': 0.01, 'strategy__max_exposure': 2.0}, 'strategy.length_weight'),
 ])
 def test_bad_values_are_refused_with_the_reason(node, values, words):
     before = [node.get_parameter(name).value for name in PARAMETERS]
     answer = change(node, **values)
     assert not answer.successful
     assert words in answer.reason
-    name = next(iter(values))
-    # rclpy's own refusal of a wrong type names the types only.
-    assert name.replace('__', '.') in answer.reason or words == 'Wrong parameter type'
     assert [node.get_parameter(name).value for name in PARAMETERS] == before
 
 
 @pytest.mark.parametrize('values, words', [
     ({'map__alpha_min': 20.0}, 'alpha_min 20.0 and alpha_max 10.0'),
     ({'recording__directory': ' '}, 'recording.directory must not be empty'),
-    ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
-    ({'recording__required': True, 'recording__enabled': False},
-     'recording.required is true, but recording.enabled is false'),
+    ({'recording__required': True, 'recording__enabled': False}, 'recording.enabled is false'),
 ])
 def test_bad_values_stop_the_start_with_the_reason(values, words):
     with pytest.raises(InvalidOption, match=words):
@@ -175,50 +152,23 @@ def dump(node):
     return yaml.dump({node.get_fully_qualified_name(): {'ros__parameters': tree}})
 
 
-@pytest.mark.parametrize('order', ['alphabetical', 'random'])
-def test_a_dump_is_loaded_in_any_order(tmp_path, order):
+def test_a_dump_is_loaded_in_any_order(tmp_path):
     with stage(parameters=DUMPED) as first:
         (tmp_path / 'dump.yaml').write_text(dump(first.planner))
         expected = {name: first.planner.get_parameter(name).value for name in PARAMETERS}
     # What `ros2 param load` sends: this function reads the file, .inf as a text.
     loaded = parameter_dict_from_yaml_file(str(tmp_path / 'dump.yaml'))
     assert set(PARAMETERS) <= set(loaded)
-    names = sorted(loaded)
-    if order == 'random':
-        random.Random(order).shuffle(names)
     fixed = {name: value for name, value in DUMPED.items() if PARAMETERS[name].fixed}
-    with stage(parameters=fixed) as second:
-        answers = {
-            name: second.planner.set_parameters([Parameter.from_parameter_msg(loaded[name])])[0]
-            for name in names
-        }
-        assert not [(name, each.reason) for name, each in answers.items() if not each.successful]
-        found = {name: second.planner.get_parameter(name).value for name in PARAMETERS}
-        assert found == expected
-        second.client.diagnostics(message='waiting for alpha_map, start_pose, goal_pose')
-
-
-def costmap():
-    """Blocks on 20 m x 20 m, with the costs that Nav2's inflation layer puts around them."""
-    rng, blocks = np.random.default_rng(0), np.zeros((160, 160), bool)
-    for row, column, height, width in zip(*rng.integers(10, 140, (2, 25)),
-                                          *rng.integers(3, 14, (2, 25)), strict=True):
-        blocks[row:row + height, column:column + width] = 12 < column < 130
-    distance = 0.125 * distance_transform_edt(~blocks)
-    costs = 98 * np.exp(-3.0 * (distance - 0.3)) * (distance < 1.5)
-    return np.where(blocks, 100, np.where(distance <= 0.3, 99, costs)).astype(np.int8)
-
-
-def test_costs_of_a_costmap_taken_as_losses_make_a_convoy_easier_to_meet():
-    nav2 = flat(yaml.safe_load(NAV2.read_text())['/**']['ros__parameters'])
-    met, risk = (
-        plan_trip(risk_map_from_occupancy(costmap(), 0.125, (0.0, 0.0, 0.0), each.occupancy),
-                  (0.75, 10.0), (19.25, 10.0), each.planning).strategy
-        for each in (parameters_from({**DEFAULTS, **nav2, 'network.target_nodes': 400,
-                                      'map.preset': preset})
-                     for preset in ('costmap', 'costmap_risk')))
-    assert np.array_equal(met.network.edges, risk.network.edges)
-    assert worst_loss(met.game, risk.edge_probability) > 1.5 * met.value
+    for names in (sorted(loaded), sorted(loaded, reverse=True)):
+        with stage(parameters=fixed) as second:
+            answers = {name: second.planner.set_parameters(
+                [Parameter.from_parameter_msg(loaded[name])])[0] for name in names}
+            assert not [(name, each.reason) for name, each in answers.items()
+                        if not each.successful]
+            assert expected == {name: second.planner.get_parameter(name).value
+                                for name in PARAMETERS}
+            second.client.diagnostics(message='waiting for alpha_map, start_pose, goal_pose')
 
 
 def test_contradicting_parameters_are_reported_and_requests_refused():
@@ -228,13 +178,11 @@ def test_contradicting_parameters_are_reported_and_requests_refused():
         weight = Parameter('strategy.length_weight', value=0.5).to_parameter_msg()
         (answer,) = answer_of(service, SetParameters.Request(parameters=[weight])).results
         assert answer.successful
-        assert answer.reason.startswith('parameters contradict each other, and requests are ref')
+        assert 'contradict each other' in answer.reason
         found = client.diagnostics(code='NONE', level=b'\1')
         assert 'strategy.length_weight 0.5 needs the strategy.solver' in found['message']
-        for service in ('new_route', 'replan'):
-            answer = client.call(service)
-            assert not answer.success
-            assert 'parameters contradict each other: strategy.length_weight' in answer.message
+        answer = client.call('new_route')
+        assert not answer.success and 'contradict each other' in answer.message
         assert client.diagnostics(code='INVALID_OPTION')
         answer = change(running.planner, strategy__solver='simplex')
         assert answer.successful and answer.reason == ''

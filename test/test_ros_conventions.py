@@ -1,33 +1,16 @@
-"""What ROS users take for granted: names, remapping, QoS, simulated time, several nodes."""
+"""What ROS users take for granted: frames, remapping, simulated time, several nodes."""
 
 import math
-import re
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_harness import (
-    MARKER_TOPICS,
     free_domain,
-    header,
     pose,
     risk_grid,
     stage,
     wait_until,
 )
 from rosgraph_msgs.msg import Clock
-
-from ambush_planner.ros.conversions import pose_to_ros
-
-
-def test_initialpose_sets_the_start():
-    with stage() as running:
-        client = running.give()
-        estimate = PoseWithCovarianceStamped(header=header())
-        estimate.pose.pose = pose_to_ros(2.5, 1.5)
-        client.publish('initialpose', estimate)
-        client.call_until('new_route', lambda _: client.received['path'] and client.last(
-            'path').poses[0].pose.position == estimate.pose.pose.position)
 
 
 def test_rotated_map_in_its_own_frame():
@@ -40,14 +23,6 @@ def test_rotated_map_in_its_own_frame():
             pose(94.5, -48.5, frame='site'), pose(94.5, -41.5, frame='site'))
         assert path.header.frame_id == 'site'
         assert client.last('edge_probabilities').markers[0].header.frame_id == 'site'
-
-
-def test_a_namespace_moves_everything_but_the_diagnostics():
-    with stage(namespace='/convoy') as running:
-        message = running.give().call('new_route').message
-        assert re.fullmatch(r'departure 1 \(.{36}\) is published on /convoy/path', message)
-        assert running.client.received['/diagnostics'][-1].status[0].name == (
-            'convoy/ambush_planner')
 
 
 def test_topics_and_name_can_be_remapped():
@@ -63,27 +38,16 @@ def test_topics_and_name_can_be_remapped():
         assert client.received['/diagnostics'][-1].status[0].name == 'planner_7'
 
 
-def test_quality_of_service_is_as_the_interface_table_says():
-    with stage() as running:
-        planner = running.planner
-        for topic in ('path', *(f'ambush_planner/{each}' for each in MARKER_TOPICS)):
-            (info,) = planner.get_publishers_info_by_topic(topic)
-            assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL, topic
-            assert info.qos_profile.reliability == ReliabilityPolicy.RELIABLE, topic
-        (info,) = planner.get_subscriptions_info_by_topic('alpha_map')
-        assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        for topic in ('start_pose', 'goal_pose', 'initialpose'):
-            # Volatile, or RViz' tools would not match.
-            (info,) = planner.get_subscriptions_info_by_topic(topic)
-            assert info.qos_profile.durability == DurabilityPolicy.VOLATILE, topic
-
-
 def test_several_nodes_side_by_side_in_one_domain():
     with free_domain() as domain, stage(domain=domain, namespace='/north') as north, stage(
             domain=domain, namespace='/south') as south:
         for goal, running in ((2.5, north), (3.5, south)):
             running.give(goal=(8.5, goal))
-            running.client.call_until('new_route', lambda answer: answer.success)
+            answer = running.client.call_until('new_route', lambda answer: answer.success)
+            namespace = running.planner.get_namespace()
+            assert f'published on {namespace}/path' in answer.message
+            report = running.client.received['/diagnostics'][-1].status[0]
+            assert f'/{report.name}' == f'{namespace}/ambush_planner'
             assert running.client.last('path').poses[-1].pose.position.y == goal
             running.client.diagnostics(departures='1')
         assert len(north.client.received['path']) == len(south.client.received['path']) == 1

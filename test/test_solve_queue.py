@@ -1,4 +1,4 @@
-"""Solves in a real worker process: shared, queued, cancelled, timed out, killed."""
+"""Solves in a real worker process: queued behind others, overtaken, withdrawn, killed."""
 
 import os
 import signal
@@ -12,7 +12,6 @@ import pytest
 from handed_on import HandedOn, halt_workers, process_id
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.errors import GoalBlocked
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
@@ -20,7 +19,7 @@ from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected
+from ambush_planner.worker.solve_errors import SolveCancelled, Unexpected
 from ambush_planner.worker.solve_queue import SolveQueue
 
 
@@ -70,19 +69,7 @@ def test_the_worker_finds_the_same_plan_as_this_process(queue):
         np.testing.assert_array_equal(getattr(theirs.strategy, name), getattr(ours.strategy, name))
     np.testing.assert_array_equal(theirs.network.points, ours.network.points)
     assert theirs.strategy.value == ours.strategy.value
-    assert (theirs.spacing, theirs.goal_xy) == (ours.spacing, ours.goal_xy)
     assert not theirs.strategy.edge_probability.flags.writeable, 'arrays stay read-only'
-    np.testing.assert_array_equal(
-        theirs.strategy.sample_route(np.random.default_rng(5)),
-        ours.strategy.sample_route(np.random.default_rng(5)))
-
-
-def test_the_planners_errors_reach_the_caller(queue):
-    values = np.zeros((20, 20), dtype=np.int8)
-    values[10, 18] = 100
-    with pytest.raises(GoalBlocked, match=r'goal \(18.500, 10.500\) lies in an obstacle'):
-        submit(queue, 'key', request(values=values)).result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT), 'the same worker continues'
 
 
 def test_an_internal_error_has_frames_but_no_values(queue):
@@ -92,32 +79,6 @@ def test_an_internal_error_has_frames_but_no_values(queue):
     assert str(caught.value).startswith('internal error (')
     assert 'plan_from_request' in caught.value.frames
     assert 'nowhere' not in str(caught.value) + caught.value.frames
-
-
-def test_equal_solves_are_shared_and_others_wait(queue):
-    first = submit(queue, 'slow', slow_request())
-    assert submit(queue, 'slow', slow_request()) is first
-    other = submit(queue, 'other', request())
-    assert submit(queue, 'other', request()) is other
-    begun(queue)
-    assert submit(queue, 'slow', slow_request()) is first, 'also while it runs'
-    assert not other.done()
-    assert queue.cancel() == 2
-    for each in (first, other):
-        with pytest.raises(SolveCancelled):
-            each.result(TIMEOUT)
-
-
-def test_a_full_queue_refuses_at_once_with_the_reason(queue):
-    submit(queue, 'slow', slow_request())
-    begun(queue)
-    waiting = [submit(queue, k, request(), size=2) for k in range(2)]
-    with pytest.raises(QueueFull, match=r'is running \(for [\d.]+ s\) and 2 others are waiting'):
-        submit(queue, 'third', request(), size=2)
-    assert submit(queue, 1, request(), size=2) is waiting[1], 'a shared solve does not count'
-    later = submit(queue, 'third', request(), size=3)
-    assert queue.cancel() == 4
-    assert later.exception(TIMEOUT)
 
 
 def test_background_solves_run_last(queue):
@@ -143,23 +104,9 @@ def test_a_request_overtakes_a_running_background_solve(queue):
     assert submit(queue, 'asked', request()).result(TIMEOUT), 'long before the other one'
     assert not background.done() and queue.busy, 'it has begun again'
     begun(queue)
-    newer = submit(queue, 'newer', slow_request(), background=True)
-    assert submit(queue, 'asked', request()).result(TIMEOUT)
-    with pytest.raises(SolveCancelled, match='a newer map'):
-        background.result(TIMEOUT)
-    begun(queue)
-    asked = submit(queue, 'newer', slow_request())
-    assert asked is newer, 'a request for the same plan shares it'
-    later = submit(queue, 'later', request())
-    assert queue.cancel() == 2 and later.exception(TIMEOUT) and newer.exception(TIMEOUT)
-
-
-def test_a_request_that_shares_a_waiting_background_solve_overtakes_the_running_one(queue):
-    background = submit(queue, 'background', slow_request(), background=True)
-    begun(queue)
     newer = submit(queue, 'newer', request(), background=True)
     asked = submit(queue, 'newer', request())
-    assert asked is newer and asked.result(TIMEOUT), 'long before the other one'
+    assert asked is newer and asked.result(TIMEOUT), 'a request for the same plan shares it'
     with pytest.raises(SolveCancelled, match='a newer map'):
         background.result(TIMEOUT)
 
@@ -186,21 +133,6 @@ def test_an_idle_worker_that_dies_is_replaced_before_the_next_solve(queue):
     wait_until(lambda: not used.alive, 'the end of the worker')
     assert submit(queue, 'next', request()).result(TIMEOUT)
     assert queue._worker is not used
-
-
-def test_close_ends_everything_at_once():
-    queue = SolveQueue()
-    running, waiting = submit(queue, 'slow', slow_request()), submit(queue, 'key', request())
-    begun(queue)
-    worker = Path(f'/proc/{process_id(queue._worker)}')
-    assert worker.exists()
-    queue.close()
-    for future in (running, waiting):
-        with pytest.raises(SolveCancelled, match='shutting down'):
-            future.result(0)
-    assert not worker.exists()
-    with pytest.raises(SolveCancelled, match='shutting down'):
-        submit(queue, 'key', request())
 
 
 ORPHAN = """

@@ -8,8 +8,7 @@ from ambush_planner import GameOptions, StrategyOptions, solve
 from ambush_planner.recordings.strategy_file import NUMBERS, strategy_file, strategy_from_file
 
 
-@pytest.mark.parametrize('solver', ['max_entropy', 'interior_point', 'simplex'])
-@pytest.mark.parametrize('radius', [0.0, 1.0])
+@pytest.mark.parametrize(('solver', 'radius'), [('max_entropy', 1.0), ('simplex', 0.0)])
 def test_a_strategy_comes_back_whole(solver, radius):
     network = terrain_network(3)
     theirs = solve(network, GameOptions(radius), StrategyOptions(solver))

@@ -1,21 +1,18 @@
 """Poses in other frames: transforms that travel over DDS, and clear errors without them."""
 
 import math
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 
 import interfaces
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point
-from nav_msgs.srv import GetPlan
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from robots import ROBOT, Robot, quaternion, transform
+from robots import ROBOT, Robot, transform
 from ros_harness import free_domain, pose, risk_grid, ros_context, spinning, stage
 from rosgraph_msgs.msg import Clock
-from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
@@ -36,12 +33,6 @@ def node_in(domain, name, **arguments):
         node = Node(name, context=context, **arguments)
         with spinning(node, MultiThreadedExecutor(2, context=context)):
             yield node
-
-
-@pytest.fixture
-def node():
-    with free_domain() as domain, node_in(domain, 'planner') as node:
-        yield node
 
 
 class Tf:
@@ -88,49 +79,22 @@ def running_tf(**arguments):
         yield stack.enter_context(closing(Tf(listener, sender)))
 
 
-@pytest.fixture
+@pytest.fixture(scope='module')
 def tf():
     with running_tf() as tf:
         yield tf
 
 
-def position(given):
-    p = given.pose.position
-    return np.array((p.x, p.y, p.z))
-
-
-def test_a_pose_in_the_maps_frame_is_unchanged_and_one_without_a_frame_refused(node):
-    given = pose(1.0, 2.0)
-    with closing(FrameTransforms(node)) as frames:
-        assert frames.to_frame(given, 'start', 'map', math.inf) is given
-        for frame in ('map', ''):
-            with pytest.raises(FrameMismatch, match='goal .*header.frame_id is empty'):
-                frames.to_frame(pose(1.0, 2.0, frame=''), 'goal', frame, math.inf)
-
-
-def test_a_pose_in_space_is_turned_and_moved(tf):
-    turn, ahead = Rotation.from_euler('xyz', (0.9, 0.2, -1.3)), np.array((2.0, -0.5, 1.0))
-    there = pose(3.0, 4.0, frame='arm')
-    there.pose.orientation = quaternion(turn)
-    beyond = pose(0.0, 0.0, frame='arm')
-    beyond.pose.position = Point(
-        **dict(zip('xyz', position(there) + turn.apply(ahead), strict=True)))
-    tf.fix(transform('map', 'arm', 1.0, -2.0, 3.0, turn=(0.4, -0.7, 2.1)))
-    wait_until(lambda: tf.position(there), 'the transform')
-    there, beyond = (tf.frames.to_frame(each, 'goal', 'map', math.inf) for each in (there, beyond))
-    assert there.header.frame_id == 'map'
-    q = there.pose.orientation
-    turned = Rotation.from_quat((q.x, q.y, q.z, q.w)).inv()
-    assert turned.apply(position(beyond) - position(there)) == pytest.approx(ahead)
-
-
 def test_unknown_frames_and_invalid_orientations_are_errors(tf):
+    given = pose(1.0, 2.0)
+    assert tf.frames.to_frame(given, 'start', 'map', math.inf) is given
+    for frame, words in (('', 'goal .*header.frame_id is empty'), ('moon', 'does not exist')):
+        with pytest.raises(FrameMismatch, match=words):
+            tf.frames.to_frame(pose(1.0, 2.0, frame=frame), 'goal', 'map', math.inf)
     tf.fix(transform('map', 'odom'))
     given = pose(1.0, 2.0, frame='odom')
     tf.wait_for(given, (1.0, 2.0))
-    with pytest.raises(FrameMismatch, match='on /tf: .*does not exist'):
-        tf.frames.to_frame(pose(1.0, 2.0, frame='base_link'), 'start', 'map', math.inf)
-    for number in (math.nan, math.inf, 0.0, 2.0):
+    for number in (math.nan, 2.0):
         given.pose.orientation.w = number
         with pytest.raises(InvalidPose, match='goal: orientation'):
             tf.frames.to_frame(given, 'goal', 'map', math.inf)
@@ -138,10 +102,10 @@ def test_unknown_frames_and_invalid_orientations_are_errors(tf):
 
 def test_invalid_transforms_and_unreadable_bytes_are_survived(tf):
     wait_until(tf.moving.get_subscription_count, 'a listener to /tf')
-    for data in (b'', b'\0\1\0\0', b'\0\1\0\0\5\0\0\0', b'\0\7\0\0' + bytes(40)):
+    for data in (b'', b'\0\1\0\0\5\0\0\0', b'\0\7\0\0' + bytes(40)):
         tf.moving.publish(data)
-    tf.send(transform('map', 'odom', math.nan), transform('map', 'odom', 3.0))
-    tf.wait_for(pose(1.0, 0.0, frame='odom'), (4.0, 0.0))
+    tf.send(transform('map', 'cart', math.nan), transform('map', 'cart', 3.0))
+    tf.wait_for(pose(1.0, 0.0, frame='cart'), (4.0, 0.0))
 
 
 def test_a_simulation_that_restarts_clears_the_buffer():
@@ -157,39 +121,26 @@ def test_a_simulation_that_restarts_clears_the_buffer():
             tf.wait_for(pose(0.0, 0.0, frame='base_link'), (x, 0.0))
 
 
-def test_a_moving_transform_that_is_too_old_is_an_error_with_its_age(tf):
+def test_a_moving_transform_far_from_now_is_an_error_with_its_age(tf):
+    """Localisation post-dates map -> odom by about a second, which is fine."""
     now = tf.listener.get_clock().now().nanoseconds // 10**9
-    tf.send(transform('map', 'base_link', 3.0, sec=now - 100))
     given = pose(0.0, 0.0, frame='base_link')
-    tf.wait_for(given, (3.0, 0.0))
-    with pytest.raises(FrameMismatch, match=r'is 10\d s old, more than transform.max_age, 2 s'):
-        tf.frames.to_frame(given, 'start', 'map', 2.0)
+    for x, ahead, words in ((3.0, -100, r'is 10\d s old, more than transform.max_age, 2 s'),
+                            (1.0, 2, ''), (2.0, 100, r'stamped (100|9\d\.?\d?) s ahead of now')):
+        tf.send(transform('map', 'base_link', x, sec=now + ahead))
+        tf.wait_for(given, (x, 0.0))
+        with pytest.raises(FrameMismatch, match=words) if words else nullcontext():
+            tf.frames.to_frame(given, 'start', 'map', 2.0)
     tf.fix(transform('map', 'depot', 1.0, sec=1))
     tf.wait_for(pose(0.0, 0.0, frame='depot'), (1.0, 0.0))
     tf.frames.to_frame(pose(0.0, 0.0, frame='depot'), 'start', 'map', 2.0)
 
 
-def test_a_moving_transform_from_the_future_is_an_error_beyond_the_maximum_age(tf):
-    """Localisation post-dates map -> odom by about a second, which is fine."""
-    now = tf.listener.get_clock().now().nanoseconds // 10**9
-    given = pose(0.0, 0.0, frame='base_link')
-    tf.send(transform('map', 'base_link', 1.0, sec=now + 2))
-    tf.wait_for(given, (1.0, 0.0))
-    tf.frames.to_frame(given, 'start', 'map', 2.0)
-    tf.send(transform('map', 'base_link', 2.0, sec=now + 100))
-    tf.wait_for(given, (2.0, 0.0))
-    with pytest.raises(FrameMismatch, match=r'stamped (100|9\d\.?\d?) s ahead of now, more'):
-        tf.frames.to_frame(given, 'start', 'map', 2.0)
-
-
-@pytest.mark.parametrize('start', [None, 'base_link', ''], ids=['none', 'in its frame', 'empty'])
-def test_a_departure_starts_where_the_robot_is_now(start):
+def test_a_departure_starts_where_the_robot_is_now():
     with stage(parameters=ROBOT) as running:
         client = running.client
         robot = Robot(running)
         client.publish('alpha_map', risk_grid())
-        if start is not None:
-            client.publish('start_pose', pose(0.0, 0.0, frame=start))
         client.publish('goal_pose', pose(8.5, 5.5))
         client.diagnostics(state='ready', level=b'\0')
         assert 'base_link' in client.call('new_route').message
@@ -200,12 +151,13 @@ def test_a_departure_starts_where_the_robot_is_now(start):
             paths = client.received['path']
             return paths and path_from_ros(paths[-1])[0, :2] == pytest.approx((x, 5.5))
 
-        for x in (1.5, 2.5):
+        for x, start in ((1.5, None), (2.5, 'base_link'), (3.5, '')):
+            if start is not None:
+                client.publish('start_pose', pose(0.0, 0.0, frame=start))
             robot.is_at(x, 5.5)
             wait_until(lambda x=x: departs_at(x), f'a departure at {x}')
-        request = GetPlan.Request(start=pose(0.0, 0.0, frame=''), goal=pose(8.5, 5.5))
-        path = client.call('get_plan', request).plan
-        assert path_from_ros(path)[0, :2] == pytest.approx((2.5, 5.5))
+        path = client.get_plan(pose(0.0, 0.0, frame=''), pose(8.5, 5.5))
+        assert path_from_ros(path)[0, :2] == pytest.approx((3.5, 5.5))
 
 
 def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):

