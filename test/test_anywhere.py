@@ -173,3 +173,12 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
             assert assessment.value <= max(plan.strategy.value, 1.1 * widened)
             raised += assessment.value > plan.strategy.value
     assert raised > 0
+
+
+def test_a_flow_whose_chain_costs_too_much_is_led_within_the_slack():
+    """Cells as large as the reach: no law near the program's flow was within its limits."""
+    alpha = np.random.default_rng(1).uniform(1.0, 5.0, (20, 30))
+    options = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=2.0))
+    ground = RiskMap(alpha, np.zeros((20, 30), bool), 2.0)
+    found = plan_trip(ground, (4.0, 20.0), (56.0, 20.0), options)
+    assert found.value <= found.lower_bound * 1.0101

@@ -79,7 +79,8 @@ def test_options_have_the_names_of_parameters():
     assert options.map.alpha_max == 5.0 and options.strategy.max_detour == np.inf
     assert options.network == NetworkOptions('uniform_grid8', 10.0, target_nodes=99)
     for assignment, reason in (('network.spacing', 'network.spacing=VALUE'),
-                               ('spacing=3', 'did you mean'), ('network.target_nodes=2.5', 'of type int'),
+                               ('spacing=3', 'did you mean'),
+                               ('network.target_nodes=2.5', 'of type int'),
                                ('strategy.max_detour=0.5', 'max_detour')):
         with pytest.raises(InvalidOption, match=reason):
             options_of([assignment])

@@ -10,7 +10,7 @@ are exact for every chain, and one round does it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
@@ -33,8 +33,8 @@ OVERSHOOT, PROMISE = 3.0, 0.1
 # Of a reserve: the share kept in the next round, its largest share of a limit, and the share kept
 # if the limits are infeasible with it.
 KEPT_RESERVE, MOST_RESERVE, LESS_RESERVE = 0.5, 0.1, 0.3
-# Most rounds.
-ROUNDS = 12
+# Shares of what p costs too much that limits may leave if those without are infeasible.
+RELAXED = (0.5, 0.75, 0.9)
 # Largest number of doublings of the first multipliers.
 DOUBLINGS = 12
 
@@ -134,19 +134,17 @@ class Law:
             self._reserve[near] = np.maximum(KEPT_RESERVE * self._reserve[near], excess)
         sites = np.append(near, np.setdiff1d(self._could, near))
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
-        for kept in (1.0, LESS_RESERVE, 0.0):
-            reserve = np.minimum(kept * self._reserve[sites], MOST_RESERVE * aim[sites])
-            most = aim[sites] - reserve
+        for kept, most in self._limits(sites, aim[sites]):
             limits = csr_matrix(vstack((diags(1.0 / most) @ rows, self._excess)))
             start = self._start(limits, sites, q, prices, bound)
             found = maximize_entropy(self.network, limits, start, self._tolerance,
                                      self.deadline, len(sites))
             self.evaluations += found.evaluations
-            if not found.infeasible or not reserve.any():
+            if not found.infeasible:
+                self._reserve *= kept
                 break
         if found.infeasible or not len(found.p):
             return False
-        self._reserve *= kept
         self.multipliers[:], self.prices = 0.0, found.multipliers[len(sites) :]
         self.multipliers[sites] = found.multipliers[: len(sites)]
         whole = np.append(self.level[sites] * (1.0 + self.slack) / self._loss[sites] / most,
@@ -157,6 +155,20 @@ class Law:
         self._claimed[sites] = rows @ self.chain.p
         self.rounds += 1
         return True
+
+    def _limits(self, sites: IndexArray, aim: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+        """Limits (K,) of the hits to try in turn, and the share of the reserve that each keeps.
+
+        If p costs too much, the last ones do not ask for all of the way to the aim at once: the
+        rows are exact only at p.
+        """
+        reserve = self._reserve[sites]
+        for kept in (1.0, LESS_RESERVE) if reserve.any() else ():
+            yield kept, aim - np.minimum(kept * reserve, MOST_RESERVE * aim)
+        yield 0.0, aim
+        over = self.value / self.limit - 1.0 if self.limit else 0.0
+        for share in RELAXED if over > 0.0 else ():
+            yield 0.0, aim * (1.0 + share * over)
 
     def _start(self, limits: csr_matrix, sites: IndexArray, q: FloatArray, prices: FloatArray,
                bound: float) -> FloatArray:
