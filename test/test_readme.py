@@ -14,27 +14,34 @@ from test_tutorial import SECONDS, run_in_shell
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / 'README.md').read_text()
-BLOCKS = re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', TEXT)
-COMMANDS, PYTHON, _, ROS = (text for _, text in BLOCKS)
+COMMANDS, PYTHON = (re.search(rf'(?ms)^```{kind}\n(.*?)^```$', TEXT)[1]
+                    for kind in ('sh', 'python'))
+ROS = re.search(r'(?ms)^```sh\n(.*?)^```$', (ROOT / 'docs/ros_interface.md').read_text())[1]
 
 
 def test_it_is_short():
-    assert len(TEXT.splitlines()) <= 90
+    assert len(TEXT.splitlines()) <= 80
+
+
+def named_value():
+    return float(re.search(r'(?m)^value +([\d.]+):', TEXT)[1])
 
 
 @pytest.mark.slow
 def test_the_commands_and_the_python_plan_with_the_values_that_are_named(tmp_path):
     (tmp_path / 'docs').symlink_to(ROOT / 'docs')
-    *_, plan = COMMANDS.splitlines()  # after `make demo` and `make test`
-    programs = (plan.replace('.venv/bin', str(Path(sys.executable).parent)).split(),
+    _, plan, few = COMMANDS.splitlines()  # after the installation
+    ambush = [sys.executable, '-m', 'ambush_planner.commands.cli']
+    programs = ([*ambush, *plan.split()[1:]], [*ambush, *few.split()[1:]],
                 [sys.executable, '-c', PYTHON])
-    planned, printed = (subprocess.run(program, cwd=tmp_path, capture_output=True, text=True,
-                                       check=True, timeout=240).stdout for program in programs)
-    assert (tmp_path / 'routes.png').stat().st_size > 50_000
-    value, known = re.search(r'mean loss of\s(\S+); .*?, (\d\.\d)', TEXT).groups()
-    found = re.search(r'(?m)^value +([\d.]+):', planned)[1], printed.split()[0]
-    assert [float(each) for each in found] == pytest.approx([float(value)] * 2, abs=0.005)
-    assert f'would cost {known} once' in planned
+    planned, _, printed = (subprocess.run(program, cwd=tmp_path, capture_output=True, text=True,
+                                          check=True, timeout=240).stdout for program in programs)
+    assert (tmp_path / 'out/routes.png').stat().st_size > 50_000
+    assert (tmp_path / 'out/six.json').stat().st_mode & 0o777 == 0o600
+    for pattern in (r'(?m)^value +([\d.]+):', r'would cost ([\d.]+) once'):
+        named, found = (float(re.search(pattern, text)[1]) for text in (TEXT, planned))
+        assert named == pytest.approx(found, abs=0.02)
+    assert float(printed.split()[0]) == pytest.approx(named_value(), abs=0.005)
 
 
 @pytest.mark.slow
