@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
@@ -40,6 +41,18 @@ class PathMixture:
     shares: FloatArray
     value: float
     worst_xy: FloatArray
+
+
+class LeastValue(NamedTuple):
+    """The least value of a mixture of paths, and its shares (K,): a vertex, so mostly 0.
+
+    ``q`` (S,) is the ambusher's best mixture, ``prices`` (B,) what the budgets cost him.
+    """
+
+    value: float
+    shares: FloatArray
+    q: FloatArray
+    prices: FloatArray
 
 
 class PathMixtures:
@@ -86,26 +99,21 @@ class PathMixtures:
 
         Raises BudgetInfeasible if every path costs more.
         """
-        count = self._met.shape[1]
-        costs = np.zeros(count) if costs is None else costs
+        costs = np.zeros(self._met.shape[1]) if costs is None else costs
         if not costs.min() <= budget:
             raise BudgetInfeasible(f'the shortest path takes {costs.min():.6g}, more than the '
                                    f'budget of {budget:.6g}; raise max_detour')
-        limited = np.isfinite(budget)
-        limit = csr_matrix(np.append(costs, 0.0)[None, :] / (budget or 1.0))[: int(limited)]
-        total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
+        limits = (costs[None, :] / (budget or 1.0))[: int(np.isfinite(budget))]
         while True:
-            unit = float(self._loss.max(initial=0.0)) or 1.0
-            hit = self._met.multiply(self._loss[:, None] / unit)
-            rows = vstack((hstack((hit, np.full((len(self._loss), 1), -1.0))), limit))
-            bounds = np.append(np.zeros(len(self._loss)), np.ones(int(limited)))
-            program = highs.Program(np.append(np.zeros(count), 1.0), csr_matrix(rows), bounds,
-                                    total, np.ones(1))
-            solved = highs.run(program, 'simplex', math.inf)
-            shares = np.maximum(solved.x[:count], 0.0)
-            mixture = self.judged(shares / shares.sum())
-            if mixture.value <= solved.fun * unit * (1.0 + MAX_GAP):
+            solved = least_value(self.losses, limits)
+            mixture = self.judged(solved.shares)
+            if mixture.value <= solved.value * (1.0 + MAX_GAP):
                 return mixture
+
+    @property
+    def losses(self) -> csr_matrix:
+        """What each path costs (S, K) at each of the sites so far, which include the worst."""
+        return self._met.multiply(self._loss[:, None]).tocsr()
 
     def _add_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> None:
         met = csr_matrix(entering @ self._uses)
@@ -113,6 +121,27 @@ class PathMixtures:
         self._points = np.concatenate((self._points, points))
         self._loss = np.append(self._loss, loss)
         self._met = csr_matrix(vstack((self._met, met)))
+
+
+def least_value(losses: csr_matrix, costs: FloatArray) -> LeastValue:
+    """The linear program over shares of paths that cause ``losses`` (S, K) at sites.
+
+    The mean of each row of ``costs`` (B, K) is at most 1. The value is inf if no shares are.
+    """
+    count = losses.shape[1]
+    unit = float(losses.max()) if losses.nnz else 1.0
+    sites = hstack((losses / unit, np.full((losses.shape[0], 1), -1.0)))
+    rows = csr_matrix(vstack((sites, np.pad(costs, ((0, 0), (0, 1))))))
+    bounds = np.repeat([0.0, 1.0], [losses.shape[0], len(costs)])
+    total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
+    program = highs.Program(np.append(np.zeros(count), 1.0), rows, bounds, total, np.ones(1))
+    solved = highs.run(program, 'simplex', math.inf)
+    if solved.x is None:
+        return LeastValue(math.inf, np.zeros(count), bounds[: losses.shape[0]], np.ones(len(costs)))
+    shares = np.maximum(solved.x[:count], 0.0)
+    duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
+    return LeastValue(solved.fun * unit, shares / shares.sum(), duals[: losses.shape[0]],
+                      duals[losses.shape[0] :] * unit)
 
 
 def _side_by_side(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:
