@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix, hstack, vstack
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import BudgetInfeasible, InvalidOption
-from ..game.game import make_game
+from ..game.game import GameOptions, make_game
 from ..game.law.chain import chain_of
 from ..game.value import highs
 from ..maps.risk_map import RiskMap
@@ -68,12 +68,7 @@ class PathMixtures:
     def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray]) -> None:
         solved = plan.strategy.game
         options = solved.options
-        if options.ambush_radius == 0.0:
-            raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by '
-                                'what an ambush reaches')
-        if options.ambushers > 1:
-            raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, '
-                                f'got {options.ambushers}')
+        check_judged(options)
         self._network, self._uses = _side_by_side(plan, paths)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error, secured_radius=options.held_radius))
@@ -121,6 +116,16 @@ class PathMixtures:
         self._points = np.concatenate((self._points, points))
         self._loss = np.append(self._loss, loss)
         self._met = csr_matrix(vstack((self._met, met)))
+
+
+def check_judged(options: GameOptions) -> None:
+    """Raise InvalidOption if paths cannot be judged in a game."""
+    if options.ambush_radius == 0.0:
+        raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by what '
+                            'an ambush reaches')
+    if options.ambushers > 1:
+        raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, got '
+                            f'{options.ambushers}')
 
 
 def least_value(losses: csr_matrix, costs: FloatArray) -> LeastValue:

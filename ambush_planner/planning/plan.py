@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,9 @@ from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
 from .solving import WarmStart
+
+if TYPE_CHECKING:
+    from .few_routes import FewRoutes
 
 # Number of routes drawn to count the different paths.
 DRAWN = 1000
@@ -69,7 +72,8 @@ class Plan(Shown):
     ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
     distance of the network's nodes, at least the map's resolution [m]. ``different_paths`` counts
     those of ``DRAWN`` routes; None: the time limit had passed. ``seconds`` is the planning time.
-    ``risk_map`` is the map if the plan was made in this process, else None.
+    ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
+    of few routes that departures draw from, None if they draw from the strategy.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
     'best' or 'heuristic'.
     """
@@ -85,6 +89,7 @@ class Plan(Shown):
     order: tuple[int, ...] = ()
     order_found: str = 'given'
     risk_map: RiskMap | None = None
+    few: FewRoutes | None = None
 
     def _summary(self) -> dict[str, str]:
         return {**self.strategy._summary(), 'node spacing': f'{self.spacing:g} m',
@@ -103,7 +108,10 @@ class Plan(Shown):
 
     def paths(self, n: int, rng: np.random.Generator | None = None) -> list[FloatArray]:
         """Draw ``n`` routes and return their paths (L, 3) = (x, y, yaw), one pose per spacing."""
-        return departure_paths(self, n, self.spacing, rng or np.random.default_rng())
+        rng = rng or np.random.default_rng()
+        if self.few is not None:
+            return self.few.drawn(n, rng)
+        return departure_paths(self, n, self.spacing, rng)
 
     def routes(self, n: int, rng: np.random.Generator | None = None) -> Any:
         """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.

@@ -29,7 +29,9 @@ from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from ..network.trip_graph import TripGraph
 from .concerns import wide_gap
+from .few_routes import few_routes
 from .options import PlanningOptions, solved_game
+from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
 
@@ -44,7 +46,8 @@ Position = tuple[float, float]
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
-              order: str = 'given', warm: WarmStart | None = None) -> Plan:
+              order: str = 'given', warm: WarmStart | None = None, routes: int | None = None,
+              equal: bool = False) -> Plan:
     """Plan a trip from start to goal through stops, all world positions [m].
 
     One strategy covers all legs; value, certificate and ``max_detour`` are those of the whole trip.
@@ -58,13 +61,20 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     ``Plan.order`` has the indices of the stops as they are visited. A ``warm`` start is used for
     the given order only.
 
+    With ``routes``, departures draw from the best mixture found of at most that many routes, or of
+    as many with ``equal`` shares: ``Plan.few``, see ``few_routes``.
+
     A gap of value and lower bound beyond the risk slack is warned of, with its reason.
 
     Raises InvalidOption for any other order, StopBlocked for a stop off the map or within the
-    clearance of an obstacle, and the errors of ``build_network`` and ``solve``.
+    clearance of an obstacle, and the errors of ``build_network``, ``solve`` and ``few_routes``.
     """
-    made = _plan_trip(risk_map, start_xy, goal_xy, options or PlanningOptions(), list(stops), order,
-                      warm)
+    options = options or PlanningOptions()
+    if routes is not None:
+        check_judged(options.game)
+    made = _plan_trip(risk_map, start_xy, goal_xy, options, list(stops), order, warm)
+    if routes is not None:
+        made = replace(made, few=few_routes(made, routes, equal))
     if text := wide_gap(made):
         warnings.warn(text, stacklevel=2)
     return made
