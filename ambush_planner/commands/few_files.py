@@ -64,10 +64,10 @@ class FewContents:
         """An overview with the curve of values, and up to six panels of a route each."""
         panels = len(self.few.paths) if len(self.few.paths) <= MAX_PANELS else 0
         rows = -(-panels // 3)
-        figure = Figure(figsize=(WIDTH, 4.4 + 2.3 * rows), layout='constrained')
-        top, below = (figure.subfigures(2, 1, height_ratios=(4.4, 2.3 * rows)) if rows
+        figure = Figure(figsize=(WIDTH, 4.8 + 2.3 * rows), layout='constrained')
+        top, below = (figure.subfigures(2, 1, height_ratios=(4.8, 2.3 * rows)) if rows
                       else (figure.subfigures(), None))
-        grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.6, 1.0))
+        grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
         overview = top.add_subplot(grid[:, 0])
         risk_bar(figure if below is None else top, self._ground(overview, self._title), overview,
                  location='bottom', shrink=0.6, aspect=30)
@@ -104,9 +104,9 @@ class FewContents:
         others = others or [path[[0, -1]]]
         away, _ = cKDTree(np.concatenate(others)).query(path)
         axes.annotate(str(k + 1), path[away.argmax()], ha='center', va='center', fontsize=9,
-                      color='white', weight='bold', zorder=8, bbox={
-                          'boxstyle': 'circle,pad=0.25', 'facecolor': self._style(k)['color'],
-                          'edgecolor': 'white', 'linewidth': 0.8})
+                      weight='bold', zorder=8, bbox={
+                          'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
+                          'edgecolor': self._style(k)['color'], 'linewidth': 1.8})
 
     def _key(self, axes: Axes) -> None:
         lines = [Line2D([], [], **self._style(k), label=name.removeprefix('Route '))
@@ -150,7 +150,7 @@ def tell_few(contents: FewContents, console: Console) -> None:
     draws = random_draws(plan)
     tube = plan.strategy.game.options.tube
     price = few.value / few.lower_bound if few.lower_bound > 0.0 else 1.0
-    below = (f'; it may be below, because the bound lets convoys stray {tube:.2g} m from their '
+    below = (f'; it may be below, because the bound lets convoys stray {tube:.3g} m from their '
              'routes, and these are fixed') * (price < 1.0)
     console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.3g} times '
                  f'the lower bound{below}')

@@ -30,11 +30,12 @@ MAX_ROUTES = 100
 # Numbers of routes whose values make the curve.
 CURVE = (1, 2, 4, 6, 10, 20)
 # Drawn routes that are driven, to choose from.
-CANDIDATES = 250
-# Smallest share of a route, and smallest gain of an exchange, as a share of the value.
-LEAST_SHARE, LEAST_GAIN = 1e-9, 1e-3
+CANDIDATES = 150
+# Smallest share of a route; smallest gain of an exchange, and largest excess of the value on the
+# map over that at known sites, as shares of the value.
+LEAST_SHARE, LEAST_GAIN, MAX_EXCESS = 1e-9, 2e-3, 5e-3
 # In each exchange: routes that are tried in addition, and those tried to be left out for them.
-JOIN, LEAVE = 8, 3
+JOIN, LEAVE = 4, 3
 # Sites with which a linear program begins, those that join at once, and its relative precision.
 FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
 # Most rounds of exchanges and judgements on the map.
@@ -182,7 +183,7 @@ class _Search:
         everything = np.arange(self._count)
         self._settled(everything, self._solved)
         every = self._solved(everything)
-        self._enough = every.value * (1.0 + LEAST_GAIN)
+        self._enough = every.value * (1.0 + MAX_EXCESS)
         nested = self._nested(self._solved(every.columns[every.shares > LEAST_SHARE]), sizes)
         choose = self._of_equal_shares if self._equal else self._exchanged
         found: list[PathMixture] = []
@@ -206,7 +207,7 @@ class _Search:
             shares[choice.columns] = choice.shares
             found.append(self._mixtures.judged(shares))
             self._losses = self._mixtures.losses.toarray()
-            if found[-1].value <= choice.value * (1.0 + LEAST_GAIN):
+            if found[-1].value <= choice.value * (1.0 + MAX_EXCESS):
                 break
             columns = choice.columns
         return _better_of(found)
