@@ -72,18 +72,21 @@ class PathMixtures:
         self._network, self._uses = _side_by_side(plan, paths)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error, secured_radius=options.held_radius))
-        self._search = CellSearch(CellLosses(risk_map, options.ambush_in_obstacles), self._game)
+        self._cells = CellLosses(risk_map, options.ambush_in_obstacles)
+        self._exposed = self._game.exposed()
         self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
         self._met = csr_matrix((0, len(paths)))
         points = solved.network.points[solved.sites]
-        self._add_sites(points, solved.loss[solved.sites],
-                        self._game.exposed().entering(points, self._game.reach))
+        self._add_sites(points, solved.loss[solved.sites])
 
     def judged(self, shares: FloatArray) -> PathMixture:
         """The mixture with given shares (K,), which add up to 1."""
         least = float((self._loss * (self._met @ shares)).max(initial=0.0))
-        found = self._search.worst(chain_of(self._network, self._uses @ shares), least)
-        self._add_sites(found.points, found.alpha, found.entering)
+        used = self._uses @ shares
+        # Only along the paths that have a share: of many paths, a best mixture needs few.
+        search = CellSearch(self._cells, self._game, np.flatnonzero(used))
+        found = search.worst(chain_of(self._network, used), least)
+        self._add_sites(found.points, found.alpha)
         losses = self._loss * (self._met @ shares)
         worst = int(losses.argmax())
         return PathMixture(frozen_array(shares, np.float64), float(losses[worst]),
@@ -110,8 +113,8 @@ class PathMixtures:
         """What each path costs (S, K) at each of the sites so far, which include the worst."""
         return self._met.multiply(self._loss[:, None]).tocsr()
 
-    def _add_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> None:
-        met = csr_matrix(entering @ self._uses)
+    def _add_sites(self, points: FloatArray, loss: FloatArray) -> None:
+        met = csr_matrix(self._exposed.entering(points, self._game.reach) @ self._uses)
         met.data[:] = 1.0  # however often a path comes back
         self._points = np.concatenate((self._points, points))
         self._loss = np.append(self._loss, loss)
