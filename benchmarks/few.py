@@ -1,7 +1,8 @@
 """What having only a few routes costs: values of the best mixtures found, over the plan's.
 
-The plan's value and bound let convoys stray from their routes by the tube, few routes are judged as
-they are driven; so their values can be lower than its bound.
+The plan's value and bound let convoys stray from their routes by the tube. Few routes are judged as
+they are driven, so that their values can be lower than its bound; and if convoys stray from these
+paths by as much again.
 """
 
 from __future__ import annotations
@@ -29,20 +30,24 @@ def compared(name: str) -> Answer:
     try:
         plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, problem.options)
         between = time.process_time()
-        few = few_routes(replace(plan, risk_map=scenario.risk_map), CURVE[-1])
+        few = few_routes(plan, CURVE[-1])
+        seconds = time.process_time() - between
+        strays = replace(plan.options.drive, tracking_error=plan.tube or 0.0)
+        straying = few_routes(replace(plan, options=replace(plan.options, drive=strays)), CURVE[-1])
     except AmbushPlannerError as error:
         return {'failed': True, 'seconds': 0.0, 'status': f'{type(error).__name__}: {error}'}
-    values = np.array([value for _, value in few.curve])
-    return {'seconds': between - begin, 'few': time.process_time() - between, 'status': 'compared',
-            'of_value': (values / plan.strategy.value).tolist(),
-            'of_bound': (values / few.lower_bound).tolist(),
-            'of_most': (values / values[-1]).tolist()}
+    strategy, curves = plan.strategy, {'as driven': few.curve,
+                                       "straying by the plan's tube": straying.curve}
+    return {'seconds': between - begin, 'few': seconds, 'status': 'compared', 'ratios': {
+        f'{judged}, over the {what}': [value / over for _, value in curve]
+        for judged, curve in curves.items()
+        for what, over in (('value', strategy.value), ('lower bound', strategy.lower_bound))}}
 
 
 def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
-    parser.add_argument('--each', type=int, default=1, help='problems of each family')
+    parser.add_argument('--each', type=int, default=2, help='problems of each family')
     parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
     parser.add_argument('--limit', type=float, default=300.0, help='of each problem [s]')
     options = parser.parse_args()
@@ -52,12 +57,11 @@ def main() -> None:
              for family in options.families for seed in range(first, first + options.each)]
     answers = [run('few.compared', name, options.limit) for name in names]
     found = [answer for answer in answers if 'failed' not in answer]
-    ratios = {key: np.array([each[key] for each in found])
-              for key in ('of_value', 'of_bound', 'of_most')}
+    ratios = {key: np.array([each['ratios'][key] for each in found])
+              for key in found[0]['ratios']}
     rows = [[str(size), *(f'{np.median(ratio[:, k]):.3f} / {ratio[:, k].max():.3f}'
                           for ratio in ratios.values())] for k, size in enumerate(CURVE)]
-    head = ('at most', *(f'over {what}, median / worst' for what in (
-        "the plan's value", 'its lower bound', f'{CURVE[-1]} routes')))
+    head = ('routes, median / worst', *ratios)
     publish(options.results, 'few', (
         f'{len(found)} of {len(names)} problems of {LEAST_NODES} to {MOST_NODES} nodes, seeds '
         f'{first} to {first + options.each - 1}. {conditions()}.\n\n{table(head, rows)}\n\n'

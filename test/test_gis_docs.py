@@ -17,10 +17,15 @@ from audit_samples import departure, drawn, parameters, record, sample_plan
 from test_rooms import NO_ROS
 
 DOCS = Path(__file__).resolve().parent.parent / 'docs'
-BLOCKS = re.findall(r'(?ms)^```(sh|python)\n(.*?)^```$', (DOCS / 'gis.md').read_text())
+BLOCKS = re.findall(r'(?ms)^```(sh|python|text)\n(.*?)^```$', (DOCS / 'gis.md').read_text())
 # The commands take a minute of processor time, and more on a loaded machine [s].
 TIMEOUT = 800
 CELLS = json.loads((DOCS / 'tour.ipynb').read_text())['cells']
+
+
+def words(text):
+    """The words of an output, without numbers and cards."""
+    return ' '.join(re.findall(r'[a-z]{3,}', text))
 
 
 def sources(kind):
@@ -33,17 +38,19 @@ def test_every_command_of_the_page_works(tmp_path):
     a_plan = sample_plan()
     entries = {'parameters': parameters(**{'map.crs': 'datum 36.6 -84.3 0.0'})}
     record(tmp_path / 'runs', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
-    assert sum(kind == 'sh' for kind, _ in BLOCKS) == 5
+    assert sum(kind == 'sh' for kind, _ in BLOCKS) == 6
     script = '\n'.join(f"python - <<'END'\n{text}END" if kind == 'python' else text
-                       for kind, text in BLOCKS)
+                       for kind, text in BLOCKS if kind != 'text')
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     done = subprocess.run(['bash', '-ec', script], cwd=tmp_path, capture_output=True, text=True,
                           env={**os.environ, 'PATH': path}, timeout=TIMEOUT)
     assert done.returncode == 0, done.stderr
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
-    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map)\.\w+', ' '.join(
+    shown = next(text for kind, text in BLOCKS if kind == 'text' and 'routes' in text)
+    assert words(shown) in words(done.stdout)
+    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|six)\.\w+', ' '.join(
         text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 10 and all((tmp_path / file).stat().st_size for file in files)
+    assert len(files) == 13 and all((tmp_path / file).stat().st_size for file in files)
 
 
 @pytest.mark.slow

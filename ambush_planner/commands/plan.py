@@ -134,7 +134,8 @@ def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOpt
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # the concerns tell more
             return plan_trip(risk_map, start, goal, options, stops=stops, order=arguments.order,
-                             routes=arguments.routes, equal=arguments.equal)
+                             routes=arguments.routes, equal=arguments.equal,
+                             rng=np.random.default_rng(arguments.seed))
     except (StartOutsideMap, GoalOutsideMap, StopOutsideMap) as error:
         if not risk_map.crs:
             raise

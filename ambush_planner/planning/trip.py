@@ -47,7 +47,7 @@ Position = tuple[float, float]
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
               order: str = 'given', warm: WarmStart | None = None, routes: int | None = None,
-              equal: bool = False) -> Plan:
+              equal: bool = False, rng: np.random.Generator | None = None) -> Plan:
     """Plan a trip from start to goal through stops, all world positions [m].
 
     One strategy covers all legs; value, certificate and ``max_detour`` are those of the whole trip.
@@ -62,7 +62,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     the given order only.
 
     With ``routes``, departures draw from the best mixture found of at most that many routes, or of
-    as many with ``equal`` shares: ``Plan.few``, see ``few_routes``.
+    as many with ``equal`` shares: ``Plan.few``, see ``few_routes``, which ``rng`` is for.
 
     A gap of value and lower bound beyond the risk slack is warned of, with its reason.
 
@@ -74,7 +74,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         check_judged(options.game)
     made = _plan_trip(risk_map, start_xy, goal_xy, options, list(stops), order, warm)
     if routes is not None:
-        made = replace(made, few=few_routes(made, routes, equal))
+        made = replace(made, few=few_routes(made, routes, equal, rng))
     if text := wide_gap(made):
         warnings.warn(text, stacklevel=2)
     return made
