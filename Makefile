@@ -55,6 +55,7 @@ lint: $(VENV)/.test
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py --early --changes 50 --peers
 	$(BIN)/python benchmarks/others.py
+	$(BIN)/python benchmarks/few.py
 	$(BIN)/python benchmarks/random_games.py --count 200
 	$(BIN)/python benchmarks/mesh_convergence.py
 	$(BIN)/python benchmarks/routes.py

@@ -15,6 +15,7 @@ TIMEOUT = 250  # s
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
+    'few': '--families gates --seed 1',
     'mesh_convergence': '--families hills-coarse --each 1 --fractions 2 1 --seed 1',
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 1',

@@ -24,6 +24,11 @@ NUMBER = r'\b\d+(?:\.\d+)?\b'
 CELLS = json.loads((DOCS / 'tour.ipynb').read_text())['cells']
 
 
+def words(text):
+    """The words of an output, without numbers and cards."""
+    return ' '.join(re.findall(r'[a-z]{3,}', text))
+
+
 def sources(kind):
     return [''.join(cell['source']) for cell in CELLS if cell['cell_type'] == kind]
 
@@ -56,9 +61,11 @@ def test_every_command_of_the_page_works(tmp_path):
         assert [*map(float, re.findall(NUMBER, one))] == pytest.approx(
             [*map(float, re.findall(NUMBER, other))], rel=0.02)
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
-    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map)\.\w+', ' '.join(
+    shown = next(text for kind, text in BLOCKS if kind == 'text' and 'routes' in text)
+    assert words(shown) in words(done.stdout)
+    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|six)\.\w+', ' '.join(
         text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 10 and all((tmp_path / file).stat().st_size for file in files)
+    assert len(files) == 13 and all((tmp_path / file).stat().st_size for file in files)
 
 
 @pytest.mark.slow

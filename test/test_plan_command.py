@@ -21,9 +21,10 @@ import shapely
 from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
 from pyproj import CRS, Geod, Transformer
 
-from ambush_planner.commands import export, plan, terrain
+from ambush_planner.commands import draw, export, plan, terrain
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.planning.route_sheet import read_route_sheet
 
 GEOD = Geod(ellps='WGS84')
 FILES = ('r.gpx', 'r.gpkg', 'r.geojson', 'r.kml', 'r.csv', 'r.png')
@@ -47,7 +48,7 @@ def metres_between(one, other):
     return GEOD.inv(*one, *other)[2]
 
 
-def degrees_in(folder):
+def degrees_in(folder, layer='routes'):
     """The ends (longitude, latitude) of each route by file, as other programs read them."""
     found = {}
     with open(folder / 'r.gpx') as file:
@@ -62,7 +63,7 @@ def degrees_in(folder):
     found['geojson'] = [each['geometry']['coordinates'] for each in document['features']
                         if each['properties']['layer'] == 'routes']
     found['kml'] = [line.coords for line in geopandas.read_file(folder / 'r.kml').geometry]
-    table = pyogrio.read_dataframe(folder / 'r.gpkg', layer='routes')
+    table = pyogrio.read_dataframe(folder / 'r.gpkg', layer=layer)
     to_degrees = Transformer.from_crs(table.crs, 4326, always_xy=True).transform
     rows = pyogrio.read_dataframe(folder / 'r.csv', read_geometry=False)
     for name, lines in (('gpkg', table.geometry), ('csv', shapely.from_wkt(rows['WKT']))):
@@ -144,6 +145,55 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 
+FEW = ('--reach', 30, '--set', 'network.spacing=25', '--crs', 'EPSG:32616', '--routes')
+
+
+def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
+    files = [tmp_path / name for name in (*FILES, 'r.json')]
+    done = run_here(plan, plain, *ENDS, *FEW, 3, '--json', '-o', *files)
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    few = result['few']
+    count = len(few['shares'])
+    assert set(result) == documented_keys(plan) and 1 < count <= 3
+    assert [size for size, _ in few['curve']] == [1, 2, 3]
+    assert few['value'] == few['curve'][-1][1] and result['lower_bound'] == few['lower_bound']
+    assert set(few['draws']) == {'die', 'two dice', 'cards'} and 'path' not in done.out
+    assert all(stat.S_IMODE(file.stat().st_mode) == 0o600 for file in files)
+    layers = dict(pyogrio.list_layers(tmp_path / 'r.gpkg'))
+    assert set(layers) == {*(f'route_{k + 1}' for k in range(count)), 'held_ground', 'forbidden'}
+    for k, share in enumerate(few['shares'], start=1):
+        row, = geopandas.read_file(tmp_path / 'r.gpkg', layer=f'route_{k}').itertuples()
+        assert (row.route, row.share) == (k, share) and row.length == pytest.approx(
+            row.geometry.length)
+    gpx = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text()))
+    assert [track.name.split(',')[0] for track in gpx.tracks] == [
+        f'Route {k + 1}' for k in range(count)]
+    assert all(len(lines) == count for name, lines in degrees_in(tmp_path, layer='route_1').items()
+               if name not in ('geojson', 'gpkg'))
+    sheet = read_route_sheet(tmp_path / 'r.json')
+    assert sheet.map.samefile(plain) and (sheet.reach, sheet.crs) == (30.0, 'EPSG:32616')
+    assert [route.share for route in sheet.routes] == few['shares']
+    numbers = set()
+    for _ in range(60):
+        done = run_here(draw, tmp_path / 'r.json', '--json')
+        result = json.loads(done.out)
+        assert done.code == 0 and set(result) == documented_keys(draw)
+        numbers.add(result['route'])
+    assert numbers == set(range(1, count + 1))
+    assert re.fullmatch(r'route \d\n', run_here(draw, tmp_path / 'r.json').out)
+
+
+def test_equal_shares_are_a_die(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, *FEW, 6, '--equal', '-o', tmp_path / 'r.png')
+    assert done.code == 0, done.err
+    rows = [line.split() for line in done.out.splitlines()]
+    head = next(k for k, row in enumerate(rows) if row[:1] == ['route'])
+    assert [row[1] + row[5] for row in rows[head + 1 : head + 7]] == [
+        f'16.7{k}' for k in range(1, 7)]
+    assert rows[head + 7][1] == rows[head + 7][2]  # the value of the mixture is that of the die
+
+
 def test_a_map_that_carries_no_risk_is_named(tmp_path):
     write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((20, 20), np.int8), 10.0))
     done = run_here(plan, tmp_path / 'map.yaml', '--start', 15, 15, '--goal', 185, 185, '-o',
@@ -175,6 +225,15 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('-o', 'r.gpx'), 3, 'GPX holds latitude and longitude, but'),
     (('-o', 'r.shp'), 2, 'suffix must be one of .gpkg'),
     (('--start', 'here'), 2, r"--start: must be X Y \[m\] or LAT,LON \[degrees\], got 'here'"),
+    (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
+    (('--routes', 0), 2, 'must be a number from 1 to 100'),
+    (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
+    (('--routes', 3, '--reach', 30, '--set', 'game.ambushers=2'), 2, 'ambushers must be 1'),
+    (('--routes', 100, '--reach', 30, '--detour', 1, '--set', 'network.spacing=60'), 2,
+     r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
+    (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
+    (('--equal',), 2, '--equal needs --routes K'),
+    (('-o', 'r.json'), 2, 'r.json: only --routes K writes a file of this kind'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
                                                    reason):

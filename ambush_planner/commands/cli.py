@@ -37,6 +37,7 @@ from .console import place as place
 COMMANDS = {
     'audit': 'test whether departures follow their strategies',
     'demo': 'run a node on real terrain, with recordings and a report',
+    'draw': 'draw one of a few routes, for a departure',
     'export': 'write recorded routes to files for a GPS or a GIS',
     'frontier': 'compare length budgets and slacks on a map',
     'judge': 'judge trips that were driven: tracks, or recordings',

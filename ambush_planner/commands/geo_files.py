@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -39,6 +39,29 @@ SUFFIXES = ('.gpkg', '.geojson', *_DEGREES_ONLY, '.csv', '.png')
 _STRAIGHT = 0.5
 
 
+class Contents(Protocol):
+    """What files hold: a table of routes, a name for each, all tables, and a picture."""
+
+    @property
+    def risk_map(self) -> RiskMap:
+        """The map of the routes."""
+
+    @property
+    def routes(self) -> Any:
+        """The table of routes."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """A name for each route."""
+
+    @property
+    def tables(self) -> Mapping[str, Any]:
+        """All tables by name, routes first."""
+
+    def picture(self) -> Figure:
+        """Draw the routes on the map."""
+
+
 @dataclass(frozen=True, eq=False)
 class Drawn:
     """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``."""
@@ -53,23 +76,36 @@ class Drawn:
         """The table of routes."""
         return route_table(self.paths, self.times, self.risk_map.crs)
 
+    @property
+    def names(self) -> list[str]:
+        """The departures by number."""
+        return [f'Departure {k}' for k in range(1, len(self.paths) + 1)]
+
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
         return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map)}
 
+    def picture(self) -> Figure:
+        """Draw map, strategy and routes."""
+        figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
+        draw_strategy(figure.subplots(), self.strategy, self.risk_map,
+                      [path[:, :2] for path in self.paths])
+        return figure
 
-def add_outputs(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--output``, a list of files."""
-    parser.add_argument('-o', '--output', type=_output, nargs='+', required=True, metavar='FILE',
-                        help='files for the routes: ' + ', '.join(SUFFIXES))
 
+def add_outputs(parser: argparse.ArgumentParser, *more: str) -> None:
+    """Add the argument ``--output``, a list of files; ``more`` suffixes are the command's own."""
+    suffixes = (*SUFFIXES, *more)
 
-def _output(text: str) -> Path:
-    if Path(text).suffix not in SUFFIXES:
-        raise argparse.ArgumentTypeError(
-            f'{text}: its suffix must be one of {", ".join(SUFFIXES)}')
-    return Path(text)
+    def output(text: str) -> Path:
+        if Path(text).suffix not in suffixes:
+            raise argparse.ArgumentTypeError(
+                f'{text}: its suffix must be one of {", ".join(suffixes)}')
+        return Path(text)
+
+    parser.add_argument('-o', '--output', type=output, nargs='+', required=True, metavar='FILE',
+                        help='files for the routes: ' + ', '.join(suffixes))
 
 
 def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:
@@ -83,7 +119,7 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:
     return Drawn(plan.strategy, plan.risk_map, plan.paths(n, rng), times)
 
 
-def write_outputs(paths: Sequence[Path], drawn: Drawn) -> None:
+def write_outputs(paths: Sequence[Path], drawn: Contents) -> None:
     """Write files with mode 0600; the suffix of each, one of ``SUFFIXES``, is its format.
 
     Raises InvalidCoordinates, and writes nothing, if a format needs a coordinate system and the
@@ -94,26 +130,26 @@ def write_outputs(paths: Sequence[Path], drawn: Drawn) -> None:
         write_private(path.parent, {path.name: data})
 
 
-def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
+def tell_outputs(paths: Sequence[Path], drawn: Contents, console: Console) -> None:
     """Print what was written, and put it into the result."""
     files = [place(path) for path in paths]
-    console.line(f'{", ".join(files)}: {count(len(drawn.paths), "route")}; secret, so only this '
+    console.line(f'{", ".join(files)}: {count(len(drawn.names), "route")}; secret, so only this '
                  'user can read them.')
-    console.result |= {'files': files, 'departures': len(drawn.paths)}
+    console.result |= {'files': files, 'departures': len(drawn.names)}
 
 
-def _content(path: Path, drawn: Drawn) -> bytes:
+def _content(path: Path, drawn: Contents) -> bytes:
     suffix = path.suffix
     if suffix in _DEGREES_ONLY and not drawn.risk_map.crs:
         raise InvalidCoordinates(
             f'{path}: {suffix[1:].upper()} holds latitude and longitude, but the coordinate system '
             "of the map is unknown; name it (--crs), or the robot's frame (--datum)")
     if suffix == '.png':
-        return _picture(drawn)
+        return as_png(drawn.picture())
     if suffix == '.geojson':
         return _geojson(drawn.tables)
     if suffix == '.gpx':
-        return _gpx(drawn.routes)
+        return _gpx(drawn)
     # The folder has mode 0700; GDAL makes files that all can read.
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.filterwarnings('ignore', "'crs' was not provided")  # it is unknown
@@ -122,18 +158,10 @@ def _content(path: Path, drawn: Drawn) -> bytes:
             for name, table in drawn.tables.items():
                 table.to_file(file, layer=name, driver='GPKG')
         elif suffix == '.kml':
-            named = drawn.routes.assign(Name=[f'Departure {k}' for k in drawn.routes['departure']])
-            named.to_crs(WGS84).to_file(file, driver='KML')
+            drawn.routes.assign(Name=drawn.names).to_crs(WGS84).to_file(file, driver='KML')
         else:
             drawn.routes.to_file(file, driver='CSV', GEOMETRY='AS_WKT')
         return file.read_bytes()
-
-
-def _picture(drawn: Drawn) -> bytes:
-    figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
-    draw_strategy(figure.subplots(), drawn.strategy, drawn.risk_map,
-                  [path[:, :2] for path in drawn.paths])
-    return as_png(figure)
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:
@@ -145,19 +173,19 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
     return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
 
 
-def _gpx(routes: Any) -> bytes:
+def _gpx(drawn: Contents) -> bytes:
     from gpxpy import gpx
 
     file = gpx.GPX()
     file.creator = 'ambush_planner'
-    degrees, corners = routes.to_crs(WGS84), routes.simplify(_STRAIGHT).to_crs(WGS84)
-    for row, corner in zip(degrees.itertuples(), corners, strict=True):
-        name = f'Departure {row.departure}'
+    lines, corners = (each.to_crs(WGS84) for each in (drawn.routes.geometry,
+                                                      drawn.routes.simplify(_STRAIGHT)))
+    for name, line, corner in zip(drawn.names, lines, corners, strict=True):
         route, track, segment = gpx.GPXRoute(name), gpx.GPXTrack(name), gpx.GPXTrackSegment()
         route.points = [gpx.GPXRoutePoint(latitude, longitude)
                         for longitude, latitude in corner.coords]
         segment.points = [gpx.GPXTrackPoint(latitude, longitude)
-                          for longitude, latitude in row.geometry.coords]
+                          for longitude, latitude in line.coords]
         track.segments.append(segment)
         file.routes.append(route)
         file.tracks.append(track)

@@ -13,10 +13,12 @@ from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
 from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
+from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
 from ..planning.trip import ORDERS
 from . import cli
-from .geo_files import FORMATS_HELP, add_outputs, draw, tell_outputs, write_outputs
+from .few_files import SHEET, FewContents, tell_few, write_sheets
+from .geo_files import FORMATS_HELP, Contents, add_outputs, draw, tell_outputs, write_outputs
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -38,9 +40,14 @@ With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush 
 
 {POSITION_HELP}
 {FORMATS_HELP}
+With --routes, the files have a layer or track for each route, with its number and share, .png shows
+each, and .json has them for ambush draw, which --help explains. The table on the console has the
+faces of one or two dice (a first and a second one) and the cards that stand for each route, by the
+nearest shares, and the value of each such draw.
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "shortest_route_loss", "seconds"}}
+"shortest_length", "shortest_route_loss", "seconds", "few": null, or with --routes {{"value",
+"lower_bound", "worst_xy", "shares", "costs", "curve", "draws"}}}}
 """ + cli.EXIT_CODES
 
 
@@ -50,9 +57,14 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('map', type=Path, metavar='MAP',
                       help='the risk map, or with --terrain an elevation model')
     add_places(made)
-    made.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
-                      metavar='COUNT', help='number of routes to draw (default: 1)')
-    add_outputs(made)
+    number = made.add_mutually_exclusive_group()
+    number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
+                        metavar='COUNT', help='number of routes to draw (default: 1)')
+    number.add_argument('--routes', type=cli.number(1, MAX_ROUTES, int), metavar='K', help='find '
+                        'the best mixture of at most K routes, and write these')
+    made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
+                      'shares')
+    add_outputs(made, SHEET)
     made.add_argument('--order', choices=ORDERS, default='given',
                       help='order of the stops (default: given)')
     made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
@@ -68,21 +80,43 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
+    _check(arguments)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
     occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
                 else risk_map_from(arguments.map, occupancy, console))
-    plan = planned(arguments, risk_map, options.planning, console, order=arguments.order)
+    plan = planned(arguments, risk_map, options.planning, console, order=arguments.order,
+                   routes=arguments.routes, equal=arguments.equal,
+                   rng=np.random.default_rng(arguments.seed))
     if arguments.seed is not None:
         console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
                     'routes. Use it for tests only.')
-    drawn = draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
-    write_outputs(arguments.output, drawn)
+    sheets = [path for path in arguments.output if path.suffix == SHEET]
+    contents = _contents(plan, risk_map, arguments)
+    write_outputs([path for path in arguments.output if path not in sheets], contents)
     _tell(plan, console)
+    if isinstance(contents, FewContents):
+        write_sheets(sheets, contents, arguments.map)
+        tell_few(contents, console)
     for text in concerns(plan):
         console.say(f'Warning: {text}.')
-    tell_outputs(arguments.output, drawn, console)
+    tell_outputs(arguments.output, contents, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise UsageError if options that need --routes are given without it."""
+    if arguments.routes is None and arguments.equal:
+        raise cli.UsageError('--equal needs --routes K')
+    sheets = [path for path in arguments.output if path.suffix == SHEET]
+    if arguments.routes is None and sheets:
+        raise cli.UsageError(f'{cli.place(sheets[0])}: only --routes K writes a file of this kind')
+
+
+def _contents(plan: Plan, risk_map: RiskMap, arguments: argparse.Namespace) -> Contents:
+    if plan.few is not None:
+        return FewContents(plan, plan.few, risk_map)
+    return draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
 
 
 def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
@@ -112,7 +146,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
-        'shortest_route_loss': shortest,
+        'shortest_route_loss': shortest, 'few': None,
     }
 
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import BudgetInfeasible, InvalidOption
-from ..game.game import make_game
+from ..game.game import GameOptions, make_game
 from ..game.law.chain import chain_of
 from ..game.value import highs
 from ..maps.risk_map import RiskMap
@@ -44,6 +45,18 @@ class PathMixture:
     met: BoolArray
 
 
+class LeastValue(NamedTuple):
+    """The least value of a mixture of paths, and its shares (K,): a vertex, so mostly 0.
+
+    ``q`` (S,) is the ambusher's best mixture, ``prices`` (B,) what the budgets cost him.
+    """
+
+    value: float
+    shares: FloatArray
+    q: FloatArray
+    prices: FloatArray
+
+
 class PathMixtures:
     """All mixtures of paths (L, 2 or 3), x and y [m] first, from start to goal of a plan.
 
@@ -57,29 +70,25 @@ class PathMixtures:
     def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray]) -> None:
         solved = plan.strategy.game
         options = solved.options
-        if options.ambush_radius == 0.0:
-            raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by '
-                                'what an ambush reaches')
-        if options.ambushers > 1:
-            raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, '
-                                f'got {options.ambushers}')
-        if options.loads:
-            raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
+        check_judged(options)
         self._network, self._uses = _side_by_side(plan, paths)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error, secured_radius=options.held_radius))
-        self._search = CellSearch(CellLosses(risk_map, options.ambush_in_obstacles), self._game)
+        self._cells = CellLosses(risk_map, options.ambush_in_obstacles)
+        self._exposed = self._game.exposed()
         self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
         self._met = csr_matrix((0, len(paths)))
         points = solved.network.points[solved.sites]
-        self._add_sites(points, solved.loss[solved.sites],
-                        self._game.exposed().entering(points, self._game.reach))
+        self._add_sites(points, solved.loss[solved.sites])
 
     def judged(self, shares: FloatArray) -> PathMixture:
         """The mixture with given shares (K,), which add up to 1."""
         least = float((self._loss * (self._met @ shares)).max(initial=0.0))
-        found = self._search.worst(chain_of(self._network, self._uses @ shares), least)
-        self._add_sites(found.points, found.alpha, found.entering)
+        used = self._uses @ shares
+        # Only along the paths that have a share: of many paths, a best mixture needs few.
+        search = CellSearch(self._cells, self._game, np.flatnonzero(used))
+        found = search.worst(chain_of(self._network, used), least)
+        self._add_sites(found.points, found.alpha)
         losses = self._loss * (self._met @ shares)
         worst = int(losses.argmax())
         return PathMixture(frozen_array(shares, np.float64), float(losses[worst]),
@@ -91,33 +100,61 @@ class PathMixtures:
 
         Raises BudgetInfeasible if every path costs more.
         """
-        count = self._met.shape[1]
-        costs = np.zeros(count) if costs is None else costs
+        costs = np.zeros(self._met.shape[1]) if costs is None else costs
         if not costs.min() <= budget:
             raise BudgetInfeasible(f'the shortest path takes {costs.min():.6g}, more than the '
                                    f'budget of {budget:.6g}; raise max_detour')
-        limited = np.isfinite(budget)
-        limit = csr_matrix(np.append(costs, 0.0)[None, :] / (budget or 1.0))[: int(limited)]
-        total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
+        limits = (costs[None, :] / (budget or 1.0))[: int(np.isfinite(budget))]
         while True:
-            unit = float(self._loss.max(initial=0.0)) or 1.0
-            hit = self._met.multiply(self._loss[:, None] / unit)
-            rows = vstack((hstack((hit, np.full((len(self._loss), 1), -1.0))), limit))
-            bounds = np.append(np.zeros(len(self._loss)), np.ones(int(limited)))
-            program = highs.Program(np.append(np.zeros(count), 1.0), csr_matrix(rows), bounds,
-                                    total, np.ones(1))
-            solved = highs.run(program, 'simplex', math.inf)
-            shares = np.maximum(solved.x[:count], 0.0)
-            mixture = self.judged(shares / shares.sum())
-            if mixture.value <= solved.fun * unit * (1.0 + MAX_GAP):
+            solved = least_value(self.losses, limits)
+            mixture = self.judged(solved.shares)
+            if mixture.value <= solved.value * (1.0 + MAX_GAP):
                 return mixture
 
-    def _add_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> None:
-        met = csr_matrix(entering @ self._uses)
+    @property
+    def losses(self) -> csr_matrix:
+        """What each path costs (S, K) at each of the sites so far, which include the worst."""
+        return self._met.multiply(self._loss[:, None]).tocsr()
+
+    def _add_sites(self, points: FloatArray, loss: FloatArray) -> None:
+        met = csr_matrix(self._exposed.entering(points, self._game.reach) @ self._uses)
         met.data[:] = 1.0  # however often a path comes back
         self._points = np.concatenate((self._points, points))
         self._loss = np.append(self._loss, loss)
         self._met = csr_matrix(vstack((self._met, met)))
+
+
+def check_judged(options: GameOptions) -> None:
+    """Raise InvalidOption if paths cannot be judged in a game."""
+    if options.ambush_radius == 0.0:
+        raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by what '
+                            'an ambush reaches')
+    if options.ambushers > 1:
+        raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, got '
+                            f'{options.ambushers}')
+    if options.loads:
+        raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
+
+
+def least_value(losses: csr_matrix, costs: FloatArray) -> LeastValue:
+    """The linear program over shares of paths that cause ``losses`` (S, K) at sites.
+
+    The mean of each row of ``costs`` (B, K) is at most 1. The value is inf if no shares are.
+    """
+    count = losses.shape[1]
+    unit = float(losses.max()) if losses.nnz else 1.0
+    sites = hstack((losses / unit, np.full((losses.shape[0], 1), -1.0)))
+    rows = csr_matrix(vstack((sites, np.pad(costs, ((0, 0), (0, 1))))))
+    bounds = np.repeat([0.0, 1.0], [losses.shape[0], len(costs)])
+    total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
+    program = highs.Program(np.append(np.zeros(count), 1.0), rows, bounds, total, np.ones(1))
+    solved = highs.run(program, 'simplex', math.inf)
+    if solved.x is None:
+        return LeastValue(math.inf, np.zeros(count), bounds[: losses.shape[0]], np.ones(len(costs)))
+    shares = np.maximum(solved.x[:count], 0.0)
+    duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
+    return LeastValue(solved.fun * unit, shares / shares.sum(), duals[: losses.shape[0]],
+                      duals[losses.shape[0] :] * unit)
 
 
 def _side_by_side(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,9 @@ from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
 from .solving import WarmStart
+
+if TYPE_CHECKING:
+    from .few_routes import FewRoutes
 
 # Number of routes drawn to count the different paths.
 DRAWN = 1000
@@ -69,7 +72,8 @@ class Plan(Shown):
     ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
     distance of the network's nodes, at least the map's resolution [m]. ``different_paths`` counts
     those of ``DRAWN`` routes; None: the time limit had passed. ``seconds`` is the planning time.
-    ``risk_map`` is the map if the plan was made in this process, else None.
+    ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
+    of few routes that departures draw from, None if they draw from the strategy.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
     'best' or 'heuristic'.
     """
@@ -85,11 +89,12 @@ class Plan(Shown):
     order: tuple[int, ...] = ()
     order_found: str = 'given'
     risk_map: RiskMap | None = None
+    few: FewRoutes | None = None
 
     @property
     def value(self) -> float:
         """Mean loss per departure by the best ambush that knows all but the draw."""
-        return self.strategy.value
+        return self.few.value if self.few else self.strategy.value
 
     @property
     def lower_bound(self) -> float:
@@ -117,7 +122,10 @@ class Plan(Shown):
 
         ``rng`` is a generator, or a seed for tests; None: the operating system's entropy.
         """
-        return departure_paths(self, n, self.spacing, np.random.default_rng(rng))
+        rng = np.random.default_rng(rng)
+        if self.few is not None:
+            return self.few.drawn(n, rng)
+        return departure_paths(self, n, self.spacing, rng)
 
     def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
         """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.

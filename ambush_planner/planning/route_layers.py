@@ -17,6 +17,7 @@ from ..game.strategy import Strategy
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import cell_transform
+from .few_routes import FewRoutes
 
 # Edges and sites with smaller probabilities are left out.
 LEAST_PROBABILITY = 1e-6
@@ -27,15 +28,24 @@ def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str
 
     ``time`` is when a route was drawn, as text (ISO 8601).
     """
+    return _lines({'departure': np.arange(1, len(paths) + 1)}, paths, crs,
+                  {'time': [time.isoformat(timespec='seconds') for time in times]})
+
+
+def few_table(few: FewRoutes, crs: str | None) -> Any:
+    """Return few routes as lines with ``route`` (from 1), ``share`` and ``length`` [m]."""
+    return _lines({'route': np.arange(1, len(few.paths) + 1), 'share': few.shares}, few.paths, crs)
+
+
+def _lines(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str | None,
+           more: Mapping[str, Any] | None = None) -> Any:
+    """A table of paths with their lengths, between the other columns."""
     import geopandas
     import shapely
 
     system = Coordinates(crs) if crs else None
-    columns = {
-        'departure': np.arange(1, len(paths) + 1),
-        'length': [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths],
-        'time': [time.isoformat(timespec='seconds') for time in times],
-    }
+    length = [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths]
+    columns = {**columns, 'length': length, **(more or {})}
     lines = [shapely.LineString(system.to_crs(path[:, :2]) if system else path[:, :2])
              for path in paths]
     return geopandas.GeoDataFrame(columns, geometry=lines, crs=system and system.crs)

@@ -30,7 +30,9 @@ from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from ..network.trip_graph import TripGraph
 from .concerns import wide_gap
+from .few_routes import few_routes
 from .options import PlanningOptions, solved_game
+from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
 
@@ -45,7 +47,8 @@ Position = tuple[float, float]
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
-              order: str = 'given', warm: WarmStart | None = None,
+              order: str = 'given', warm: WarmStart | None = None, routes: int | None = None,
+              equal: bool = False, rng: np.random.Generator | int | None = None,
               progress: Progress = unseen) -> Plan:
     """Plan a trip from start to goal through stops.
 
@@ -70,6 +73,9 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         so far ('heuristic').
     warm
         A similar strategy to start the search from, for the given order only.
+    routes, equal, rng
+        Departures draw from the best mixture found of at most so many routes, or of as many with
+        ``equal`` shares: ``Plan.few``. ``rng`` draws the candidates, or is a seed.
     progress
         Is called with the value and the lower bound so far; the value is ``inf`` before the first
         strategy.
@@ -108,8 +114,12 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     >>> path[0, :2].tolist(), path[-1, :2].tolist()
     ([2.0, 6.0], [22.0, 6.0])
     """
-    made = _plan_trip(risk_map, start_xy, goal_xy, options or PlanningOptions(), list(stops), order,
-                      warm, progress)
+    options = options or PlanningOptions()
+    if routes is not None:
+        check_judged(options.game)
+    made = _plan_trip(risk_map, start_xy, goal_xy, options, list(stops), order, warm, progress)
+    if routes is not None:
+        made = replace(made, few=few_routes(made, routes, equal, np.random.default_rng(rng)))
     if text := wide_gap(made):
         warnings.warn(text, stacklevel=2)
     return made

@@ -1,0 +1,309 @@
+"""A few routes: the best mixture that we can find of at most K paths that are driven.
+
+Which K paths are best is a hard combinatorial problem. Candidates are drawn from the plan's
+strategy, which knows where to drive; a linear program on the network chooses some of them, and
+these are driven. Among them the search leaves out one after the other, and exchanges one at a time
+while the value falls, on a matrix of sites and paths. Each result is judged anywhere on the map,
+and the places that are worse than known join the matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..arrays import FloatArray, IndexArray, frozen_array
+from ..errors import BudgetInfeasible, InvalidOption
+from ..game.route_sampler import route_edges
+from ..routes.driven_path import driven_paths
+from .path_mixtures import PathMixture, PathMixtures, least_value
+from .plan import DRAWN, Plan
+
+# Most routes; with more, draw from the plan itself.
+MAX_ROUTES = 100
+# Numbers of routes whose values make the curve.
+CURVE = (1, 2, 4, 6, 10, 20)
+# Drawn routes that are driven, to choose from.
+CANDIDATES = 150
+# Smallest share of a route; smallest gain of an exchange, and largest excess of the value on the
+# map over that at known sites, as shares of the value.
+LEAST_SHARE, LEAST_GAIN, MAX_EXCESS = 1e-9, 2e-3, 5e-3
+# In each exchange: routes that are tried in addition, and those tried to be left out for them.
+JOIN, LEAVE = 4, 3
+# Sites with which a linear program begins, those that join at once, and its relative precision.
+FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
+# Most rounds of exchanges and judgements on the map.
+ROUNDS = 5
+# How much sites below the worst one count in equal shares, from first to last, as a share of the
+# value; and by how much a budget's overrun counts more than the value.
+SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class FewRoutes:
+    """A mixture of few routes.
+
+    Attributes
+    ----------
+    routes, paths : K arrays (L,) and (L, 3)
+        Drawn routes as nodes, and the driven paths as ``Plan.paths`` has them.
+    shares : (K,)
+        How likely each is driven; the largest first.
+    value : float
+        Mean loss by the worst ambusher who knows all of this, anywhere on the map.
+    worst_xy : (2,)
+        Where that is [m].
+    lower_bound : float
+        No mixture of any routes on the network has a smaller value.
+    costs : (K,)
+        Lengths [m], or driving times [s] if the network has them.
+    curve : ((K, value), ...)
+        The value of the best mixture found with at most K routes.
+    """
+
+    routes: tuple[IndexArray, ...]
+    paths: tuple[FloatArray, ...]
+    shares: FloatArray
+    value: float
+    worst_xy: FloatArray
+    lower_bound: float
+    costs: FloatArray
+    curve: tuple[tuple[int, float], ...]
+
+    def drawn(self, n: int, rng: np.random.Generator) -> list[FloatArray]:
+        """Draw the paths of ``n`` departures."""
+        return [self.paths[k] for k in rng.choice(len(self.paths), n, p=self.shares)]
+
+
+def few_routes(plan: Plan, most: int, equal: bool = False,
+               rng: np.random.Generator | None = None) -> FewRoutes:
+    """The best mixture that we can find of at most ``most`` routes within the plan's budgets.
+
+    With ``equal`` shares there are exactly ``most`` routes. ``rng`` draws the candidates, by
+    default from the operating system's entropy.
+
+    Raises InvalidOption if there are fewer different routes, and as PathMixtures; BudgetInfeasible
+    if no equal shares are within the budgets.
+    """
+    assert plan.risk_map is not None
+    routes = _candidates(plan, rng or np.random.default_rng())
+    if not 1 <= most <= min(len(routes), MAX_ROUTES):
+        raise InvalidOption(f'routes must be from 1 to {min(len(routes), MAX_ROUTES)}: of {DRAWN} '
+                            f'drawn routes, {len(routes)} are different; got {most}')
+    routes = _promising(plan, routes, max(CANDIDATES, most))
+    paths = driven_paths(plan.corridors, routes, plan.spacing, plan.options.drive.turning_radius)
+    mixtures = PathMixtures(plan.risk_map, plan, paths)
+    search = _Search(mixtures, _budgeted(plan, routes, paths), equal)
+    sizes = [*(k for k in CURVE if k < most), most]
+    found = dict(zip(sizes, search.best(sizes), strict=True))
+    best = found[most]
+    chosen = np.flatnonzero(best.shares > 0.0)
+    chosen = chosen[np.argsort(-best.shares[chosen], kind='stable')]
+    return FewRoutes(tuple(routes[k] for k in chosen), tuple(paths[k] for k in chosen),
+                     frozen_array(best.shares[chosen], np.float64), best.value, best.worst_xy,
+                     plan.strategy.lower_bound, _costs(plan, routes, paths)[chosen],
+                     tuple((size, mixture.value) for size, mixture in found.items()))
+
+
+def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:
+    """Different routes among ``DRAWN``."""
+    places = plan.network.places
+    drawn = plan.strategy.sample_routes(DRAWN, rng)
+    return list({places[route].tobytes(): route for route in drawn}.values())
+
+
+def _promising(plan: Plan, routes: list[IndexArray], most: int) -> list[IndexArray]:
+    """At most ``most`` of the routes: those of the best mixture on the network come first."""
+    game, network = plan.strategy.game, plan.network
+    edges = [route_edges(network, route) for route in routes]
+    uses = csr_matrix((np.ones(sum(map(len, edges))), (np.concatenate(edges), np.repeat(
+        np.arange(len(edges)), list(map(len, edges))))), (len(network.edges), len(edges)))
+    met = csr_matrix(game.hits @ uses)
+    met.data[:] = 1.0
+    best = least_value(met.multiply(game.loss[game.sites][:, None]).tocsr(),
+                       _limits(plan, [each @ uses for each in (network.travel_costs,
+                                                               network.edge_exposure)]))
+    order = np.argsort(-best.shares, kind='stable')[:most]
+    return [routes[k] for k in order]
+
+
+def _budgeted(plan: Plan, routes: list[IndexArray], paths: list[FloatArray]) -> FloatArray:
+    """Costs (B, K) as shares of the budgets that bind."""
+    exposure = plan.network.edge_exposure
+    exposed = [exposure[route_edges(plan.network, route)].sum() for route in routes]
+    return _limits(plan, [_costs(plan, routes, paths), np.array(exposed)])
+
+
+def _costs(plan: Plan, routes: list[IndexArray], paths: list[FloatArray]) -> FloatArray:
+    """Lengths (K,) of the paths [m], or driving times of the routes [s]."""
+    if plan.network.seconds is None:
+        return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
+    return np.array([plan.network.seconds[route_edges(plan.network, route)].sum()
+                     for route in routes])
+
+
+def _limits(plan: Plan, costs: Sequence[FloatArray]) -> FloatArray:
+    rows = [cost / (budget.limit or 1.0)
+            for budget, cost in zip(plan.strategy.budgets, costs, strict=True) if budget.binds]
+    return np.reshape(rows, (len(rows), len(costs[0])))
+
+
+class _Choice(NamedTuple):
+    """Some columns (k,), the value of their best mixture, and its shares.
+
+    What column j would add is priced by ``charges[j]``: less than the value is a gain.
+    """
+
+    columns: IndexArray
+    value: float
+    shares: FloatArray
+    charges: FloatArray
+
+
+_Valued = TypeVar('_Valued', PathMixture, _Choice)
+
+
+class _Search:
+    """The choice among paths, the columns of a matrix of losses at the sites known so far."""
+
+    def __init__(self, mixtures: PathMixtures, costs: FloatArray, equal: bool) -> None:
+        self._mixtures, self._costs, self._equal = mixtures, costs, equal
+        self._count = costs.shape[1]
+        self._losses = mixtures.losses.toarray()
+        self._sites = np.argsort(-self._losses.mean(axis=1))[:FIRST_SITES]
+
+    def best(self, sizes: Sequence[int]) -> list[PathMixture]:
+        """The best mixtures found of at most each of the numbers of paths, in rising order."""
+        everything = np.arange(self._count)
+        self._settled(everything, self._solved)
+        every = self._solved(everything)
+        self._enough = every.value * (1.0 + MAX_EXCESS)
+        nested = self._nested(self._solved(every.columns[every.shares > LEAST_SHARE]), sizes)
+        choose = self._of_equal_shares if self._equal else self._exchanged
+        found: list[PathMixture] = []
+        for size in sizes:
+            if not found or self._equal or found[-1].value > self._enough:
+                mixture = self._settled(nested[size], partial(choose, size=size))
+                found.append(mixture if self._equal else _better_of([*found[-1:], mixture]))
+            else:
+                found.append(found[-1])
+        return found
+
+    def _settled(self, columns: IndexArray, choose: Callable[[IndexArray], _Choice]) -> PathMixture:
+        """The best mixture that choices lead to; worse places on the map join the sites."""
+        found = []
+        for _ in range(ROUNDS):
+            choice = choose(columns)
+            if not math.isfinite(choice.value):
+                raise BudgetInfeasible(f'no mixture of {len(choice.columns)} routes was found '
+                                       'within the budgets; raise max_detour or max_exposure')
+            shares = np.zeros(self._count)
+            shares[choice.columns] = choice.shares
+            found.append(self._mixtures.judged(shares))
+            self._losses = self._mixtures.losses.toarray()
+            if found[-1].value <= choice.value * (1.0 + MAX_EXCESS):
+                break
+            columns = choice.columns
+        return _better_of(found)
+
+    def _nested(self, choice: _Choice, sizes: Sequence[int]) -> dict[int, IndexArray]:
+        """Columns for each size: one after the other is left out, that which matters least."""
+        found = {}
+        for size in sorted(sizes, reverse=True):
+            while len(choice.columns) > size:
+                few = LEAVE if len(choice.columns) <= 2 * size else 1
+                choice = self._without_one(choice, few)
+            found[size] = choice.columns
+        return found
+
+    def _exchanged(self, columns: IndexArray, size: int) -> _Choice:
+        """Let one column join, and one leave if there are too many, while the value falls."""
+        equal = self._of_equal_shares(columns, size)
+        choice = _better_of([self._solved(columns), self._solved(equal.columns)])
+        while choice.value > self._enough and (better := self._better(choice, size)):
+            choice = better
+        return choice
+
+    def _better(self, choice: _Choice, size: int) -> _Choice | None:
+        charges = choice.charges.copy()
+        charges[choice.columns] = np.inf
+        for column in np.argsort(charges)[:JOIN]:
+            other = self._solved(np.append(choice.columns, column))
+            enough = choice.value * (1.0 - LEAST_GAIN)
+            if other.value < enough and len(other.columns) > size:
+                other = self._without_one(other, LEAVE)
+            if other.value < enough:
+                return other
+        return None
+
+    def _without_one(self, choice: _Choice, few: int) -> _Choice:
+        """The best choice without one of the ``few`` columns of smallest shares."""
+        return _better_of([self._solved(np.delete(choice.columns, k))
+                           for k in np.argsort(choice.shares)[:few]])
+
+    def _solved(self, columns: IndexArray) -> _Choice:
+        """The best mixture of the columns, by the program over the sites that matter."""
+        losses, costs = self._losses[:, columns], self._costs[:, columns]
+        while True:
+            best = least_value(csr_matrix(losses[self._sites]), costs)
+            sites = self._sites
+            if not self._misses(losses @ best.shares, best.value):
+                break
+        charges = best.q @ self._losses[sites] + best.prices @ self._costs
+        return _Choice(columns, best.value, best.shares, charges)
+
+    def _misses(self, losses: FloatArray, value: float) -> bool:
+        """Let some sites join that cause more than a value found without them."""
+        worst = np.argsort(-losses)[:MORE_SITES]
+        worst = np.setdiff1d(worst[losses[worst] > value * (1.0 + PRECISE)], self._sites)
+        self._sites = np.append(self._sites, worst)
+        return len(worst) > 0
+
+    def _of_equal_shares(self, columns: IndexArray, size: int) -> _Choice:
+        """``size`` columns of equal shares: some are chosen one by one, then exchanged."""
+        found = []
+        for chosen in (columns[:0], columns):
+            while len(chosen) < size:
+                chosen = np.append(chosen, self._smooth(chosen, SMOOTH[0]).argmin())
+            while True:
+                for smooth in SMOOTH:
+                    chosen = self._exchanged_equal(chosen, smooth)
+                mean = self._losses[:, chosen].mean(axis=1)
+                if not self._misses(mean, float(mean[self._sites].max())):
+                    break
+            over = (self._costs[:, chosen].mean(axis=1) > 1.0 + LEAST_SHARE).any()
+            found.append(_Choice(chosen, math.inf if over else float(mean.max()),
+                                 np.full(size, 1.0 / size), np.zeros(0)))
+        return _better_of(found)
+
+    def _exchanged_equal(self, chosen: IndexArray, smooth: float) -> IndexArray:
+        """Exchange the best pair of columns until none lowers the smooth value."""
+        least = math.inf
+        while True:
+            values = [self._smooth(np.delete(chosen, k), smooth) for k in range(len(chosen))]
+            leaves, joins = np.unravel_index(np.argmin(values), np.shape(values))
+            if not values[leaves][joins] < least:
+                return chosen
+            least = values[leaves][joins]
+            chosen = np.append(np.delete(chosen, leaves), joins)
+
+    def _smooth(self, chosen: IndexArray, smooth: float) -> FloatArray:
+        """The smooth value (K,) of equal shares if each column joins; inf for those chosen."""
+        losses, costs = ((each[:, chosen].sum(axis=1)[:, None] + each) / (len(chosen) + 1)
+                         for each in (self._losses[self._sites], self._costs))
+        top, smooth = losses.max(axis=0), smooth * self._enough
+        value = top + smooth * np.log(np.exp((losses - top) / smooth).sum(axis=0))
+        value += OVERRUN * self._enough * np.maximum(costs - 1.0, 0.0).sum(axis=0)
+        value[chosen] = np.inf
+        return np.asarray(value)
+
+
+def _better_of(found: Sequence[_Valued]) -> _Valued:
+    """The one of least value; of equal ones, the first."""
+    return min(found, key=lambda each: each.value)

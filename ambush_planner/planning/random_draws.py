@@ -1,0 +1,60 @@
+"""Draws of few routes by hand: which faces of dice, or which cards, stand for which route."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray, frozen_array
+from .path_mixtures import PathMixtures
+from .plan import Plan
+
+_FACES = '123456'
+# What can be drawn, all alike: a die; a first and a second die; a deck, suit after suit.
+OUTCOMES = {
+    'die': tuple(_FACES),
+    'two dice': tuple(first + second for first in _FACES for second in _FACES),
+    'cards': tuple(rank + suit for suit in '♠♥♦♣' for rank in (*'A23456789', '10', *'JQK')),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RandomDraw:
+    """A way to draw: ``counts`` (K,) of its outcomes stand for each route, one route after another.
+
+    ``value`` is the mean loss by the worst ambusher who knows all of this but the draw.
+    """
+
+    name: str
+    counts: IndexArray
+    value: float
+
+    @property
+    def ranges(self) -> list[str]:
+        """The outcomes of each route, such as ``11-23``; '-' if it has none."""
+        outcomes, ends = OUTCOMES[self.name], np.cumsum(self.counts).tolist()
+        return ['-' if not count else outcomes[end - 1] if count == 1 else
+                f'{outcomes[end - count]}-{outcomes[end - 1]}'
+                for count, end in zip(self.counts.tolist(), ends, strict=True)]
+
+
+def random_draws(plan: Plan) -> list[RandomDraw]:
+    """All ways with at least as many outcomes as the plan's few routes, by the nearest shares."""
+    assert plan.few is not None and plan.risk_map is not None
+    mixtures = PathMixtures(plan.risk_map, plan, plan.few.paths)
+    made = []
+    for name, outcomes in OUTCOMES.items():
+        if len(outcomes) >= len(plan.few.paths):
+            counts = nearest_counts(plan.few.shares, len(outcomes))
+            value = mixtures.judged(counts / len(outcomes)).value
+            made.append(RandomDraw(name, counts, value))
+    return made
+
+
+def nearest_counts(shares: FloatArray, total: int) -> IndexArray:
+    """Whole numbers (K,) that add up to ``total``, nearest to ``total`` times the shares (K,)."""
+    counts = np.floor(total * shares + 1e-9).astype(np.int64)
+    largest = np.argsort(counts - total * shares, kind='stable')[: total - int(counts.sum())]
+    counts[largest] += 1
+    return frozen_array(counts, np.int64)

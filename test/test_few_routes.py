@@ -1,0 +1,118 @@
+"""Few routes against all sets of the same candidates, and draws by hand against their shares."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from test_path_mixtures import GOAL, OPTIONS, START, ground
+
+from ambush_planner import (
+    GameOptions,
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    StrategyOptions,
+    plan_trip,
+)
+from ambush_planner.planning.few_routes import few_routes
+from ambush_planner.planning.path_mixtures import PathMixtures
+from ambush_planner.planning.random_draws import OUTCOMES, nearest_counts, random_draws
+from ambush_planner.routes.driven_path import driven_paths
+
+# 16 different routes, so that all sets of two can be tried.
+COARSE = PlanningOptions(NetworkOptions(spacing=5.0), GameOptions(ambush_radius=2.5),
+                         StrategyOptions(max_detour=1.1))
+
+
+@pytest.fixture(scope='module')
+def plan():
+    return plan_trip(ground(), START, GOAL, OPTIONS)
+
+
+def lengths(paths):
+    return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
+
+
+def best_by_trial(plan, seed, size, equal):
+    """The least value of all sets of the candidates that the seed draws."""
+    drawn = plan.strategy.sample_routes(1000, np.random.default_rng(seed))
+    routes = list({route.tobytes(): route for route in drawn}.values())
+    paths = driven_paths(plan.corridors, routes, plan.spacing)
+    costs, budget, least = lengths(paths), plan.strategy.length_budget, np.inf
+    assert size <= len(paths) <= 20
+    for some in map(list, combinations(range(len(paths)), size)):
+        if (costs[some].mean() if equal else costs[some].min()) > budget:
+            continue
+        mixtures = PathMixtures(plan.risk_map, plan, [paths[k] for k in some])
+        found = (mixtures.judged(np.full(size, 1.0 / size)) if equal
+                 else mixtures.best(costs[some], budget))
+        least = min(least, found.value)
+    return least
+
+
+@pytest.mark.parametrize('size, equal', [(1, False), (2, False), (2, True)])
+def test_no_other_set_of_the_candidates_is_much_better(size, equal):
+    plan = plan_trip(ground(3), START, GOAL, COARSE)
+    few = few_routes(plan, size, equal, np.random.default_rng(5))
+    assert few.value <= 1.03 * best_by_trial(plan, 5, size, equal)
+
+
+@pytest.mark.parametrize('equal', [False, True])
+def test_a_mixture_is_what_it_says(plan, equal):
+    few = few_routes(plan, 5, equal, np.random.default_rng(0))
+    count = len(few.paths)
+    assert 1 <= count <= 5 and few.shares.sum() == pytest.approx(1.0)
+    assert len({path.tobytes() for path in few.paths}) == count
+    judged = PathMixtures(plan.risk_map, plan, few.paths).judged(few.shares)
+    assert few.value == pytest.approx(judged.value)
+    np.testing.assert_allclose(few.costs, lengths(few.paths))
+    assert few.shares @ few.costs <= plan.strategy.length_budget * (1.0 + 1e-6)
+    sizes, values = zip(*few.curve, strict=True)
+    assert sizes == (1, 2, 4, 5) and values[-1] == few.value
+    if equal:
+        assert count == 5 and np.ptp(few.shares) == 0.0
+    else:
+        assert list(values) == sorted(values, reverse=True) and (np.diff(few.shares) <= 0.0).all()
+
+
+def test_a_plan_draws_from_its_few_routes():
+    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=3)
+    paths = plan.paths(300, np.random.default_rng(0))
+    number = [[each is path for each in plan.few.paths].index(True) for path in paths]
+    drawn = np.bincount(number, minlength=len(plan.few.paths)) / 300
+    assert np.abs(drawn - plan.few.shares).max() < 0.12  # four standard deviations
+
+
+@pytest.mark.parametrize('routes, game, words', [
+    (0, {}, 'routes must be from 1 to .*got 0'), (101, {}, 'routes must be from 1 to .*got 101'),
+    (3, {'ambush_radius': 0.0}, '--reach'), (3, {'ambushers': 2}, 'ambushers'),
+])
+def test_requests_without_an_answer_are_refused(routes, game, words):
+    options = PlanningOptions(OPTIONS.network, GameOptions(**{'ambush_radius': 2.0, **game}))
+    with pytest.raises(InvalidOption, match=words):
+        plan_trip(ground(), START, GOAL, options, routes=routes)
+
+
+@given(st.lists(st.integers(0, 1000), min_size=1, max_size=30).filter(any), st.integers(1, 60))
+@examples(30)
+def test_counts_are_the_nearest(weights, total):
+    shares = np.array(weights) / sum(weights)
+    counts = nearest_counts(shares, total)
+    assert counts.sum() == total and counts.min() >= 0
+    error = counts - total * shares
+    assert error.max() - error.min() <= 1.0 + 1e-6  # moving one outcome brings nothing nearer
+
+
+def test_draws_by_hand_are_judged_and_cover_all_outcomes():
+    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=6)
+    for draw in random_draws(plan):
+        outcomes = OUTCOMES[draw.name]
+        assert len(set(outcomes)) == len(outcomes) == {'die': 6, 'two dice': 36, 'cards': 52}[
+            draw.name]
+        named = [end for text in draw.ranges if text != '-' for end in text.split('-')]
+        assert (named[0], named[-1]) == (outcomes[0], outcomes[-1])
+        mixtures = PathMixtures(plan.risk_map, plan, plan.few.paths)
+        assert draw.value == pytest.approx(mixtures.judged(draw.counts / len(outcomes)).value)
