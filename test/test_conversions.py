@@ -5,12 +5,10 @@ import math
 import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
-from builtin_interfaces.msg import Time
 from games import examples
 from geometry_msgs.msg import PoseStamped, Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
-from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import FRAME, header, pose
 
@@ -22,7 +20,6 @@ from ambush_planner.maps.ros_messages import (
     pose_from_ros,
     position_from_ros,
 )
-from ambush_planner.ros.cdr import path_bytes
 from ambush_planner.ros.conversions import (
     occupancy_to_ros,
     path_to_ros,
@@ -103,15 +100,6 @@ def test_bad_pose_is_refused_by_name_and_number(name):
     message, words = BAD_POSES[name]
     with pytest.raises(InvalidPose, match=words):
         position_from_ros(message, 'goal')
-
-
-@pytest.mark.parametrize('frame', ['', 'm', 'map', 'größer als'])
-def test_bytes_are_the_message(frame):
-    rows = np.random.default_rng(1).normal(size=(7, 3))
-    of_all = header(frame)
-    of_all.stamp = Time(sec=7, nanosec=11)
-    message = path_to_ros(rows, pose_to_ros(0.1, 0.2, 3.0), pose_to_ros(7.0, 8.0, 1.0), of_all)
-    assert deserialize_message(path_bytes(message), Path) == message
 
 
 def test_poses_are_those_of_the_constructors():
