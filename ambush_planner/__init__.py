@@ -23,8 +23,7 @@ from .game.game import GameOptions
 from .game.strategy import Strategy, StrategyOptions, solve
 from .maps.coordinates import InvalidCoordinates
 from .maps.elevation import InvalidTerrain
-from .maps.occupancy import OccupancyOptions
-from .maps.occupancy import risk_map_from_occupancy as risk_from_occupancy
+from .maps.occupancy import OccupancyOptions, risk_from_occupancy
 from .maps.risk_layers import InvalidLayers
 from .maps.risk_map import RiskMap
 from .maps.risk_map_file import read_risk_map

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from ambush_planner import Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.arrays import BoolArray, FloatArray
 from ambush_planner.commands import demo_ground
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 
 # Maps of the Nav2 project, optional, in a folder next to the checkout.
 DEPOT = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'nav2_depot'
@@ -66,7 +66,7 @@ def _unit_square(cells: int) -> tuple[FloatArray, FloatArray]:
 
 def terrain() -> Scenario:
     """The demo's terrain: 30 km by 32 km with ridges between start and goal."""
-    risk_map = risk_map_from_occupancy(demo_ground.load_ground().values, demo_ground.RESOLUTION)
+    risk_map = risk_from_occupancy(demo_ground.load_ground().values, demo_ground.RESOLUTION)
     return Scenario(risk_map, demo_ground.START, demo_ground.GOAL)
 
 

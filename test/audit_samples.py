@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
-from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
@@ -47,7 +47,7 @@ def parameters(**changes):
 
 @cache
 def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
-    risk_map = risk_map_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
+    risk_map = risk_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
         NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
         StrategyOptions(solver),

@@ -29,7 +29,7 @@ from ambush_planner import (
     StrategyOptions,
     plan_trip,
 )
-from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
 
@@ -155,13 +155,13 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
     values[8:13, [1, 2, 3, 4, -5, -4, -3, -2]] = 0
     game = GameOptions(2.0, ambush_in_obstacles=hides)
     options = PlanningOptions(NetworkOptions(spacing=SPACING), game, drive=DriveOptions(tube=0.0))
-    plan = plan_trip(risk_map_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5), options)
+    plan = plan_trip(risk_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5), options)
     changed, raised = ChangedGround(plan, OccupancyMap(values, 1.0), occupancy), 0
     for where in (None, *rng.integers((0, 6), (20, 20), (5, 2, 2)).transpose(0, 2, 1)):
         now = values.copy()
         if where is not None:
             now[tuple(where)] = rng.choice([99, 99, 100], 2) if hides else 99
-        risk_map = risk_map_from_occupancy(now, 1.0)
+        risk_map = risk_from_occupancy(now, 1.0)
         if hides:
             risk_map = RiskMap(risk_map.nearest_free_alpha(), np.zeros(now.shape, bool), 1.0)
         worst, widened = (Case(risk_map, plan, reach, 2.0, 0.0).losses().max()

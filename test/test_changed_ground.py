@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import solve
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
 from ambush_planner.planning.changed_ground import Assessment, ChangedGround
@@ -31,7 +31,7 @@ def grid(values, origin=ORIGIN):
 
 def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
     """A plan, its map, and the plan on other maps."""
-    risk_map = risk_map_from_occupancy(values, RESOLUTION, origin, OCCUPANCY)
+    risk_map = risk_from_occupancy(values, RESOLUTION, origin, OCCUPANCY)
     game = game or GameOptions()
     options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
     made = plan_trip(risk_map, *risk_map.to_world([START, GOAL]), options)
@@ -79,7 +79,7 @@ def test_a_strategy_is_blocked_if_an_edge_meets_a_new_obstacle(clearance, where)
     made, on, ground = rough_plan(clearance)
     values = changed(on.values, where, 100)
     network, p = made.network, made.strategy.edge_probability
-    risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
+    risk_map = risk_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
     ends = risk_map.to_map_axes(network.points[network.edges[p > 1e-12]])
     field = ObstacleField(risk_map)
     blocked = ground.assess(grid(values)).clear_share < 1.0
@@ -116,7 +116,7 @@ def test_value_and_bound_are_those_of_the_game_on_the_new_map(where, value):
     values = changed(on.values, where, value)
     assessment = ground.assess(grid(values))
     network, strategy = made.network, made.strategy
-    risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
+    risk_map = risk_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
     rows, columns = risk_map.cells(risk_map.to_map_axes(network.points))
     alpha = risk_map.alpha[rows, columns]
     alpha[[network.source, network.target]] = 0.0
@@ -168,7 +168,7 @@ def test_nodes_over_the_threshold_block_their_routes():
 def test_segments_are_clear_exactly_if_they_are_on_the_whole_map(clearance, seed):
     made, on, ground = rough_plan(clearance)
     rng = np.random.default_rng(seed)
-    risk_map = risk_map_from_occupancy(on.values, RESOLUTION, ORIGIN, OCCUPANCY)
+    risk_map = risk_from_occupancy(on.values, RESOLUTION, ORIGIN, OCCUPANCY)
     a = rng.uniform(-0.5, SIZE * RESOLUTION + 0.5, (3, 2))
     b = a + rng.normal(size=(3, 2))
     wanted = (ObstacleField(risk_map).clear_segments(a, b, clearance)
@@ -188,7 +188,7 @@ def test_a_paths_steps_are_clear_as_on_the_whole_map(seed, clearance):
     grid = OccupancyMap(np.where(rng.random((30, 60)) < 0.03, 100, 10).astype(np.int8), 0.2)
     points = rng.uniform((0.5, 0.5), (11.5, 5.5), (1, 2)) + np.cumsum(
         rng.normal(0.0, 0.06, (120, 2)), axis=0)
-    field = ObstacleField(risk_map_from_occupancy(grid.values, 0.2, options=RISK))
+    field = ObstacleField(risk_from_occupancy(grid.values, 0.2, options=RISK))
     wanted = field.clear_segments(points[:-1], points[1:], clearance)
     found = ClearGround(grid, RISK, NetworkOptions(clearance=clearance)).steps(points)
     np.testing.assert_array_equal(found, wanted)

@@ -24,7 +24,7 @@ from ambush_planner.commands.demo_client import DemoClient
 from ambush_planner.commands.demo_ground import GOAL, START
 from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain, lock_domain
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 
 AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3
@@ -80,7 +80,7 @@ def test_routes_differ_and_lead_from_start_to_goal_clear_of_obstacles(recordings
         assert recording['/path'][0].poses[-1].pose == recording['/goal_pose'][0].pose
         (grid,) = recording['/alpha_map']
         values = np.asarray(grid.data).reshape(grid.info.height, grid.info.width)
-        field = ObstacleField(risk_map_from_occupancy(values, grid.info.resolution))
+        field = ObstacleField(risk_from_occupancy(values, grid.info.resolution))
         assert field.clear_segments(route[:-1], route[1:], 0.0).all()
         # A turn in a narrow place is several poses at one position.
         places = np.round(route, 3)

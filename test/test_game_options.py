@@ -34,7 +34,7 @@ def test_the_path_is_in_its_tube_and_the_game_has_as_much_more_reach(tmp_path, t
     assert tube / 9.0 <= max(strayed) <= tube + 1e-9
 
 
-def short_of_time(game, options, ground, warm):
+def short_of_time(game, options, ground, *_):
     """The result of a solve at the time limit: a strategy that is 4 % over the best."""
     rough = StrategyOptions(max_detour=options.max_detour, risk_slack=0.05)
     raise TimeLimit('time is up', solve_game(game, rough, ground))

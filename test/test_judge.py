@@ -242,8 +242,8 @@ def test_recordings_are_judged(tmp_path):
     (QUICK, 4, '0 trips within 2.875 m of start and goal\n'
      'left out: track 1 of a.csv never comes within 2.875 m of the start\n'
      'ambush judge: no track has a trip from start to goal\n'),
-    ((*QUICK, '--held', 60), 3, 'held ground covers everything'),
-    ((), 3, 'how far does an ambusher reach? Add --reach METRES'),
+    ((*QUICK, '--held', 60), 2, 'held ground covers everything'),
+    ((), 2, 'how far does an ambusher reach? Add --reach METRES'),
     ((*QUICK, '--detour', 1.2), 2, 'leave it out'),
 ])
 def test_what_cannot_be_judged_is_said_in_a_sentence(map_file, tmp_path, arguments, code, reason):

@@ -8,7 +8,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import solve
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.options import PlanningOptions
@@ -25,7 +25,7 @@ ALL = (edge_probabilities, mean_direction, ambush_sites)
 
 @pytest.fixture(scope='module')
 def strategy():
-    risk_map = risk_map_from_occupancy(*occupancy_from_ros(risk_grid()))
+    risk_map = risk_from_occupancy(*occupancy_from_ros(risk_grid()))
     options = PlanningOptions(NetworkOptions(spacing=1.0))
     return plan_trip(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.clear_ground import ClearGround
@@ -29,7 +29,7 @@ def ground_on(values, radius=0.0, stops=(), spacing=1.1, **strategy):
     grid = OccupancyMap(values, 0.25)
     options = PlanningOptions(NetworkOptions(spacing=spacing), GameOptions(ambush_radius=radius),
                               StrategyOptions(**strategy))
-    plan = plan_trip(risk_map_from_occupancy(values, 0.25), START, GOAL, options, stops=stops)
+    plan = plan_trip(risk_from_occupancy(values, 0.25), START, GOAL, options, stops=stops)
     return ChangedGround(plan, grid, OccupancyOptions()), grid
 
 
@@ -81,7 +81,7 @@ def test_law_and_value_are_those_of_the_joined_routes(seed, angle, away, radius)
     found = all_routes(joined.plan.strategy)
     assert found.keys() == expected.keys()
     assert all(found[each] == pytest.approx(expected[each], abs=1e-9) for each in found)
-    losses = losses_by_hand(joined.plan.strategy, risk_map_from_occupancy(values, 0.25))
+    losses = losses_by_hand(joined.plan.strategy, risk_from_occupancy(values, 0.25))
     assert joined.assessment.value >= losses.max() * (1.0 - 1e-9)  # between centres, it may be more
     assert joined.assessment.lower_bound <= joined.assessment.value
     mean = sum(chance * np.hypot(*np.diff(
@@ -96,7 +96,7 @@ def test_paths_begin_at_the_convoy_and_keep_clear(radius, stops):
     ground, grid = ground_on(values, radius, stops)
     newest = OccupancyMap(values.copy(), 0.25)
     newest.values[13:17, 10:13] = 100  # since the solve: on some of the ways to join
-    field = ObstacleField(risk_map_from_occupancy(newest.values, 0.25))
+    field = ObstacleField(risk_from_occupancy(newest.values, 0.25))
     place, rng = (2.1, 2.6), np.random.default_rng(2)
     joined = joined_plan(ground, newest, (place, GOAL))
     assert joined.assessment.clear_share < 1.0
@@ -147,7 +147,7 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
         strict=True) if p > 0.0}
     assert set(zip(rest.nodes[1:-1].tolist(), rest.nodes[2:].tolist(), strict=True)) <= used
     assert tuple(path[0, :2]) == place and tuple(path[-1, :2]) == GOAL
-    field = ObstacleField(risk_map_from_occupancy(newest.values, 0.25))
+    field = ObstacleField(risk_from_occupancy(newest.values, 0.25))
     assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
     ground = ClearGround(newest, OccupancyOptions(), plan.options.network)
     assert ground.drivable_steps(path[:, :2]).all()

@@ -9,7 +9,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ambush_planner.commands.report_words import quantities
 from ambush_planner.game.game import GameOptions
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.route_layers import strategy_tables
@@ -23,7 +23,7 @@ def plan():
     """Without a reach, the best ambusher waits at the same places for both legs."""
     options = PlanningOptions(NetworkOptions(spacing=1.6 * SPACING),
                               GameOptions(secured_radius=SECURED, ambushers=2))
-    risk_map = risk_map_from_occupancy(occupancy(), 5.0)
+    risk_map = risk_from_occupancy(occupancy(), 5.0)
     return plan_trip(risk_map, START, START, options, stops=[GOAL])
 
 

@@ -14,7 +14,7 @@ from waiting import answer_of
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
-from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.node_parameters import parameters_from
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
@@ -125,7 +125,7 @@ def test_a_costmap_gives_the_chance_to_be_met_or_losses():
                  for preset in ('costmap', 'costmap_risk'))
     cells = np.array([[-1, 0, 50, 98, 99, 100]], dtype=np.int8)
     for options, losses in ((met, [1.0, 1.0, 1.0, 1.0]), (risk, [3.0, 1.0, 5.5, 9.82])):
-        ground = risk_map_from_occupancy(cells, 1.0, (0.0, 0.0, 0.0), options)
+        ground = risk_from_occupancy(cells, 1.0, (0.0, 0.0, 0.0), options)
         assert ground.obstacles.tolist() == [[False, False, False, False, True, True]]
         assert ground.alpha[0, :4] == pytest.approx(losses)
 

@@ -190,7 +190,7 @@ def test_equal_shares_are_a_die(plain, tmp_path):
     rows = [line.split() for line in done.out.splitlines()]
     head = next(k for k, row in enumerate(rows) if row[:1] == ['route'])
     assert [row[1] + row[5] for row in rows[head + 1 : head + 7]] == [
-        f'16.7{k}' for k in range(1, 7)]
+        f'17{k}' for k in range(1, 7)]
     assert rows[head + 7][1] == rows[head + 7][2]  # the value of the mixture is that of the die
 
 
@@ -217,11 +217,11 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
 @pytest.mark.parametrize(('arguments', 'code', 'reason'), [
     (('--start', '36.5,-84.2'), 3, '36.5,-84.2 is a latitude and longitude, but the coordinate '
                                    'system of the map is unknown'),
-    (('--start', 5000, 5), 3, r'start \(5000.000, 5.000\) is outside the map'),
-    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 3, 'outside the map.* spans latitudes'),
+    (('--start', 5000, 5), 2, r'start \(5000.000, 5.000\) is outside the map'),
+    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 2, 'outside the map.* spans latitudes'),
     (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 3, 'the unit of a map must be the metre'),
     (('--crs', 'EPSG:99'), 3, "not a coordinate system: 'EPSG:99'"),
-    (('--start', 0, 50), 3, 'start .* lies in an obstacle'),
+    (('--start', 0, 50), 2, 'start .* lies in an obstacle'),
     (('-o', 'r.gpx'), 3, 'GPX holds latitude and longitude, but'),
     (('-o', 'r.shp'), 2, 'suffix must be one of .gpkg'),
     (('--start', 'here'), 2, r"--start: must be X Y \[m\] or LAT,LON \[degrees\], got 'here'"),

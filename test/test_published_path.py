@@ -6,7 +6,7 @@ from rclpy.parameter import Parameter
 from ros_harness import pose, risk_grid, stage
 
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
@@ -51,7 +51,7 @@ def test_a_path_of_too_many_poses_is_refused(running, spacing):
 
 @pytest.mark.parametrize('clearance', [0.0, 0.9])
 def test_every_segment_keeps_its_clearance(running, clearance):
-    field = ObstacleField(risk_map_from_occupancy(*occupancy_from_ros(risk_grid())))
+    field = ObstacleField(risk_from_occupancy(*occupancy_from_ros(risk_grid())))
     for _ in range(3):
         rows = rows_with(running, network__clearance=clearance, route__path_spacing=0.2)
         assert field.clear_segments(rows[:-1, :2], rows[1:, :2], clearance).all()

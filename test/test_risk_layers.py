@@ -23,7 +23,7 @@ from ambush_planner.commands.risk import occupancy_of
 from ambush_planner.maps import Elevation, TerrainOptions, ViewOptions, terrain_map
 from ambush_planner.maps.incidents import cross_validated_bandwidth
 from ambush_planner.maps.map_file import read_map
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.risk_layers import InvalidLayers, risk_from_layers
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.maps.risk_map_file import read_risk_map
@@ -84,7 +84,7 @@ def test_terrain_alone_is_the_terrain_map(folder):
     with rasterio.open(folder / 'dem.tif') as file:
         heights = file.read(1)[::-1]
     made = terrain_map(Elevation(heights, STEP), TerrainOptions(ViewOptions(200.0)))
-    expected = risk_map_from_occupancy(made.values, STEP)
+    expected = risk_from_occupancy(made.values, STEP)
     free = ~expected.obstacles
     assert free.any() and np.array_equal(risk_map.obstacles, expected.obstacles)
     assert np.allclose(risk_map.alpha[free], expected.alpha[free], rtol=1e-12)

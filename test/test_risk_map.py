@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import InvalidRiskMap, RiskMap
-from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 
 origins = st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-7, 7))
 resolutions = st.floats(0.01, 100)
@@ -90,24 +90,24 @@ def test_rejects_malformed_maps(change, words):
 
 
 def test_occupancy_values_by_hand():
-    risk_map = risk_map_from_occupancy([[0, 50, 99], [100, -1, 10]], 0.05)
+    risk_map = risk_from_occupancy([[0, 50, 99], [100, -1, 10]], 0.05)
     assert risk_map.alpha[0] == pytest.approx([1.0, 5.5, 9.91])
     assert risk_map.obstacles.tolist() == [[False] * 3, [True, True, False]]
 
 
 def test_unknown_cells_can_have_a_loss_and_thresholds_move():
     options = OccupancyOptions(2.0, 4.0, 50, 7.0)
-    risk_map = risk_map_from_occupancy([[0, 49, 50, -1]], 1.0, options=options)
+    risk_map = risk_from_occupancy([[0, 49, 50, -1]], 1.0, options=options)
     assert risk_map.alpha[0, [0, 1, 3]] == pytest.approx([2.0, 2.98, 7.0])
     assert risk_map.obstacles.tolist() == [[False, False, True, False]]
     options = OccupancyOptions(obstacle_threshold=101, unknown_alpha=0.0)
-    assert not risk_map_from_occupancy([[100, -1]], 1.0, options=options).obstacles.any()
+    assert not risk_from_occupancy([[100, -1]], 1.0, options=options).obstacles.any()
 
 
 @pytest.mark.parametrize('dtype', [np.int8, np.int64, np.float64])
 def test_every_value_in_range_is_read(dtype):
     values = np.arange(-1, 101, dtype=dtype)[None]
-    risk_map = risk_map_from_occupancy(values, 1.0)
+    risk_map = risk_from_occupancy(values, 1.0)
     assert risk_map.alpha[0, 1:] == pytest.approx(1.0 + 0.09 * np.arange(101))
     assert np.flatnonzero(risk_map.obstacles[0]).tolist() == [0, 101]
 
@@ -115,10 +115,10 @@ def test_every_value_in_range_is_read(dtype):
 @pytest.mark.parametrize('value', [-2, 101, np.nan, np.inf])
 def test_rejects_values_out_of_range(value):
     with pytest.raises(InvalidRiskMap, match=rf'{value}.* \(0, 1\)'):
-        risk_map_from_occupancy([[0, value]], 1.0)
+        risk_from_occupancy([[0, value]], 1.0)
 
 
 @pytest.mark.parametrize('values', [[], [1, 2], [[[1]]]])
 def test_rejects_grids_of_other_shapes(values):
     with pytest.raises(InvalidRiskMap, match='shape'):
-        risk_map_from_occupancy(values, 1.0)
+        risk_from_occupancy(values, 1.0)

@@ -11,7 +11,7 @@ from ambush_planner.commands import table
 from ambush_planner.commands.inputs import options_of
 from ambush_planner.errors import InvalidOption
 from ambush_planner.maps.map_file import read_map, write_map
-from ambush_planner.maps.occupancy import OccupancyMap, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyMap, risk_from_occupancy
 
 DEPOTS = 'name,x,y\nnorth,15,185\nsouth,15,15\n'
 CUSTOMERS = 'name, x, y, remark\nmill,185,95,steep\n"the old, bridge",175,25,\nblocked,95,95,\n'
@@ -44,7 +44,7 @@ def test_rows_have_the_numbers_of_solve(folder):
         for customer in ('mill', 'the old, bridge', 'blocked')
     ]
     assert [row['error'].partition(':')[0] for row in rows] == ['', '', 'GoalBlocked'] * 2
-    risk_map = risk_map_from_occupancy(read_map(folder / 'map.yaml').values, 10.0)
+    risk_map = risk_from_occupancy(read_map(folder / 'map.yaml').values, 10.0)
     network = build_network(risk_map, (15, 15), (175, 25), NetworkOptions(spacing=20.0))
     strategy = solve(network, GameOptions(), StrategyOptions(max_detour=1.4))
     for name in table.NUMBERS:

@@ -9,7 +9,7 @@ from ros_harness import risk_grid, stage
 
 from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
 from ambush_planner.game.solver import Multipliers
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import WarmStart
@@ -23,7 +23,7 @@ def ground(seed, changed=()):
     values = np.random.default_rng(seed).integers(0, 60, (24, 24), dtype=np.int8)
     for row, column, value in changed:
         values[row, column] = value
-    return risk_map_from_occupancy(values, 0.5)
+    return risk_from_occupancy(values, 0.5)
 
 
 def solve_on_network(risk_map, options, warm=None):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
 from ..planning.concerns import assumptions, concerns, is_sound
@@ -123,7 +123,7 @@ def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
                     console: cli.Console) -> RiskMap:
     elevation, ground = terrain_from(arguments, arguments.map, console)
     options = replace(options, crs=agreed_crs(elevation.crs, options.crs))
-    return risk_map_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
+    return risk_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
                                    options)
 
 

@@ -21,7 +21,7 @@ from ..maps import (
 )
 from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
-from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyMap, risk_from_occupancy
 from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
 from .inputs import add_datum, add_map_output, crs_text
@@ -121,7 +121,7 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
     figure = Figure(figsize=(WIDTH, 9.8), layout='compressed')
     *panels, last = figure.subplots(3, 2).ravel()
-    risk_map = risk_map_from_occupancy(ground.values, ground.resolution)
+    risk_map = risk_from_occupancy(ground.values, ground.resolution)
     width, height = risk_map.size
     place = {'origin': 'lower', 'extent': (0.0, width, 0.0, height), 'interpolation': 'nearest'}
     thin = max(1, max(elevation.heights.shape) // _MOST_CELLS)

@@ -73,7 +73,7 @@ class OccupancyOptions:
             )
 
 
-def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
+def risk_from_occupancy(values: npt.ArrayLike, resolution: float,
                             origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
                             options: OccupancyOptions | None = None) -> RiskMap:
     """Convert an occupancy grid to a risk map.

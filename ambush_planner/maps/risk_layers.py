@@ -41,7 +41,7 @@ from .incidents import (
     kernel_density,
     weighted_incidents,
 )
-from .occupancy import OccupancyOptions, risk_map_from_occupancy
+from .occupancy import OccupancyOptions, risk_from_occupancy
 from .risk_map import LEAST_LOSS, RiskMap
 from .road_file import connected_parts
 from .terrain_risk import TerrainOptions, terrain_map
@@ -173,7 +173,7 @@ def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
     made = terrain_map(elevation, TerrainOptions(view, **options), None, progress)
     scale = OccupancyOptions(0.0, _number('loss', values['loss']), crs=elevation.crs)
-    ground = risk_map_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
+    ground = risk_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
     shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.
     return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)],

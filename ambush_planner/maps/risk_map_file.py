@@ -14,7 +14,7 @@ from ..errors import InvalidRiskMap
 from .coordinates import Coordinates, InvalidCoordinates
 from .elevation_file import read_raster
 from .map_file import read_map
-from .occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from .occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from .risk_map import RiskMap, to_map_axes
 
 _UNKNOWN = 255  # in a GeoTIFF
@@ -51,7 +51,7 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
         else:
             grid = read_map(path)
         options = replace(options, crs=agreed_crs(grid.crs, options.crs))
-        return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+        return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
     except InvalidRiskMap as error:
         hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error

@@ -21,7 +21,7 @@ from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges, near_ends
 from ..game.game import Game
 from ..game.law.chain import MarkovChain
-from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
 from .options import parts_of_cells
 
@@ -248,7 +248,7 @@ class LatestLosses:
 
 
 def _risk(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
-    return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+    return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
 
 
 def _changed(one: OccupancyMap, other: OccupancyMap) -> IndexArray | None:

@@ -14,7 +14,7 @@ from ..maps.occupancy import (
     OccupancyMap,
     OccupancyOptions,
     obstacles_in,
-    risk_map_from_occupancy,
+    risk_from_occupancy,
 )
 from ..maps.risk_map import TOUCH, cells_at, to_map_axes
 from .cell_losses import LatestLosses
@@ -84,7 +84,7 @@ class PlannedNetwork:
             alpha = losses.in_cells(np.stack(self._cells, axis=1))
         else:
             values = newest.values[self._cells][None, :]
-            alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
+            alpha = risk_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
         alpha[self._network.ends] = 0.0
         return alpha
 

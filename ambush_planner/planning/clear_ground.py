@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray
 from ..maps.obstacles import ObstacleField
-from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap, to_map_axes, to_world
 from ..network.construction import NetworkOptions
 
@@ -104,4 +104,4 @@ class ClearGround:
         low: npt.NDArray[np.int64] = np.clip(uv.min(axis=0) // step - margin, 0, last).astype(int)
         high = np.clip(uv.max(axis=0) // step + margin, 0, last).astype(int) + 1
         values = self.newest.values[low[1]:high[1], low[0]:high[0]]
-        return np.multiply(low, step), risk_map_from_occupancy(values, step, options=self.occupancy)
+        return np.multiply(low, step), risk_from_occupancy(values, step, options=self.occupancy)

@@ -14,7 +14,7 @@ from ..arrays import FloatArray, IndexArray, frozen_array
 from ..game.bottleneck import Bottleneck, find_bottleneck
 from ..game.strategy import Strategy
 from ..maps.obstacles import nearest_free_cell
-from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..notebook import Shown
@@ -37,7 +37,7 @@ class PlanRequest:
     Parameters
     ----------
     values : (H, W) int8, resolution, origin
-        An occupancy grid, as ``risk_map_from_occupancy`` takes it.
+        An occupancy grid, as ``risk_from_occupancy`` takes it.
     occupancy
         The conversion of its values to losses.
     start_xy, goal_xy
@@ -196,7 +196,7 @@ def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float
 
     Raises InvalidRiskMap if the map is malformed.
     """
-    risk_map = risk_map_from_occupancy(request.values, request.resolution, request.origin,
+    risk_map = risk_from_occupancy(request.values, request.resolution, request.origin,
                                        request.occupancy)
     network = request.options.network
     return risk_map, nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,

@@ -15,7 +15,7 @@ from ..errors import AmbushPlannerError
 from ..game.hits import worst_loss
 from ..game.law.acyclic import is_acyclic
 from ..game.strategy import Strategy
-from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..planning.changed_ground import ChangedGround
@@ -178,7 +178,7 @@ def _map(cells: bytes, shape: tuple[int, int], resolution: float,
 
 
 def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
-    return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+    return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
 
 
 def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,

@@ -6,7 +6,7 @@ around all routes of a mixture, and one within a few edges of each of its best r
 are joined at the source and the target, so together they are one acyclic network, with one law of
 greatest entropy. Its limits are valid and linear: site j counts in copy k at most
 min(weight of k, entries in k). A copy whose routes enter the disc twice *concedes* the site: it
-counts with its whole weight.
+counts with its whole weight, times the largest load with which they enter.
 """
 
 from __future__ import annotations
@@ -118,7 +118,10 @@ class _Laws:
         # By site and label: whether the label concedes the site.
         entries = [np.zeros(len(self._loss)), *(self._entering[:, route].sum(axis=1)
                                                 for route in few.routes)]
-        self._conceded = np.column_stack([np.ravel(each) > ONCE for each in entries])
+        hits = csr_matrix(self._entering[:, self.network.edge])
+        self._most_counted = _largest(hits, self.label, len(self._begin))
+        self._conceded = np.column_stack([np.ravel(each) for each in entries]) > (
+            ONCE * self._most_counted)
         self._excess = csr_matrix(routes.excess[:, self.network.edge] / (1.0 - KEPT_MARGIN))
 
     def _copies(self, around: list[IndexArray], width: int) -> None:
@@ -172,7 +175,8 @@ class _Laws:
         begin = [self._begin[k] for k in label]
         row = np.concatenate((entry.row[kept], np.repeat(site, list(map(len, begin)))))
         column = np.concatenate((entry.col[kept], *begin))
-        counts = np.append(entry.data[kept], np.ones(len(row) - kept.sum()))
+        most = np.repeat(self._most_counted[site, label], list(map(len, begin)))
+        counts = np.append(entry.data[kept], most)
         return csr_matrix((counts, (row, column)), hits.shape)
 
     def _losses(self, hits: csr_matrix, chain: MarkovChain) -> FloatArray:
@@ -184,11 +188,19 @@ class _Laws:
         entries = sums(entry.row * labels + self.label[entry.col], entry.data * law[entry.col],
                        len(self._loss) * labels).reshape(-1, labels)
         weight = np.array([law[begin].sum() for begin in self._begin])
+        weight = weight * self._most_counted
         self._conceded = entries > weight * ONCE
         losses = self._loss * np.minimum(entries, weight).sum(axis=1)
         worst = np.argsort(-losses)[:EXACT]
         losses[worst] = self._loss[worst] * chain.hits(hits[worst])
         return np.asarray(losses)
+
+
+def _largest(hits: csr_matrix, label: IndexArray, labels: int) -> FloatArray:
+    """The largest count of an entry in ``hits`` (S, m) by site and label (S, labels)."""
+    entry, largest = hits.tocoo(), np.zeros((hits.shape[0], labels))
+    np.maximum.at(largest, (entry.row, label[entry.col]), entry.data)
+    return largest
 
 
 def _part(game: Game, used: IndexArray, potential: FloatArray,
