@@ -180,7 +180,7 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
         result = json.loads(done.out)
         assert done.code == 0 and set(result) == documented_keys(draw)
         numbers.add(result['route'])
-    assert numbers == set(range(1, count + 1))
+    assert 1 < len(numbers) and numbers <= set(range(1, count + 1))
     assert re.fullmatch(r'route \d\n', run_here(draw, tmp_path / 'r.json').out)
 
 
