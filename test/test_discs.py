@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, solve
-from ambush_planner.game.discs import ExposedEdges
+from ambush_planner.game.discs import ExposedEdges, around_ends
 from ambush_planner.game.game import make_game
 
 # Points along each edge; distances within NEAR radii of the circle are ambiguous.
@@ -26,7 +26,11 @@ def corridor(points) -> Network:
 
 def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
     """Row (M,) of one site."""
-    return ExposedEdges(network, 0.0).entering(network.points[[centre_node]], radius).toarray()[0]
+    return _everywhere(network).entering(network.points[[centre_node]], radius).toarray()[0]
+
+
+def _everywhere(network: Network) -> ExposedEdges:
+    return ExposedEdges(network, around_ends(network, 0.0).shrunk(0.0))
 
 
 def drawn(points: np.ndarray) -> np.ndarray:
@@ -121,7 +125,7 @@ def test_an_edge_that_only_passes_through_a_disc_hits():
 
 def test_without_sites_there_are_no_rows():
     network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
-    assert ExposedEdges(network, 0.0).entering(np.empty((0, 2)), 1.0).shape == (0, 2)
+    assert _everywhere(network).entering(np.empty((0, 2)), 1.0).shape == (0, 2)
 
 
 def test_a_node_on_the_rim_of_held_ground_hides_no_hit():

@@ -183,6 +183,8 @@ def _value(name: str, text: str, kind: type) -> Any:
         value = yaml.safe_load(text)
         if kind is float and not isinstance(value, bool):
             value = float(value)  # YAML reads 1e3 as text
+        elif kind is tuple:
+            value = tuple(map(tuple, value))
     except (yaml.YAMLError, TypeError, ValueError):
         value = None
     if type(value) is not kind:

@@ -8,6 +8,7 @@ losses by site and edge: row j of ``D p`` is the mean loss of an ambush at site 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 
@@ -20,7 +21,7 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole
-from .discs import ExposedEdges, near_ends
+from .discs import ExposedEdges, HeldGround, around_ends
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,10 @@ class GameOptions:
         Radius of the held ground around the source, each stop and the target [m]: nobody can wait
         there, and with a reach nobody who drives there is hit. -1: as far as the reach, an
         assumption.
+    held_places
+        More held ground: discs (x, y, radius) [m] in world coordinates, such as a checkpoint on the
+        way. As around the ends, nobody can wait there, and with a reach nobody who drives there is
+        hit.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
@@ -64,6 +69,7 @@ class GameOptions:
     ambush_in_obstacles: bool = False
     tube: float = 0.0
     widened: float = 0.0
+    held_places: tuple[tuple[float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
@@ -74,6 +80,7 @@ class GameOptions:
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
         check_whole('ambushers', self.ambushers, 1)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
+        object.__setattr__(self, 'held_places', _checked_places(self.held_places))
 
     @property
     def reach(self) -> float:
@@ -82,10 +89,22 @@ class GameOptions:
 
     @property
     def held_radius(self) -> float:
-        """Radius of the held ground [m]."""
+        """Radius of the held ground around source, stops and target [m]."""
         if self.secured_radius == -1.0:
             return self.ambush_radius + self.tube
         return self.secured_radius
+
+
+def _checked_places(given: Iterable[Iterable[float]]) -> tuple[tuple[float, float, float], ...]:
+    """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
+    try:
+        places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)
+    except (TypeError, ValueError):
+        places = ((math.nan,) * 3,)
+    if not all(math.isfinite(x + y + radius) and radius > 0.0 for x, y, radius in places):
+        raise InvalidOption('held_places must each be x, y and a radius over 0 [m], got '
+                            f'{given!r}')
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +143,12 @@ class Game:
         return len(self.network.points)
 
     @cached_property
+    def held(self) -> HeldGround:
+        """Where nobody can wait: around source, stops and target, and at the held places."""
+        ends = around_ends(self.network, self.options.held_radius)
+        return ends.with_places(self.options.held_places)
+
+    @cached_property
     def sites(self) -> IndexArray:
         """The first nodes (S,) of the places where an ambush causes a loss."""
         first = self.network.representatives
@@ -147,7 +172,7 @@ class Game:
 
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
         """The parts of edges, by default all, outside held ground."""
-        return ExposedEdges(self.network, self.options.held_radius - self.options.tube, edges)
+        return ExposedEdges(self.network, self.held.shrunk(self.options.tube), edges)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """Mean loss (S,) of an ambush at each site against strategy p: the rows of ``D p``."""
@@ -250,12 +275,10 @@ def make_game(network: Network, options: GameOptions) -> Game:
             f'only {network.place_count} nodes'
         )
     allowed = network.alpha <= options.alpha_threshold
-    everywhere = Game(
-        network,
-        options,
-        frozen_array(np.ones(len(network.edges)), np.bool_),
-        frozen_array(np.where(_possible_sites(network, options), network.alpha, 0.0), np.float64),
-    )
+    everywhere = Game(network, options, frozen_array(np.ones(len(network.edges)), np.bool_),
+                      network.alpha)
+    held = everywhere.held.shrunk(options.widened)  # sites stand for places around them
+    everywhere = everywhere.without_sites(held.covers(network.points))
     game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
     if game is None:
         raise _no_route(network, options, int((~allowed).sum()))
@@ -275,11 +298,3 @@ def _no_route(network: Network, options: GameOptions, forbidden: int) -> NoRoute
             f'; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, raise it'
         )
     return NoRoute(text)
-
-
-def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
-    """Nodes (N,) where the ambusher can wait."""
-    held = options.held_radius - options.widened  # sites stand for places around them
-    if held <= 0.0:  # other nodes may be at the same place as an end
-        return np.ones(len(network.points), dtype=bool)
-    return ~near_ends(network, held)
