@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
-commands = ('audit', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', 'risk', 'table',
-            'terrain', 'verify', 'views')
+commands = ('audit', 'demo', 'export', 'frontier', 'hold', 'plan', 'replay', 'report', 'risk',
+            'table', 'terrain', 'verify', 'views')
 gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
        'shapely>=2.0']
 

@@ -21,6 +21,7 @@ from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .planning.evaluation import evaluate
 from .planning.frontier import FrontierRow, frontier, trip_frontier
+from .planning.holding import Held, Holding, places_to_hold
 from .planning.many import Problem, Solved, solve_many
 from .planning.options import PlanningOptions
 from .planning.trip import plan_trip
@@ -33,6 +34,8 @@ __all__ = [
     'FrontierRow',
     'GameOptions',
     'GoalBlocked',
+    'Held',
+    'Holding',
     'InvalidNetwork',
     'InvalidOption',
     'InvalidRiskMap',
@@ -55,6 +58,7 @@ __all__ = [
     'evaluate',
     'frontier',
     'sample_departures',
+    'places_to_hold',
     'plan_trip',
     'solve',
     'solve_many',

@@ -30,6 +30,7 @@ COMMANDS = {
     'demo': 'run a node on real terrain, with recordings and a report',
     'export': 'write recorded routes to files for a GPS or a GIS',
     'frontier': 'compare length budgets and slacks on a map',
+    'hold': 'find the places whose holding lowers the value most',
     'plan': 'plan on a map and draw routes for a GPS or a GIS',
     'replay': 'publish recorded departures again',
     'report': 'show recorded departures on one page for any browser',

@@ -23,6 +23,9 @@ from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole
 from .discs import ExposedEdges, HeldGround, around_ends
 
+# Position and radius (x, y, radius) [m] of a disc of held ground.
+HeldPlace = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class GameOptions:
@@ -69,7 +72,7 @@ class GameOptions:
     ambush_in_obstacles: bool = False
     tube: float = 0.0
     widened: float = 0.0
-    held_places: tuple[tuple[float, float, float], ...] = ()
+    held_places: tuple[HeldPlace, ...] = ()
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
@@ -95,7 +98,7 @@ class GameOptions:
         return self.secured_radius
 
 
-def _checked_places(given: Iterable[Iterable[float]]) -> tuple[tuple[float, float, float], ...]:
+def _checked_places(given: Iterable[Iterable[float]]) -> tuple[HeldPlace, ...]:
     """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
     try:
         places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)

@@ -1,0 +1,180 @@
+"""``ambush hold``: which places to hold next."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MaxNLocator
+
+from ..colours import AMBUSHER
+from ..figures import HALO, WIDTH, as_png, draw_strategy
+from ..maps.coordinates import Coordinates
+from ..maps.risk_map import RiskMap
+from ..planning.holding import Held, Holding, places_to_hold
+from . import cli
+from .inputs import (
+    MAP_HELP,
+    OPTIONS_HELP,
+    POSITION_HELP,
+    add_options,
+    add_places,
+    options_from,
+    risk_map_from,
+)
+from .table import PLACES_HELP, in_metres, read_places
+
+SUFFIXES = ('.csv', '.png')
+# Held places in the picture: a green that is none of the routes'.
+HELD = '#35c48c'
+EPILOG = f"""\
+{MAP_HELP}
+{POSITION_HELP}
+Finds the place that lowers the value most if nobody can wait within --radius of it, and nobody who
+drives there is hit; then the next one, given the first, and so on. The value is that of ambush plan
+with these places held. PLACES.csv has the columns {PLACES_HELP}.
+The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
+and others, below which no other candidate instead of it can bring the value. The picture (.png) has
+the places on the map, with the strategy if all are held, and the value as a curve.
+{OPTIONS_HELP}
+--json: {{"verdict", "files", "value", "lower_bound", "radius", "places": [{{...}}]}}
+""" + cli.EXIT_CODES
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser('hold', 'Find the places whose holding lowers the value most.', EPILOG)
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
+    add_places(made)
+    made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
+                      help='number of places to hold (default: 5)')
+    made.add_argument('--radius', type=float, required=True, metavar='METRES',
+                      help='radius of the ground that holding a place covers')
+    made.add_argument('--candidates', type=Path, metavar='PLACES.csv', help='the places that can '
+                      "be held (default: places around the ambusher's sites)")
+    made.add_argument('-o', '--output', type=_output, nargs='+', required=True, metavar='FILE',
+                      help='table and picture to write: ' + ', '.join(SUFFIXES))
+    add_options(made)
+    return made
+
+
+def _output(text: str) -> Path:
+    if Path(text).suffix not in SUFFIXES:
+        raise argparse.ArgumentTypeError(f'{text}: its suffix must be one of {", ".join(SUFFIXES)}')
+    return Path(text)
+
+
+def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    options = options_from(arguments)
+    given = read_places(arguments.candidates) if arguments.candidates else None
+    risk_map = risk_map_from(arguments.map, options.map, console)
+    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
+                         for end in ('start', 'goal'))
+    with console.waiting('solving games'):
+        found = places_to_hold(
+            risk_map, start, goal, arguments.radius, arguments.count, options.planning,
+            stops=[place.xy(risk_map) for place in arguments.via or ()],
+            candidates=given and in_metres(given, risk_map))
+    rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
+    contents = {path: _table(rows) if path.suffix == '.csv' else
+                as_png(hold_figure(found, risk_map)) for path in arguments.output}
+    for path, data in contents.items():
+        cli.write_private(path.parent, {path.name: data})
+    _tell(found, rows, arguments, console)
+    return cli.Exit.HOLDS
+
+
+def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
+    """The row of one place; the columns lat and lon are for maps with a coordinate system."""
+    at = dict(zip('xy', step.xy, strict=True))
+    if risk_map.crs:
+        at |= zip(('lat', 'lon'), Coordinates(risk_map.crs).to_lat_lon([step.xy])[0], strict=True)
+    return {'number': number, 'name': step.name, **at, 'value': step.strategy.value,
+            'lower_bound': step.strategy.lower_bound,
+            'others': step.others if math.isfinite(step.others) else None,
+            'candidates': step.candidates, 'solved': step.solved}
+
+
+def _table(rows: list[dict[str, Any]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, rows[0] if rows else ('number',), lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
+                         for name, value in row.items()})
+    return text.getvalue().encode()
+
+
+def _tell(found: Holding, rows: list[dict[str, Any]], arguments: argparse.Namespace,
+          console: cli.Console) -> None:
+    before = found.before
+    console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
+    for row, step in zip(rows, found.steps, strict=True):
+        console.line(f'{row["number"]:>2} {_where(row):<23} {row["value"]:.4g}, lower bound '
+                     f'{row["lower_bound"]:.4g}; {_others(step)}')
+    if len(rows) < arguments.count:
+        console.say('There are fewer places to hold: ' + (
+            'the value is 0.' if found.strategies[-1].value == 0.0 else 'no candidate remains.'))
+    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in found.held_places)
+    console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
+    files = [cli.place(path) for path in arguments.output]
+    console.line(', '.join(files))
+    console.result = {'files': files, 'value': before.value, 'lower_bound': before.lower_bound,
+                      'radius': found.radius, 'places': rows}
+
+
+def _where(row: Mapping[str, Any]) -> str:
+    if row['name']:
+        return str(row['name'])
+    return (f'{row["lat"]:.5f},{row["lon"]:.5f}' if 'lat' in row else
+            f'({row["x"]:.1f}, {row["y"]:.1f})')
+
+
+def _others(step: Held) -> str:
+    if step.candidates == 1:
+        return 'the only candidate'
+    which = 'the other candidate' if step.candidates == 2 else (
+        f'none of the {step.candidates - 1} other candidates')
+    can = 'cannot' if step.candidates == 2 else 'can'
+    return f'{which} {can} do better than {step.others:.4g}'
+
+
+def hold_figure(found: Holding, risk_map: RiskMap) -> Figure:
+    """The places on the map, with the strategy if all are held, and below the value as a curve."""
+    figure = Figure(figsize=(WIDTH, 8.4), layout='constrained')
+    ground, curve = figure.subplots(2, 1, height_ratios=(3, 1))
+    draw_strategy(ground, found.strategies[-1], risk_map)
+    for number, step in enumerate(found.steps, 1):
+        ground.add_patch(Circle(step.xy, found.radius, color=HELD, alpha=0.35, linewidth=0,
+                                zorder=5))
+        ground.annotate(_label(number, step), step.xy, ha='center', va='center', weight='bold',
+                        path_effects=HALO, zorder=10)
+    _draw_curve(curve, found)
+    return figure
+
+
+def _label(number: int, step: Held) -> str:
+    return f'{number} {step.name}'.strip()
+
+
+def _draw_curve(axes: Axes, found: Holding) -> None:
+    style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
+    axes.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
+              label='lower bound', **style)
+    axes.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
+    axes.set(xlabel=f'places held, {found.radius:g} m around each', ylim=(0.0, None),
+             ylabel='mean loss\nby the best ambush')
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.grid(color='0.92')
+    axes.legend(frameon=False)
+
+
+main = cli.command(parser, _work)
