@@ -136,6 +136,8 @@ LINES = {
     'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
                 '--set network.spacing=40',
+    'hold': 'map.yaml --start 15 15 --goal 285 185 -o hold.csv --radius 40 -k 1 '
+            '--candidates to.csv --set network.spacing=40',
     'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,7 @@ With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush 
 {FORMATS_HELP}
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "shortest_route_loss", "seconds"}}
+"shortest_length", "shortest_route_loss", "spotter": {{"x", "y", "loss", "factor"}}, "seconds"}}
 """ + cli.EXIT_CODES
 
 
@@ -113,6 +113,9 @@ def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOpt
 def _tell(plan: Plan, console: cli.Console) -> None:
     strategy = plan.strategy
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
+    spotter = [f'at ({seen.x:.1f}, {seen.y:.1f}), who tells whether you pass, raises '
+               f'{strategy.value:.4g} to {seen.loss:.4g}, {seen.factor:.2f} times'
+               ] if (seen := plan.spotter) else []
     longer = strategy.expected_length / strategy.shortest_length
     for name, text in (
         ('value', f'{strategy.value:.4g}: mean loss per departure if the ambusher plays best and '
@@ -122,6 +125,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
                         'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
+        *(('spotter', text) for text in spotter),
         *(('assumption', text) for text in assumptions(plan)),
     ):
         console.line(f'{name:<15} {text}')
@@ -129,7 +133,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
-        'shortest_route_loss': shortest,
+        'shortest_route_loss': shortest, 'spotter': seen and asdict(seen),
     }
 
 
