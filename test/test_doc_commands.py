@@ -26,6 +26,8 @@ RUN_BY = {
     ('README.md', 'sh'): (2, 'test_readme'),
     ('README.md', 'python'): (1, 'test_readme'),
     ('README.md', 'text'): (1, '.ci/run, which builds a colcon workspace'),
+    ('faq.md', 'sh'): (1, 'test_holding'),
+    ('faq.md', 'text'): (1, 'test_holding'),
     ('gis.md', 'sh'): (5, 'test_gis_docs'),
     ('gis.md', 'python'): (1, 'test_gis_docs'),
     ('gis.md', 'text'): (1, '.ci/package, which installs the wheel'),

@@ -82,6 +82,16 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour, 
     assert bound_if_held(before, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
 
 
+def test_the_ambusher_of_a_trip_bounds_it_with_more_held_ground(yard):
+    strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).strategy
+    assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
+    for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none
+        held = GameOptions(2.0, 6.0, held_places=(place,))
+        planned = plan_trip(yard, START, GOAL, PlanningOptions(OPTIONS.network, held),
+                            stops=[(22.0, 16.0)]).strategy
+        assert bound_if_held(strategy, (place,)) <= planned.value
+
+
 def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(yard, found):
     values = [each.value for each in found.strategies]
     assert len(values) == 3 and values[1] < 0.9 * values[0]

@@ -33,6 +33,8 @@ from .inputs import (
 from .table import PLACES_HELP, in_metres, read_places
 
 SUFFIXES = ('.csv', '.png')
+# Values above this share of the one before are no gain, as values are 1 % from their bounds.
+LEAST_GAIN = 0.99
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
 EPILOG = f"""\
@@ -82,7 +84,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, options.planning,
             stops=[place.xy(risk_map) for place in arguments.via or ()],
-            candidates=given and in_metres(given, risk_map))
+            candidates=in_metres(given, risk_map) if given else None)
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     contents = {path: _table(rows) if path.suffix == '.csv' else
                 as_png(hold_figure(found, risk_map)) for path in arguments.output}
@@ -117,9 +119,10 @@ def _tell(found: Holding, rows: list[dict[str, Any]], arguments: argparse.Namesp
           console: cli.Console) -> None:
     before = found.before
     console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
-    for row, step in zip(rows, found.steps, strict=True):
+    for row, step, earlier in zip(rows, found.steps, found.strategies, strict=False):
+        alone = '' if row['value'] < LEAST_GAIN * earlier.value else '; alone it gains nothing'
         console.line(f'{row["number"]:>2} {_where(row):<23} {row["value"]:.4g}, lower bound '
-                     f'{row["lower_bound"]:.4g}; {_others(step)}')
+                     f'{row["lower_bound"]:.4g}; {_others(step)}{alone}')
     if len(rows) < arguments.count:
         console.say('There are fewer places to hold: ' + (
             'the value is 0.' if found.strategies[-1].value == 0.0 else 'no candidate remains.'))

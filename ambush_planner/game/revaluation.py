@@ -58,23 +58,23 @@ def bound_if_held(strategy: Strategy, places: tuple[HeldPlace, ...]) -> float:
 
     The strategy's ambusher proves it from his sites elsewhere, in proportion to what he did there.
     """
-    old = strategy.game
-    options = replace(old.options, held_places=places)
-    game = make_game(old.network, options).without_sites(strategy.ambush_probability == 0.0)
-    waits = np.where(game.loss > 0.0, strategy.ambush_probability, 0.0)
-    share = float(waits.sum()) / game.ambushers
+    old, ambusher = strategy.game, strategy.ambusher
+    unused = old.at_places(ambusher.q)[old.network.places] == 0.0
+    game = make_game(old.network, replace(old.options, held_places=places)).without_sites(unused)
+    q = np.where(game.loss > 0.0, ambusher.q, 0.0)
+    share = float(q.sum()) / game.ambushers
     if share == 0.0:
         return 0.0
-    ambusher = strategy.ambusher
     flows, by_leg = ambusher.circulation, ambusher.by_leg
     if flows is not None:
-        some = waits[flows.site] > 0.0
+        some = game.loss[flows.site] > 0.0
         flows = Circulation(flows.through / share, flows.site[some], flows.face[some],
                             flows.flow[some] / share)
-    if by_leg is not None:
-        by_leg = by_leg[:, waits[old.sites] > 0.0] / share
-    others = Ambusher(at_nodes(game, waits[game.sites]),
-                      tuple(price / share for price in ambusher.prices), by_leg, flows)
+    if game.ambushers > 1:
+        q, by_leg = at_nodes(game, game.at_sites(q)) * share, None
+    elif by_leg is not None:
+        by_leg = by_leg[:, game.loss[old.sites] > 0.0] / share
+    others = Ambusher(q / share, tuple(price / share for price in ambusher.prices), by_leg, flows)
     return lower_bound(game, others, budgets_in_game(game, strategy))
 
 
