@@ -13,7 +13,6 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.ticker import MaxNLocator
 
 from ..colours import AMBUSHER
 from ..figures import HALO, WIDTH, as_png, draw_strategy
@@ -158,14 +157,10 @@ def hold_figure(found: Holding, risk_map: RiskMap) -> Figure:
     for number, step in enumerate(found.steps, 1):
         ground.add_patch(Circle(step.xy, found.radius, color=HELD, alpha=0.35, linewidth=0,
                                 zorder=5))
-        ground.annotate(_label(number, step), step.xy, ha='center', va='center', weight='bold',
+        ground.annotate(str(number), step.xy, ha='center', va='center', weight='bold',
                         path_effects=HALO, zorder=10)
     _draw_curve(curve, found)
     return figure
-
-
-def _label(number: int, step: Held) -> str:
-    return f'{number} {step.name}'.strip()
 
 
 def _draw_curve(axes: Axes, found: Holding) -> None:
@@ -175,7 +170,8 @@ def _draw_curve(axes: Axes, found: Holding) -> None:
     axes.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
     axes.set(xlabel=f'places held, {found.radius:g} m around each', ylim=(0.0, None),
              ylabel='mean loss\nby the best ambush')
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    names = [f'{number}\n{step.name}' for number, step in enumerate(found.steps, 1)]
+    axes.set_xticks(range(len(found.strategies)), ['0', *names])
     axes.grid(color='0.92')
     axes.legend(frameon=False)
 
