@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, solve
-from ambush_planner.game.discs import ExposedEdges, around_ends
+from ambush_planner.game.discs import ExposedEdges, held_ground
 from ambush_planner.game.game import make_game
 
 # Points along each edge; distances within NEAR radii of the circle are ambiguous.
@@ -30,7 +30,7 @@ def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
 
 
 def _everywhere(network: Network) -> ExposedEdges:
-    return ExposedEdges(network, around_ends(network, 0.0).shrunk(0.0))
+    return ExposedEdges(network, held_ground(network, 0.0).shrunk(0.0))
 
 
 def drawn(points: np.ndarray) -> np.ndarray:

@@ -156,7 +156,7 @@ def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
     pytest.importorskip('matplotlib', reason='pictures need matplotlib')
     done = run(inputs, '--radius', 5, '-k', 1, '--candidates', inputs / 'places.csv')
     assert done.code == 0, done.err
-    assert ' gate' in done.out and 'none of the 4 other candidates can do better' in done.out
+    assert ' gate' in done.out and 'no other of 5 candidates can do better than' in done.out
     with (inputs / 'hold.csv').open() as file:
         (row,) = csv.DictReader(file)
     assert row['name'].endswith(' gate') and float(row['value']) >= float(row['lower_bound'])
@@ -181,7 +181,7 @@ def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
 
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [
-    (('--radius', 0.5), 3, 'must be at least a cell of the map, 1 m, and finite, got 0.5'),
+    (('--radius', 0.5), 3, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
     (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
     (('--radius', 3, '--candidates', 'far.csv'), 3, "candidate 'far' at (40, 4) is off the map, "
      'which spans x 0 to 30 and y 0 to 20'),

@@ -59,17 +59,17 @@ class Drawn:
         return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map)}
 
 
-def add_outputs(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--output``, a list of files."""
-    parser.add_argument('-o', '--output', type=_output, nargs='+', required=True, metavar='FILE',
-                        help='files for the routes: ' + ', '.join(SUFFIXES))
+def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the routes',
+                suffixes: Sequence[str] = SUFFIXES) -> None:
+    """Add the argument ``--output``, a list of files with one of the suffixes each."""
+    def output(text: str) -> Path:
+        if Path(text).suffix not in suffixes:
+            raise argparse.ArgumentTypeError(
+                f'{text}: its suffix must be one of {", ".join(suffixes)}')
+        return Path(text)
 
-
-def _output(text: str) -> Path:
-    if Path(text).suffix not in SUFFIXES:
-        raise argparse.ArgumentTypeError(
-            f'{text}: its suffix must be one of {", ".join(SUFFIXES)}')
-    return Path(text)
+    parser.add_argument('-o', '--output', type=output, nargs='+', required=True, metavar='FILE',
+                        help=f'{what}: ' + ', '.join(suffixes))
 
 
 def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:

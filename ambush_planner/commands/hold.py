@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
-import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
@@ -20,6 +15,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
+from .geo_files import add_outputs
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -31,9 +27,6 @@ from .inputs import (
 )
 from .table import PLACES_HELP, in_metres, read_places
 
-SUFFIXES = ('.csv', '.png')
-# Values above this share of the one before are no gain, as values are 1 % from their bounds.
-LEAST_GAIN = 0.99
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
 EPILOG = f"""\
@@ -43,10 +36,10 @@ Finds the place that lowers the value most if nobody can wait within --radius of
 drives there is hit; then the next one, given the first, and so on. The value is that of ambush plan
 with these places held. PLACES.csv has the columns {PLACES_HELP}.
 The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
-and others, below which no other candidate instead of it can bring the value. The picture (.png) has
+and others, below which no other candidate can bring the value instead. The picture (.png) has
 the places on the map, with the strategy if all are held, and the value as a curve.
 {OPTIONS_HELP}
---json: {{"verdict", "files", "value", "lower_bound", "radius", "places": [{{...}}]}}
+--json: {{"verdict", "files", "value", "lower_bound", "places": [{{...}}]}}
 """ + cli.EXIT_CODES
 
 
@@ -61,16 +54,9 @@ def parser() -> argparse.ArgumentParser:
                       help='radius of the ground that holding a place covers')
     made.add_argument('--candidates', type=Path, metavar='PLACES.csv', help='the places that can '
                       "be held (default: places around the ambusher's sites)")
-    made.add_argument('-o', '--output', type=_output, nargs='+', required=True, metavar='FILE',
-                      help='table and picture to write: ' + ', '.join(SUFFIXES))
+    add_outputs(made, 'table and picture to write', ('.csv', '.png'))
     add_options(made)
     return made
-
-
-def _output(text: str) -> Path:
-    if Path(text).suffix not in SUFFIXES:
-        raise argparse.ArgumentTypeError(f'{text}: its suffix must be one of {", ".join(SUFFIXES)}')
-    return Path(text)
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
@@ -85,11 +71,16 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             stops=[place.xy(risk_map) for place in arguments.via or ()],
             candidates=in_metres(given, risk_map) if given else None)
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
-    contents = {path: _table(rows) if path.suffix == '.csv' else
-                as_png(hold_figure(found, risk_map)) for path in arguments.output}
+    columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
+    contents = {path: cli.as_csv(columns, rows) if path.suffix == '.csv' else
+                as_png(hold_figure(found, arguments.radius, risk_map))
+                for path in arguments.output}
     for path, data in contents.items():
         cli.write_private(path.parent, {path.name: data})
-    _tell(found, rows, arguments, console)
+    _tell(found, rows, arguments.count, console)
+    files = [cli.place(path) for path in arguments.output]
+    console.line(', '.join(files))
+    console.result['files'] = files
     return cli.Exit.HOLDS
 
 
@@ -100,80 +91,47 @@ def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
         at |= zip(('lat', 'lon'), Coordinates(risk_map.crs).to_lat_lon([step.xy])[0], strict=True)
     return {'number': number, 'name': step.name, **at, 'value': step.strategy.value,
             'lower_bound': step.strategy.lower_bound,
-            'others': step.others if math.isfinite(step.others) else None,
+            'others': step.others if step.candidates > 1 else None,
             'candidates': step.candidates, 'solved': step.solved}
 
 
-def _table(rows: list[dict[str, Any]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, rows[0] if rows else ('number',), lineterminator='\n')
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
-                         for name, value in row.items()})
-    return text.getvalue().encode()
-
-
-def _tell(found: Holding, rows: list[dict[str, Any]], arguments: argparse.Namespace,
-          console: cli.Console) -> None:
+def _tell(found: Holding, rows: list[dict[str, Any]], count: int, console: cli.Console) -> None:
     before = found.before
     console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
-    for row, step, earlier in zip(rows, found.steps, found.strategies, strict=False):
-        alone = '' if row['value'] < LEAST_GAIN * earlier.value else '; alone it gains nothing'
-        console.line(f'{row["number"]:>2} {_where(row):<23} {row["value"]:.4g}, lower bound '
-                     f'{row["lower_bound"]:.4g}; {_others(step)}{alone}')
-    if len(rows) < arguments.count:
-        console.say('There are fewer places to hold: ' + (
-            'the value is 0.' if found.strategies[-1].value == 0.0 else 'no candidate remains.'))
-    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in found.held_places)
+    for row in rows:
+        at = row['name'] or f'({row["x"]:.1f}, {row["y"]:.1f})'
+        others = '' if row['others'] is None else (
+            f'; no other of {row["candidates"]} candidates can do better than {row["others"]:.4g}')
+        console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
+                     f'{row["lower_bound"]:.4g}{others}')
+    if len(rows) < count:
+        console.say('No further place: the value is 0, or no candidate remains.')
+    held = found.strategies[-1].game.options.held_places
+    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
     console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
-    files = [cli.place(path) for path in arguments.output]
-    console.line(', '.join(files))
-    console.result = {'files': files, 'value': before.value, 'lower_bound': before.lower_bound,
-                      'radius': found.radius, 'places': rows}
+    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows}
 
 
-def _where(row: Mapping[str, Any]) -> str:
-    if row['name']:
-        return str(row['name'])
-    return (f'{row["lat"]:.5f},{row["lon"]:.5f}' if 'lat' in row else
-            f'({row["x"]:.1f}, {row["y"]:.1f})')
-
-
-def _others(step: Held) -> str:
-    if step.candidates == 1:
-        return 'the only candidate'
-    which = 'the other candidate' if step.candidates == 2 else (
-        f'none of the {step.candidates - 1} other candidates')
-    can = 'cannot' if step.candidates == 2 else 'can'
-    return f'{which} {can} do better than {step.others:.4g}'
-
-
-def hold_figure(found: Holding, risk_map: RiskMap) -> Figure:
+def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
     figure = Figure(figsize=(WIDTH, 8.4), layout='constrained')
     ground, curve = figure.subplots(2, 1, height_ratios=(3, 1))
     draw_strategy(ground, found.strategies[-1], risk_map)
     for number, step in enumerate(found.steps, 1):
-        ground.add_patch(Circle(step.xy, found.radius, color=HELD, alpha=0.35, linewidth=0,
-                                zorder=5))
+        ground.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
         ground.annotate(str(number), step.xy, ha='center', va='center', weight='bold',
                         path_effects=HALO, zorder=10)
-    _draw_curve(curve, found)
-    return figure
-
-
-def _draw_curve(axes: Axes, found: Holding) -> None:
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
-    axes.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
-              label='lower bound', **style)
-    axes.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
-    axes.set(xlabel=f'places held, {found.radius:g} m around each', ylim=(0.0, None),
-             ylabel='mean loss\nby the best ambush')
+    curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
+               label='lower bound', **style)
+    curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
     names = [f'{number}\n{step.name}' for number, step in enumerate(found.steps, 1)]
-    axes.set_xticks(range(len(found.strategies)), ['0', *names])
-    axes.grid(color='0.92')
-    axes.legend(frameon=False)
+    curve.set_xticks(range(len(found.strategies)), ['0', *names])
+    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
+              ylabel='mean loss\nby the best ambush')
+    curve.grid(color='0.92')
+    curve.legend(frameon=False)
+    return figure
 
 
 main = cli.command(parser, _work)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import io
 import math
 import multiprocessing
 import os
@@ -19,14 +18,7 @@ from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..planning.many import Problem, solve_many
 from . import cli
-from .inputs import (
-    MAP_HELP,
-    OPTIONS_HELP,
-    Position,
-    add_options,
-    options_from,
-    risk_map_from,
-)
+from .inputs import MAP_HELP, OPTIONS_HELP, Position, add_options, options_from, risk_map_from
 
 NUMBERS = ('value', 'lower_bound', 'expected_length', 'shortest_length', 'route_entropy')
 COLUMNS = ('depot', 'customer', *NUMBERS, 'error')
@@ -75,14 +67,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     ) as pool:
         results = solve_many(problems, pool, answer=_numbers, in_flight=2 * arguments.jobs,
                              on_result=lambda _: show(next(solved) / len(pairs)))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, restval='', lineterminator='\n')
-    writer.writeheader()
+    rows = []
     for ((depot, _), (customer, _)), result in zip(pairs, results, strict=True):
         error = {'error': f'{type(result.error).__name__}: {result.error}'} if result.error else {}
-        writer.writerow({'depot': depot, 'customer': customer, **(result.answer or error)})
+        rows.append({'depot': depot, 'customer': customer, **(result.answer or error)})
     output, seconds = arguments.output, round(console.seconds, 1)
-    cli.write_private(output.parent, {output.name: text.getvalue().encode()})
+    cli.write_private(output.parent, {output.name: cli.as_csv(COLUMNS, rows)})
     failed = sum(result.error is not None for result in results)
     console.line(f'{cli.place(output)}: {cli.count(len(pairs), "pair")}, '
                  f'{failed} without a strategy, in {seconds} s')
@@ -91,8 +81,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 
-def _numbers(strategy: Strategy) -> dict[str, str]:
-    return {name: f'{getattr(strategy, name):.9g}' for name in NUMBERS}
+def _numbers(strategy: Strategy) -> dict[str, float]:
+    return {name: getattr(strategy, name) for name in NUMBERS}
 
 
 def in_metres(places: Mapping[str, Position],

@@ -36,12 +36,6 @@ class HeldGround(NamedTuple):
     centres: FloatArray
     radii: FloatArray
 
-    def with_places(self, places: Sequence[tuple[float, float, float]]) -> HeldGround:
-        """These discs and more, each (x, y, radius) [m]."""
-        more = np.array(places, dtype=np.float64).reshape(-1, 3)
-        return HeldGround(np.concatenate((self.centres, more[:, :2])),
-                          np.append(self.radii, more[:, 2]))
-
     def shrunk(self, by: float) -> HeldGround:
         """The discs with radii smaller ``by`` so much [m], without those that vanish."""
         kept = self.radii > by
@@ -55,10 +49,13 @@ class HeldGround(NamedTuple):
         return covered
 
 
-def around_ends(network: Network, radius: float) -> HeldGround:
-    """The discs of ``radius`` [m] around source, stops and target."""
-    ends = network.representatives[np.unique(network.places[network.ends])]
-    return HeldGround(network.points[ends], np.full(len(ends), radius))
+def held_ground(network: Network, radius: float,
+                places: Sequence[tuple[float, float, float]] = ()) -> HeldGround:
+    """Discs of ``radius`` [m] around source, stops and target, and ``places`` (x, y, radius)."""
+    ends = network.points[network.representatives[np.unique(network.places[network.ends])]]
+    more = np.array(places, dtype=np.float64).reshape(-1, 3)
+    return HeldGround(np.concatenate((ends, more[:, :2])),
+                      np.append(np.full(len(ends), radius), more[:, 2]))
 
 
 class ExposedEdges:

@@ -21,7 +21,7 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole
-from .discs import ExposedEdges, HeldGround, around_ends
+from .discs import ExposedEdges, HeldGround, held_ground
 
 # Position and radius (x, y, radius) [m] of a disc of held ground.
 HeldPlace = tuple[float, float, float]
@@ -102,11 +102,11 @@ def _checked_places(given: Iterable[Iterable[float]]) -> tuple[HeldPlace, ...]:
     """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
     try:
         places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)
+        good = all(math.isfinite(sum(place)) and place[2] > 0.0 for place in places)
     except (TypeError, ValueError):
-        places = ((math.nan,) * 3,)
-    if not all(math.isfinite(x + y + radius) and radius > 0.0 for x, y, radius in places):
-        raise InvalidOption('held_places must each be x, y and a radius over 0 [m], got '
-                            f'{given!r}')
+        good = False
+    if not good:
+        raise InvalidOption(f'held_places must each be x, y and a radius over 0 [m], got {given!r}')
     return places
 
 
@@ -148,8 +148,7 @@ class Game:
     @cached_property
     def held(self) -> HeldGround:
         """Where nobody can wait: around source, stops and target, and at the held places."""
-        ends = around_ends(self.network, self.options.held_radius)
-        return ends.with_places(self.options.held_places)
+        return held_ground(self.network, self.options.held_radius, self.options.held_places)
 
     @cached_property
     def sites(self) -> IndexArray:

@@ -8,30 +8,25 @@ solve adds a mixture.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray, sums
+from ..arrays import sums
 from ..errors import InvalidOption
 from ..game.game import HeldPlace
 from ..game.revaluation import bound_if_held
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.network import Network
-from ..option_checks import check_whole
+from ..option_checks import check_at_least, check_whole
 from .options import PlanningOptions
 from .solving import WarmStart, solve_on_network
 from .trip import Position, trip_network
 
-# Candidates of one step: around the ambusher's sites a radius apart, between these half a radius
-# apart, and at other sites that cost almost as much.
-MAX_CLUSTERS, MAX_BETWEEN, MAX_BEYOND = 8, 6, 4
-# Least charge within the radius of a candidate, as a share of the largest.
-LEAST_CHARGE = 1e-3
+# Candidates of one step if none are given, and their least distance, as a share of the radius.
+MAX_CANDIDATES, APART = 16, 0.7
 
 _Place = tuple[str, Position]
 
@@ -55,24 +50,15 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """The places to hold, in their order, all of one ``radius`` [m].
-
-    ``before`` is the strategy if none of them is held.
-    """
+    """The places to hold, in their order, and the strategy ``before``, if none of them is held."""
 
     before: Strategy
-    radius: float
     steps: tuple[Held, ...]
 
     @property
     def strategies(self) -> tuple[Strategy, ...]:
         """The strategies with 0, 1, 2, ... of the places held."""
         return self.before, *(step.strategy for step in self.steps)
-
-    @property
-    def held_places(self) -> tuple[HeldPlace, ...]:
-        """All held ground on the way, as ``GameOptions`` takes it."""
-        return self.strategies[-1].game.options.held_places
 
 
 def places_to_hold(risk_map: RiskMap, start_xy: Position, goal_xy: Position, radius: float,
@@ -83,8 +69,9 @@ def places_to_hold(risk_map: RiskMap, start_xy: Position, goal_xy: Position, rad
 
     Holding a place means that nobody can wait within ``radius`` [m] of it, and with a reach that
     nobody who drives there is hit. Value and lower bound of each step are those of ``plan_trip``
-    with these ``held_places``. Candidates are the given ones [m], or places around the ambusher's
-    sites and some beyond. The search ends early if the value is 0 or no candidate remains.
+    with these ``held_places``. Candidates are the given ones [m], or the sites around which the
+    ambusher charges most, and those that cost most beyond. The search ends early if the value is
+    0 or no candidate remains.
 
     Raises InvalidOption if the radius is below the map's resolution, the count below 1 or a
     candidate off the map, and the errors of ``plan_trip``.
@@ -92,106 +79,71 @@ def places_to_hold(risk_map: RiskMap, start_xy: Position, goal_xy: Position, rad
     _check(risk_map, radius, count, candidates or {})
     options = options or PlanningOptions()
     network = trip_network(risk_map, start_xy, goal_xy, options.network, list(stops), 'given')
-    search = _Search(risk_map, network, options, radius)
-    before = strategy = search.solved(options.game.held_places)
+
+    def solved(held: tuple[HeldPlace, ...], after: Strategy | None = None) -> Strategy:
+        warm = WarmStart(after.network, after.multipliers) if (
+            after and after.multipliers) else None
+        game = replace(options.game, held_places=held)
+        return solve_on_network(risk_map, network, replace(options, game=game), warm)
+
+    before = strategy = solved(options.game.held_places)
     steps: list[Held] = []
     while len(steps) < count and strategy.value > 0.0:
         taken = [step.name for step in steps]
-        left = None if candidates is None else [
+        given = None if candidates is None else [
             each for each in candidates.items() if each[0] not in taken]
-        if not (found := _by_charge(strategy, left, radius)):
+        if not (places := _by_charge(strategy, given, radius)):
             break
-        steps.append(search.best_of(found, strategy))
+        steps.append(_best_of(places, radius, strategy, 1.0 + options.strategy.risk_slack, solved))
         strategy = steps[-1].strategy
-    return Holding(before, radius, tuple(steps))
+    return Holding(before, tuple(steps))
 
 
-class _Search:
-    """Solves of one trip with different held places."""
-
-    def __init__(self, risk_map: RiskMap, network: Network, options: PlanningOptions,
-                 radius: float) -> None:
-        self._map, self._network, self._options = risk_map, network, options
-        self._radius = radius
-
-    def solved(self, held: tuple[HeldPlace, ...], after: Strategy | None = None) -> Strategy:
-        """The strategy if these places are held, from where another solve ended if given."""
-        warm = WarmStart(after.network, after.multipliers) if (
-            after and after.multipliers) else None
-        game = replace(self._options.game, held_places=held)
-        return solve_on_network(self._map, self._network, replace(self._options, game=game), warm)
-
-    def best_of(self, candidates: Sequence[_Place], before: Strategy) -> Held:
-        """The candidate of least value; of those within the slack of it, the first."""
-        slack = 1.0 + self._options.strategy.risk_slack
-        held = [(*before.game.options.held_places, (*xy, self._radius))
-                for _, xy in candidates]
-        bounds = np.array([bound_if_held(before, each) for each in held])
-        values, last = np.full(len(held), np.inf), before
-        while True:
-            left = np.flatnonzero(np.isinf(values))
-            if not len(left) or bounds[left].min() * slack >= values.min():
-                break
-            k = int(left[bounds[left].argmin()])
-            last = self.solved(held[k], last)
-            values[k], bounds[k] = last.value, last.lower_bound
-            for j in left[(left != k) & (bounds[left] * slack < values.min())]:
-                bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
-        best = int(np.flatnonzero(values <= values.min() * slack)[0])
-        # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
-        return Held(*candidates[best], self.solved(held[best]),
-                    float(np.delete(bounds, best).min(initial=np.inf)),
-                    int(np.isfinite(values).sum()), len(held))
+def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: float,
+             solved: Callable[..., Strategy]) -> Held:
+    """The place of least value if it is held, too; of those within the slack of it, the first."""
+    held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
+    bounds = np.array([bound_if_held(before, each) for each in held])
+    values, last = np.full(len(held), np.inf), before
+    while len(left := np.flatnonzero(np.isinf(values) & (bounds * slack < values.min()))):
+        k = int(left[bounds[left].argmin()])
+        last = solved(held[k], last)
+        values[k], bounds[k] = last.value, last.lower_bound
+        for j in left[left != k].tolist():
+            bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
+    best = int(np.flatnonzero(values <= values.min() * slack)[0])
+    # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
+    others = float(np.delete(bounds, best).min(initial=np.inf))
+    return Held(*places[best], solved(held[best]), others, int(np.isfinite(values).sum()),
+                len(held))
 
 
 def _by_charge(strategy: Strategy, given: Sequence[_Place] | None, radius: float) -> list[_Place]:
-    """The candidates, those first that take most from the ambusher; by default around his sites."""
+    """The candidates, those first that take most from the ambusher; by default some sites.
+
+    What he charges at the radius from a candidate counts half as much as at its position.
+    """
     game = strategy.game
     points = game.network.points[game.sites]
     charge = game.loss[game.sites] * game.at_sites(strategy.ambush_probability)
+    centres = points if given is None else np.reshape([xy for _, xy in given], (-1, 2))
+    pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius, output_type='ndarray')
+    near = charge[pairs['j']] * (1.0 - 0.5 * (pairs['v'] / radius)**2)
+    taken = sums(pairs['i'], near, len(centres))
     if given is not None:
-        centres = np.array([xy for _, xy in given]).reshape(-1, 2)
-        taken = _within(centres, points, charge, radius)
         return [given[k] for k in np.argsort(-taken, kind='stable')]
-    taken = _within(points, points, charge, radius)
-    order = np.argsort(-taken, kind='stable')
-    order = order[taken[order] > LEAST_CHARGE * taken.max(initial=0.0)]
-    some = _thinned(points, order, [], radius, MAX_CLUSTERS)
-    some += _thinned(points, order, some, radius / 2.0, MAX_BETWEEN)
-    costs = game.site_losses(strategy.edge_probability)
-    some += _thinned(points, np.argsort(-costs, kind='stable'), some, radius, MAX_BEYOND)
-    return [('', (x, y)) for x, y in points[some].tolist()]
-
-
-def _within(centres: FloatArray, points: FloatArray, charge: FloatArray,
-            radius: float) -> FloatArray:
-    """The charge (K,) within the radius of each centre; half as much counts at its edge."""
-    far = radius * math.sqrt(2.0)
-    pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius,
-                                                    output_type='ndarray')
-    weights = charge[pairs['j']] * (1.0 - (pairs['v'] / far)**2)
-    return sums(pairs['i'], weights, len(centres))
-
-
-def _thinned(points: FloatArray, order: IndexArray, before: Sequence[int], apart: float,
-             most: int) -> list[int]:
-    """The first ``most`` in ``order`` that are further apart [m] and further from those before."""
     kept: list[int] = []
-    for k in order.tolist():
-        if len(kept) == most:
-            break
-        others = points[[*before, *kept]]
-        if not len(others) or np.hypot(*(others - points[k]).T).min() > apart:
+    for k in np.lexsort((-game.site_losses(strategy.edge_probability), -taken)).tolist():
+        away = np.hypot(*(points[kept] - points[k]).T).min(initial=np.inf)
+        if away > APART * radius and len(kept) < MAX_CANDIDATES:
             kept.append(k)
-    return kept
+    return [('', (x, y)) for x, y in points[kept].tolist()]
 
 
 def _check(risk_map: RiskMap, radius: float, count: int,
            candidates: Mapping[str, Position]) -> None:
     check_whole('count', count, 1)
-    if not risk_map.resolution <= radius < math.inf:
-        raise InvalidOption(f'the radius to hold must be at least a cell of the map, '
-                            f'{risk_map.resolution:g} m, and finite, got {radius:g}')
+    check_at_least('radius (at least a cell of the map)', radius, risk_map.resolution, 'm')
     for name, (x, y) in candidates.items():
         if not risk_map.contains(risk_map.to_map_axes((x, y))):
             (left, low), (right, high) = risk_map.bounds
