@@ -182,6 +182,7 @@ def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [
     (('--radius', 0.5), 3, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
+    (('--radius', 5, '--candidates', 'degrees.csv'), 3, 'coordinate system of the map is unknown'),
     (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
     (('--radius', 3, '--candidates', 'far.csv'), 3, "candidate 'far' at (40, 4) is off the map, "
      'which spans x 0 to 30 and y 0 to 20'),
@@ -189,6 +190,7 @@ def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
 def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, options, code, words):
     monkeypatch.chdir(inputs)
     (inputs / 'far.csv').write_text('name,x,y\nfar,40,4\n')
+    (inputs / 'degrees.csv').write_text('name,lat,lon\npost,36.5,-84.2\n')
     done = run(inputs, *options)
     assert done.code == code and words in done.err
     assert not list(inputs.glob('hold.*'))

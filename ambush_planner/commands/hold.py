@@ -32,9 +32,9 @@ HELD = '#35c48c'
 EPILOG = f"""\
 {MAP_HELP}
 {POSITION_HELP}
-Finds the place that lowers the value most if nobody can wait within --radius of it, and nobody who
-drives there is hit; then the next one, given the first, and so on. The value is that of ambush plan
-with these places held. PLACES.csv has the columns {PLACES_HELP}.
+Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
+and nobody who drives there is hit; then the next one, given the first, and so on.
+PLACES.csv has the columns {PLACES_HELP}.
 The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
 and others, below which no other candidate can bring the value instead. The picture (.png) has
 the places on the map, with the strategy if all are held, and the value as a curve.

@@ -113,7 +113,7 @@ def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOpt
 def _tell(plan: Plan, console: cli.Console) -> None:
     strategy = plan.strategy
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
-    spotter = [f'at ({seen.x:.1f}, {seen.y:.1f}), who tells whether you pass, raises '
+    spotter = [f'one at ({seen.x:.1f}, {seen.y:.1f}) who sees whether you pass raises '
                f'{strategy.value:.4g} to {seen.loss:.4g}, {seen.factor:.2f} times'
                ] if (seen := plan.spotter) else []
     longer = strategy.expected_length / strategy.shortest_length

@@ -85,8 +85,7 @@ def _numbers(strategy: Strategy) -> dict[str, float]:
     return {name: getattr(strategy, name) for name in NUMBERS}
 
 
-def in_metres(places: Mapping[str, Position],
-              risk_map: RiskMap) -> dict[str, tuple[float, float]]:
+def in_metres(places: Mapping[str, Position], risk_map: RiskMap) -> dict[str, tuple[float, float]]:
     """World positions [m] by name; raises InvalidCoordinates."""
     found = {name: place.xy(risk_map) for name, place in places.items()}
     return {name: (float(x), float(y)) for name, (x, y) in found.items()}
@@ -99,13 +98,14 @@ def read_places(path: Path) -> dict[str, Position]:
         reader = csv.DictReader(file, skipinitialspace=True)
         try:
             in_degrees = 'lat' in (reader.fieldnames or ())
+            columns = ('lat', 'lon') if in_degrees else ('x', 'y')
             for row in reader:
                 name = row['name'].strip()
-                x, y = (float(row[column]) for column in (('lat', 'lon') if in_degrees else 'xy'))
+                x, y = (float(row[column]) for column in columns)
                 if not name or name in places:
                     raise ValueError(f'each place needs its own name, got {name!r}')
                 if not (math.isfinite(x) and math.isfinite(y)):
-                    raise ValueError(f'x and y must be finite numbers [m], got {x} and {y}')
+                    raise ValueError(f'{" and ".join(columns)} must be finite, got {x} and {y}')
                 places[name] = Position((x, y), in_degrees)
         except KeyError as error:
             raise InvalidPlaces(f'{path}: no column {error}') from error

@@ -37,7 +37,7 @@ class HeldGround(NamedTuple):
     radii: FloatArray
 
     def shrunk(self, by: float) -> HeldGround:
-        """The discs with radii smaller ``by`` so much [m], without those that vanish."""
+        """The discs with radii reduced ``by`` some metres, without those that vanish."""
         kept = self.radii > by
         return HeldGround(self.centres[kept], self.radii[kept] - by)
 
@@ -59,13 +59,9 @@ def held_ground(network: Network, radius: float,
 
 
 class ExposedEdges:
-    """The exposed parts of edges, by default all, and the discs that they enter.
+    """The parts of edges, by default all, outside held ground, and the discs that they enter."""
 
-    Routes are exposed outside ``held`` ground.
-    """
-
-    def __init__(self, network: Network, held: HeldGround,
-                 edges: IndexArray | None = None) -> None:
+    def __init__(self, network: Network, held: HeldGround, edges: IndexArray | None = None) -> None:
         edges = np.arange(len(network.edges)) if edges is None else edges
         self._count = len(network.edges)
         self._parts = parts = _exposed_parts(network, edges, held)

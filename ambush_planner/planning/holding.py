@@ -2,8 +2,7 @@
 
 Places are added one by one, each given those before it. Any ambusher's mixture bounds from below
 what holding a place can achieve, by what it causes from elsewhere (``bound_if_held``). So only the
-most promising candidates are solved, until no other one can be better by more than the slack; each
-solve adds a mixture.
+most promising candidates are solved, until no other one can be better by more than the slack.
 """
 
 from __future__ import annotations
