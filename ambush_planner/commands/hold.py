@@ -125,7 +125,7 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
                label='lower bound', **style)
     curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
-    names = [f'{number}\n{step.name}' for number, step in enumerate(found.steps, 1)]
+    names = [f'{number}\n{step.name}'.strip() for number, step in enumerate(found.steps, 1)]
     curve.set_xticks(range(len(found.strategies)), ['0', *names])
     curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
               ylabel='mean loss\nby the best ambush')
