@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
-commands = ('audit', 'demo', 'draw', 'export', 'frontier', 'judge', 'plan', 'replay', 'report',
-            'risk', 'slots', 'table', 'terrain', 'verify', 'views')
+commands = ('audit', 'demo', 'draw', 'export', 'frontier', 'hold', 'judge', 'plan', 'replay',
+            'report', 'risk', 'slots', 'table', 'terrain', 'verify', 'views')
 # mcap with its compressions.
 recordings = ['mcap>=1.2.2', 'mcap-ros2-support>=0.5.3', 'lz4>=4.0', 'zstandard>=0.19']
 gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',

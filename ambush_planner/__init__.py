@@ -33,6 +33,7 @@ from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .planning.evaluation import evaluate
 from .planning.frontier import FrontierRow, frontier, trip_frontier
+from .planning.holding import Held, Holding, places_to_hold
 from .planning.many import Problem, Solved, solve_many
 from .planning.options import DriveOptions, PlanningOptions
 from .planning.plan import Plan
@@ -48,6 +49,8 @@ __all__ = [
     'GameOptions',
     'GoalBlocked',
     'GoalOutsideMap',
+    'Held',
+    'Holding',
     'InvalidCoordinates',
     'InvalidFeatures',
     'InvalidLayers',
@@ -76,6 +79,7 @@ __all__ = [
     'build_network',
     'evaluate',
     'frontier',
+    'places_to_hold',
     'plan_trip',
     'read_risk_map',
     'risk_from_occupancy',

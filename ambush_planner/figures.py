@@ -129,7 +129,7 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
 
 def draw_ends(axes: Axes, strategy: Strategy) -> None:
     """Mark start (square), goal (star) and stops (diamonds) with names; circle held ground."""
-    network, radius = strategy.network, strategy.game.options.held_radius
+    network, held = strategy.network, strategy.game.held.shrunk(0.0)
     marks = [(network.source, 's', 90, 'start'), (network.target, '*', 260, 'goal')]
     marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(network.stops, start=1)]
     for node, marker, size, name in marks:
@@ -137,9 +137,9 @@ def draw_ends(axes: Axes, strategy: Strategy) -> None:
         axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
         axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
                       va='top', weight='bold', path_effects=HALO, zorder=8)
-        if radius > 0.0:
-            axes.add_patch(Circle((x, y), radius, fill=False, edgecolor='black', linewidth=1.2,
-                                  linestyle=HELD_DASHES, zorder=6))
+    for centre, radius in zip(*held, strict=True):
+        axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
+                              linestyle=HELD_DASHES, zorder=6))
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
@@ -185,7 +185,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
         key = [SITES, *key]
     draw_routes(axes, routes)
     draw_ends(axes, strategy)
-    if strategy.game.options.held_radius > 0.0:
+    if strategy.game.held.radii.any():
         key = [*key, HELD_GROUND]
     axes.legend(handles=key, loc='upper left', bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4,
                 frameon=False)

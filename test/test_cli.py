@@ -118,6 +118,8 @@ LINES = {
              '-o slots.csv',
     'judge': 'map.yaml trips.csv --start 15 15 --goal 285 185 -o judged.png --reach 20 '
              '--set network.spacing=40',
+    'hold': 'map.yaml --start 15 15 --goal 285 185 -o hold.csv --radius 40 -k 1 '
+            '--candidates to.csv --set network.spacing=40',
     'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',
 }
 

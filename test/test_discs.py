@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, solve
-from ambush_planner.game.discs import ExposedEdges
+from ambush_planner.game.discs import ExposedEdges, held_ground
 
 # Points along each edge; distances within NEAR radii of the circle are ambiguous.
 DENSE, NEAR = 2000, 1e-6
@@ -23,7 +23,11 @@ def corridor(points) -> Network:
 
 def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
     """Row (M,) of one site."""
-    return ExposedEdges(network, 0.0).entering(network.points[[centre_node]], radius).toarray()[0]
+    return _everywhere(network).entering(network.points[[centre_node]], radius).toarray()[0]
+
+
+def _everywhere(network: Network) -> ExposedEdges:
+    return ExposedEdges(network, held_ground(network, 0.0).shrunk(0.0))
 
 
 def drawn(points: np.ndarray) -> np.ndarray:
@@ -89,6 +93,11 @@ def test_an_edge_that_only_passes_through_a_disc_hits():
     network = Network(points, np.array([0, 0, 1.0]), np.array([[0, 1], [0, 2], [2, 1]]), 0, 1)
     assert solve(network, GameOptions(ambush_radius=2.0)).value == pytest.approx(1.0, rel=1e-6)
     assert solve(network, GameOptions(ambush_radius=0.5)).value == 0.0
+
+
+def test_without_sites_there_are_no_rows():
+    network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
+    assert _everywhere(network).entering(np.empty((0, 2)), 1.0).shape == (0, 2)
 
 
 def test_a_node_on_the_rim_of_held_ground_hides_no_hit():

@@ -7,7 +7,9 @@ name (``ambush_verify``) or its first argument (``ambush verify``) selects the c
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
+import io
 import os
 import re
 import sys
@@ -40,6 +42,7 @@ COMMANDS = {
     'draw': 'draw one of a few routes, for a departure',
     'export': 'write recorded routes to files for a GPS or a GIS',
     'frontier': 'compare length budgets and slacks on a map',
+    'hold': 'find the places whose holding lowers the value most',
     'judge': 'judge trips that were driven: tracks, or recordings',
     'plan': 'plan on a map and draw routes for a GPS or a GIS',
     'replay': 'publish recorded departures again',
@@ -182,6 +185,17 @@ def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
     make_private_folders(Path(os.path.abspath(folder)))
     for name, data in files.items():
         write_durably(folder / name, data)
+
+
+def as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:
+    """Return a table with numbers of nine digits; what a row lacks stays empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(columns), lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
+                         for name, value in row.items()})
+    return text.getvalue().encode()
 
 
 def resource(name: str) -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -72,15 +70,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def write_frontier(path: Path, rows: Sequence[FrontierRow], max_detour: float,
                    risk_slack: float) -> None:
     """Write the table (CSV) and the picture (.png) next to it, both with mode 0600."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
-                         for name, value in asdict(row).items()})
     picture = path.with_suffix('.png').name
     cli.write_private(path.parent, {
-        path.name: text.getvalue().encode(),
+        path.name: cli.as_csv(COLUMNS, map(asdict, rows)),
         picture: as_png(frontier_figure(rows, max_detour, risk_slack)),
     })
 

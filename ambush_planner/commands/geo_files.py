@@ -94,10 +94,9 @@ class Drawn:
         return figure
 
 
-def add_outputs(parser: argparse.ArgumentParser, *more: str) -> None:
-    """Add the argument ``--output``, a list of files; ``more`` suffixes are the command's own."""
-    suffixes = (*SUFFIXES, *more)
-
+def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the routes',
+                suffixes: Sequence[str] = SUFFIXES) -> None:
+    """Add the argument ``--output``, a list of files with one of the suffixes each."""
     def output(text: str) -> Path:
         if Path(text).suffix not in suffixes:
             raise argparse.ArgumentTypeError(
@@ -105,7 +104,7 @@ def add_outputs(parser: argparse.ArgumentParser, *more: str) -> None:
         return Path(text)
 
     parser.add_argument('-o', '--output', type=output, nargs='+', required=True, metavar='FILE',
-                        help='files for the routes: ' + ', '.join(suffixes))
+                        help=f'{what}: ' + ', '.join(suffixes))
 
 
 def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:

@@ -42,7 +42,7 @@ A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the 
 # Time limit of each solve [s], as the node's.
 TIME_LIMIT = 60.0
 # Options that a plan or an argument of its own sets.
-SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads')
+SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads', 'game.held_places')
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
@@ -227,6 +227,8 @@ def _value(name: str, text: str, kind: type) -> Any:
         value = yaml.safe_load(text)
         if kind is float and not isinstance(value, bool):
             value = float(value)  # YAML reads 1e3 as text
+        elif kind is tuple:
+            value = tuple(map(tuple, value))
     except (yaml.YAMLError, TypeError, ValueError):
         value = None
     if type(value) is not kind:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,15 @@ from ..planning.plan import Plan
 from ..planning.trip import ORDERS
 from . import cli
 from .few_files import SHEET, FewContents, tell_few, write_sheets
-from .geo_files import FORMATS_HELP, Contents, add_outputs, draw, tell_outputs, write_outputs
+from .geo_files import (
+    FORMATS_HELP,
+    SUFFIXES,
+    Contents,
+    add_outputs,
+    draw,
+    tell_outputs,
+    write_outputs,
+)
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -46,8 +54,9 @@ faces of one or two dice (a first and a second one) and the cards that stand for
 nearest shares, and the value of each such draw.
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "shortest_route_loss", "seconds", "few": null, or with --routes {{"value",
-"lower_bound", "worst_xy", "shares", "costs", "curve", "draws"}}}}
+"shortest_length", "shortest_route_loss", "spotter": {{"x", "y", "loss", "factor"}}, "seconds",
+"few": null, or with --routes {{"value", "lower_bound", "worst_xy", "shares", "costs", "curve",
+"draws"}}}}
 """ + cli.EXIT_CODES
 
 
@@ -64,7 +73,7 @@ def parser() -> argparse.ArgumentParser:
                         'the best mixture of at most K routes, and write these')
     made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
                       'shares')
-    add_outputs(made, SHEET)
+    add_outputs(made, suffixes=(*SUFFIXES, SHEET))
     made.add_argument('--order', choices=ORDERS, default='given',
                       help='order of the stops (default: given)')
     made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
@@ -130,6 +139,9 @@ def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
 def _tell(plan: Plan, console: cli.Console) -> None:
     strategy = plan.strategy
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
+    spotter = [f'one at ({seen.x:.1f}, {seen.y:.1f}) who sees whether you pass raises '
+               f'{strategy.value:.4g} to {seen.loss:.4g}, {seen.factor:.2f} times'
+               ] if (seen := plan.spotter) else []
     longer = strategy.expected_length / strategy.shortest_length
     for name, text in (
         ('value', f'{strategy.value:.4g}: mean loss per departure if the ambusher plays best and '
@@ -139,6 +151,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
                         'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
+        *(('spotter', text) for text in spotter),
         *(('assumption', text) for text in assumptions(plan)),
     ):
         console.line(f'{name:<15} {text}')
@@ -146,7 +159,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
-        'shortest_route_loss': shortest, 'few': None,
+        'shortest_route_loss': shortest, 'spotter': seen and asdict(seen), 'few': None,
     }
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import IndexArray, frozen_array
-from .discs import near_ends
+from .discs import held_ground
 from .revaluation import budgets_in_game
 from .solver import least_value
 from .strategy import Strategy
@@ -49,7 +49,7 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss[first] > 0.0)
     sites = first[decisive & (strategy.value > 0.0)]
     distance = NEAR_EDGES * float(np.median(network.lengths[game.playable]))
-    near = near_ends(network, distance)
+    near = held_ground(network, distance).covers(network.points)
     secured = strategy.value
     if near[sites].any():
         game = game.without_copies().without_sites(near)

@@ -6,6 +6,7 @@ be hit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,36 +30,45 @@ def inside(offset: FloatArray, radius: float) -> BoolArray:
     return np.asarray(np.hypot(offset[:, 0], offset[:, 1]) <= radius)
 
 
-def near_ends(network: Network, radius: float, points: FloatArray | None = None) -> BoolArray:
-    """Whether points (K, 2), default: the nodes, are within ``radius`` [m] of an end or a stop."""
-    points = network.points if points is None else points
-    near = [inside(points - end, radius) for end in _ends(network)]
-    return np.asarray(np.any(near, axis=0))
+class HeldGround(NamedTuple):
+    """Discs of held ground: ``centres`` (E, 2) and ``radii`` (E,) [m]."""
+
+    centres: FloatArray
+    radii: FloatArray
+
+    def shrunk(self, by: float) -> HeldGround:
+        """The discs with radii reduced ``by`` some metres, without those that vanish."""
+        kept = self.radii > by
+        return HeldGround(self.centres[kept], self.radii[kept] - by)
+
+    def covers(self, points: FloatArray) -> BoolArray:
+        """Whether points (K, 2) are in held ground."""
+        covered = np.zeros(len(points), dtype=bool)
+        for centre, radius in zip(*self, strict=True):
+            covered |= inside(points - centre, radius)
+        return covered
 
 
-def _ends(network: Network) -> FloatArray:
-    """Positions (E, 2) of source, stops and target."""
-    ends = network.representatives[np.unique(network.places[network.ends])]
-    return np.asarray(network.points[ends])
+def held_ground(network: Network, radius: float,
+                places: Sequence[tuple[float, float, float]] = ()) -> HeldGround:
+    """Discs of ``radius`` [m] around source, stops and target, and ``places`` (x, y, radius)."""
+    ends = network.points[network.representatives[np.unique(network.places[network.ends])]]
+    more = np.array(places, dtype=np.float64).reshape(-1, 3)
+    return HeldGround(np.concatenate((ends, more[:, :2])),
+                      np.append(np.full(len(ends), radius), more[:, 2]))
 
 
 class ExposedEdges:
-    """The exposed parts of edges, by default all, and the discs that they enter.
+    """The parts of edges, by default all, outside held ground, and the discs that they enter."""
 
-    Routes are exposed further than ``held`` [m] from source, stops and target; everywhere if it is
-    not positive. An edge that enters a disc ``counts`` (M,) so much, by default 1.
-    """
-
-    def __init__(self, network: Network, held: float, edges: IndexArray | None = None,
+    def __init__(self, network: Network, held: HeldGround, edges: IndexArray | None = None,
                  counts: FloatArray | None = None) -> None:
         self._counts = np.ones(len(network.edges)) if counts is None else counts
         edges = np.arange(len(network.edges)) if edges is None else edges
         self._count = len(network.edges)
         self._parts = parts = _exposed_parts(network, edges, held)
         # By a margin, so that the edge before an exposed node certainly has an exposed part there.
-        exposed = np.ones(len(network.points), bool)
-        if held > 0.0:
-            exposed = ~near_ends(network, held * (1.0 + _ROUNDING))
+        exposed = ~held._replace(radii=held.radii * (1.0 + _ROUNDING)).covers(network.points)
         exposed[network.source] = False  # no edge before it
         tails = network.tails[parts.edge]
         self._tails, self._from_exposed = network.points[tails], exposed[tails]
@@ -112,13 +122,13 @@ class _Parts(NamedTuple):
     end: FloatArray
 
 
-def _exposed_parts(network: Network, edges: IndexArray, held: float) -> _Parts:
-    """The parts of ``edges`` further than ``held`` [m] from all ends."""
+def _exposed_parts(network: Network, edges: IndexArray, held: HeldGround) -> _Parts:
+    """The parts of ``edges`` outside held ground."""
     tail, head = (network.points[network.edges[edges, k]] for k in (0, 1))
     which = np.arange(len(edges))
     first, last = np.zeros(len(edges)), np.ones(len(edges))
-    for centre in _ends(network) if held > 0.0 else ():
-        begin, end = _inside_interval(tail[which] - centre, head[which] - centre, held)
+    for centre, radius in zip(*held, strict=True):
+        begin, end = _inside_interval(tail[which] - centre, head[which] - centre, radius)
         pieces = (first, np.minimum(last, begin)), (np.maximum(first, end), last)
         which = np.tile(which, 2)
         first, last = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1))

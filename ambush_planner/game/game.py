@@ -8,6 +8,7 @@ losses by site and edge: row j of ``D p`` is the mean loss of an ambush at site 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 
@@ -20,7 +21,10 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole, none_for
-from .discs import ExposedEdges, near_ends
+from .discs import ExposedEdges, HeldGround, held_ground
+
+# Position and radius (x, y, radius) [m] of a disc of held ground.
+HeldPlace = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,10 @@ class GameOptions:
         Radius of the held ground around the source, each stop and the target [m]: nobody can wait
         there, and with a reach nobody who drives there is hit. None: as far as the reach and the
         tube, an assumption.
+    held_places
+        More held ground: discs (x, y, radius) [m] in world coordinates, such as a checkpoint on the
+        way. As around the ends, nobody can wait there, and with a reach nobody who drives there is
+        hit.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
@@ -68,6 +76,7 @@ class GameOptions:
     tube: float = 0.0
     widened: float = 0.0
     loads: tuple[float, ...] = ()
+    held_places: tuple[HeldPlace, ...] = ()
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
@@ -85,6 +94,7 @@ class GameOptions:
             if load > before:
                 raise InvalidOption(f'loads must be at most 1 and not grow from leg to leg, got '
                                     f'{load:g} after {before:g}')
+        object.__setattr__(self, 'held_places', _checked_places(self.held_places))
 
     @property
     def reach(self) -> float:
@@ -93,10 +103,22 @@ class GameOptions:
 
     @property
     def held_radius(self) -> float:
-        """Radius of the held ground [m]."""
+        """Radius of the held ground around source, stops and target [m]."""
         if self.secured_radius is None:
             return self.ambush_radius + self.tube
         return self.secured_radius
+
+
+def _checked_places(given: Iterable[Iterable[float]]) -> tuple[HeldPlace, ...]:
+    """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
+    try:
+        places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)
+        good = all(math.isfinite(sum(place)) and place[2] > 0.0 for place in places)
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise InvalidOption(f'held_places must each be x, y and a radius over 0 [m], got {given!r}')
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +157,11 @@ class Game:
         return len(self.network.points)
 
     @cached_property
+    def held(self) -> HeldGround:
+        """Where nobody can wait: around source, stops and target, and at the held places."""
+        return held_ground(self.network, self.options.held_radius, self.options.held_places)
+
+    @cached_property
     def sites(self) -> IndexArray:
         """The first nodes (S,) of the places where an ambush causes a loss."""
         first = self.network.representatives
@@ -164,7 +191,7 @@ class Game:
 
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
         """The parts of edges, by default all, outside held ground."""
-        held = self.options.held_radius - self.options.tube
+        held = self.held.shrunk(self.options.tube)
         return ExposedEdges(self.network, held, edges, self._aboard)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
@@ -271,12 +298,10 @@ def make_game(network: Network, options: GameOptions) -> Game:
         raise InvalidOption(f'loads are for trips with stops, one for each leg: got '
                             f'{len(options.loads)} for {network.legs}')
     allowed = network.alpha <= options.alpha_threshold
-    everywhere = Game(
-        network,
-        options,
-        frozen_array(np.ones(len(network.edges)), np.bool_),
-        frozen_array(np.where(_possible_sites(network, options), network.alpha, 0.0), np.float64),
-    )
+    everywhere = Game(network, options, frozen_array(np.ones(len(network.edges)), np.bool_),
+                      network.alpha)
+    held = everywhere.held.shrunk(options.widened)  # sites stand for places around them
+    everywhere = everywhere.without_sites(held.covers(network.points))
     game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
     if game is None:
         raise _no_route(network, options, int((~allowed).sum()))
@@ -296,11 +321,3 @@ def _no_route(network: Network, options: GameOptions, forbidden: int) -> NoRoute
             f'; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, raise it'
         )
     return NoRoute(text)
-
-
-def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
-    """Nodes (N,) where the ambusher can wait."""
-    held = options.held_radius - options.widened  # sites stand for places around them
-    if held <= 0.0:  # other nodes may be at the same place as an end
-        return np.ones(len(network.points), dtype=bool)
-    return ~near_ends(network, held)

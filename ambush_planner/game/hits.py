@@ -6,6 +6,8 @@ hits from above; the hits follow from the strategy's Markov chain (``chain``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
@@ -37,20 +39,35 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     if not hits_can_differ(game) or not is_acyclic(game.network, p):
         rows = np.argsort(-losses, kind='stable')[:k]
         return losses[rows], rows
-    order = np.argsort(-losses, kind='stable')
-    order = order[losses[order] > 0.0]
-    exact = np.zeros(len(losses))
     chain = chain_of(game.network, p)
-    least, done, size = 0.0, 0, max(8, k)
-    while done < len(order) and losses[order[done]] > least:
-        rows = order[done : done + size]
+
+    def exact(rows: IndexArray) -> FloatArray:
         entering = chain.network.columns(game.hits[rows])
-        exact[rows] = game.loss[game.sites[rows]] * chain.hits(entering)
-        done += len(rows)
+        return np.asarray(game.loss[game.sites[rows]] * chain.hits(entering))
+
+    return largest(losses, exact, k)
+
+
+def largest(bounds: FloatArray, exact: Callable[[IndexArray], FloatArray],
+            k: int) -> tuple[FloatArray, IndexArray]:
+    """The k largest of some numbers >= 0, and their indices.
+
+    ``bounds`` (N,) are at least as large; ``exact`` computes the numbers of given indices, which is
+    slow.
+    """
+    k = min(k, len(bounds))
+    order = np.argsort(-bounds, kind='stable')
+    order = order[bounds[order] > 0.0]
+    found = np.zeros(len(bounds))
+    least, done, size = 0.0, 0, max(8, k)
+    while done < len(order) and bounds[order[done]] > least:
+        some = order[done : done + size]
+        found[some] = exact(some)
+        done += len(some)
         size = min(2 * size, _SITES_AT_ONCE)
-        least = float(np.partition(exact, -k)[-k]) if k else np.inf
-    rows = np.argsort(-exact, kind='stable')[:k]
-    return exact[rows], rows
+        least = float(np.partition(found, -k)[-k]) if k else np.inf
+    some = np.argsort(-found, kind='stable')[:k]
+    return found[some], some
 
 
 def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None) -> FloatArray:

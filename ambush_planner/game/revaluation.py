@@ -1,4 +1,4 @@
-"""The value and lower bound of a strategy when the losses change, and its gap beyond the slack."""
+"""Value and lower bound of a strategy in another game, and its gap beyond the slack."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, NoRoute
+from .ambusher import Ambusher, at_nodes
 from .budget import Budget, least_cost
 from .certificate.certificate import Certificate, lower_bound
-from .game import Game, make_game
+from .certificate.curves import Circulation
+from .game import Game, HeldPlace, make_game
 from .hits import worst_loss
 from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, within_slack
 
@@ -49,6 +51,31 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
     value = worst_loss(game, p) if p.any() else math.inf
     bound = lower_bound(game, strategy.ambusher, budgets)
     return Certificate(value, min(bound, value))
+
+
+def bound_if_held(strategy: Strategy, places: tuple[HeldPlace, ...]) -> float:
+    """A lower bound of the value if ``places`` are all that is held besides the ends.
+
+    The strategy's ambusher proves it from his sites elsewhere, in proportion to what he did there.
+    """
+    old, ambusher = strategy.game, strategy.ambusher
+    unused = old.at_places(ambusher.q)[old.network.places] == 0.0
+    game = make_game(old.network, replace(old.options, held_places=places)).without_sites(unused)
+    q = np.where(game.loss > 0.0, ambusher.q, 0.0)
+    share = float(q.sum()) / game.ambushers
+    if share == 0.0:
+        return 0.0
+    flows, by_leg = ambusher.circulation, ambusher.by_leg
+    if flows is not None:
+        some = game.loss[flows.site] > 0.0
+        flows = Circulation(flows.through / share, flows.site[some], flows.face[some],
+                            flows.flow[some] / share)
+    if game.ambushers > 1:
+        q, by_leg = at_nodes(game, game.at_sites(q)) * share, None
+    elif by_leg is not None:
+        by_leg = by_leg[:, game.loss[old.sites] > 0.0] / share
+    others = Ambusher(q / share, tuple(price / share for price in ambusher.prices), by_leg, flows)
+    return lower_bound(game, others, budgets_in_game(game, strategy))
 
 
 def open_gap(strategy: Strategy, options: StrategyOptions) -> float:

@@ -2,8 +2,8 @@
 
 ``plan`` has the records and a departure's route and path; ``trip`` makes the plan, with or without
 stops. ``few_routes`` has the best mixture of a few routes, ``route_sheet`` their file, ``habits``
-judges trips that were driven, ``slots`` mixes times of departure. ``many`` solves many problems at
-once, ``frontier`` many budgets. ``evaluation`` compares with fixed routes, ``changed_ground``
-judges a plan on a map that has changed, ``clear_ground`` what can be driven there, ``parameters``
-has all options.
+judges trips that were driven, ``slots`` mixes times of departure, ``holding`` finds what to hold.
+``many`` solves many problems at once, ``frontier`` many budgets. ``evaluation`` compares with fixed
+routes, ``changed_ground`` judges a plan on a map that has changed, ``clear_ground`` what can be
+driven there, ``parameters`` has all options.
 """

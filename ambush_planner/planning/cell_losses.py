@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
-from ..game.discs import ExposedEdges, near_ends
+from ..game.discs import ExposedEdges
 from ..game.game import Game
 from ..game.law.chain import MarkovChain
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
@@ -153,8 +153,7 @@ class CellSearch:
             parts = (cells[:, None] * n + np.indices((n, n)).reshape(2, -1).T).reshape(-1, 2)
             which = np.repeat(which, n * n)
         points = self._cells.centres(parts, 1.0 / n)
-        held = self._game.options.held_radius - self._widened
-        out = ~near_ends(self._game.network, held, points)
+        out = ~self._game.held.shrunk(self._widened).covers(points)
         parts, which, points = parts[out], which[out], points[out]
         rows, row = self._rows(parts, 1.0 / n)
         most = loss[which] * np.minimum((rows @ p)[row], 1.0)

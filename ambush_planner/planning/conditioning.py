@@ -7,14 +7,15 @@ the target from node i by the other edges; the next edge then has probability w_
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..arrays import FloatArray, IndexArray
+from ..game.law.acyclic import order_along
+from ..game.law.chain import MarkovChain, chain_of
 from ..game.strategy import Strategy
-from ..network.network import Network
 
 
 class ConditionedStrategy:
@@ -22,9 +23,9 @@ class ConditionedStrategy:
 
     def __init__(self, strategy: Strategy) -> None:
         network, p = strategy.network, strategy.edge_probability
-        self._network = network
-        used = np.flatnonzero(p > 0.0)
-        self._order = _topological(network, used)
+        self._network, self._p = network, p
+        rank, used = order_along(network, p), np.flatnonzero(p > 0.0)
+        self._order = used[:0] if rank is None else used[np.argsort(rank[network.tails[used]])]
         tails = network.tails[self._order]
         leaving = np.bincount(tails, p[self._order], len(network.points))
         self._tails, self._heads = tails.tolist(), network.heads[self._order].tolist()
@@ -35,20 +36,14 @@ class ConditionedStrategy:
 
         Both are 0 if no route does, or if the strategy has a cycle.
         """
-        p = np.zeros(len(lost))
-        target_share = self._target_share(lost)
-        if (share := target_share[self._network.source]) == 0.0:
-            return 0.0, p
-        visits, flows = [0.0] * len(target_share), []
-        visits[self._network.source] = 1.0
-        for tail, head, chance, clear in self._clear_steps(lost):
-            flow = 0.0
-            if clear and visits[tail] > 0.0:
-                flow = visits[tail] * chance * target_share[head] / target_share[tail]
-                visits[head] += flow
-            flows.append(flow)
-        p[self._order] = flows
-        return share, p
+        if not len(self._order):
+            return 0.0, np.zeros(len(lost))
+        clear, share = self._chain.avoiding(np.flatnonzero(lost[self._chain.network.edge]))
+        return share, clear.uses(len(lost))
+
+    @cached_property
+    def _chain(self) -> MarkovChain:
+        return chain_of(self._network, self._p)
 
     def draw_from(self, node: int, lost: npt.NDArray[np.bool_],
                   rng: np.random.Generator) -> IndexArray | None:
@@ -112,30 +107,3 @@ class ConditionedStrategy:
         leaving = np.bincount(tails, p[self._order], len(self._network.points))[tails]
         chances = p[self._order] / np.where(leaving > 0.0, leaving, 1.0)
         return self._tails, self._heads, chances.tolist()
-
-
-def _topological(network: Network, used: IndexArray) -> IndexArray:
-    """Return the edges in use, each after those into its tail; none if they have a cycle."""
-    count = len(network.points)
-    tails, heads = network.tails[used], network.heads[used]
-    graph = csr_matrix((np.ones(len(used)), (tails, heads)), shape=(count, count))
-    pieces, _ = connected_components(graph, directed=True, connection='strong')
-    if pieces < count:
-        return np.empty(0, dtype=np.int64)
-    return used[np.argsort(_places(graph)[tails], kind='stable')]
-
-
-def _places(graph: csr_matrix) -> IndexArray:
-    """Return the positions (N,) of the nodes in a topological order."""
-    starts, heads = graph.indptr.tolist(), graph.indices.tolist()
-    missing = np.bincount(graph.indices, minlength=graph.shape[0]).tolist()
-    place, at = np.zeros(graph.shape[0], dtype=np.int64), 0
-    ready = [node for node, count in enumerate(missing) if not count]
-    while ready:
-        node = ready.pop()
-        place[node], at = at, at + 1
-        for head in heads[starts[node]:starts[node + 1]]:
-            missing[head] -= 1
-            if not missing[head]:
-                ready.append(head)
-    return place

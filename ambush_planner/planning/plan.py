@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from datetime import datetime, timezone
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..game.bottleneck import Bottleneck, find_bottleneck
+from ..game.spotter import Spotter, worst_spotter
 from ..game.strategy import Strategy
 from ..maps.obstacles import nearest_free_cell
 from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
@@ -136,6 +138,11 @@ class Plan(Shown):
 
         times = [datetime.now(timezone.utc)] * n
         return route_table(self.paths(n, rng), times, self.risk_map.crs if self.risk_map else None)
+
+    @cached_property
+    def spotter(self) -> Spotter | None:
+        """What somebody at the worst place is worth who tells the ambusher whether you pass it."""
+        return worst_spotter(self.strategy)
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:

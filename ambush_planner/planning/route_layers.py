@@ -60,7 +60,7 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     import geopandas
     import shapely
 
-    held = strategy.game.options.held_radius
+    held = strategy.game.held.shrunk(0.0)
     network, p = strategy.network, strategy.shown_probability
     q, first = strategy.ambush_at_places, network.representatives
     system = Coordinates(risk_map.crs) if risk_map.crs else None
@@ -68,18 +68,18 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     used = np.flatnonzero(p > LEAST_PROBABILITY)
     waits = np.flatnonzero(q > LEAST_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
     at = first[waits]
-    ends = shapely.points(points[[network.source, *network.stops, network.target]])
+    centres = system.to_crs(held.centres) if system else held.centres
     tables = {
         'edges': ({'probability': p[used]}, shapely.linestrings(points[network.edges[used]])),
         'sites': ({'probability': q[waits], 'loss': strategy.game.loss[at]},
                   shapely.points(points[at])),
-        'held_ground': ({'radius': [held] * len(ends)}, shapely.buffer(ends, held, quad_segs=32)),
+        'held_ground': ({'radius': held.radii},
+                        shapely.buffer(shapely.points(centres), held.radii, quad_segs=32)),
         'forbidden': ({}, _obstacles(risk_map)),
     }
     return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes),
                                          crs=system and system.crs)
-            for name, (columns, shapes) in tables.items()
-            if len(shapes) and not (name == 'held_ground' and held <= 0.0)}
+            for name, (columns, shapes) in tables.items() if len(shapes)}
 
 
 def _obstacles(risk_map: RiskMap) -> list[Any]:

@@ -84,6 +84,15 @@ class MarkovChain:
                           rows.shape)
         return np.minimum(hit, 1.0), rows
 
+    def avoiding(self, entering: IndexArray) -> tuple[MarkovChain, float]:
+        """The chain of the routes that use no edge ``entering`` (K,), and their probability."""
+        network, share, end = self.network, self.share.copy(), np.zeros(self.network.count)
+        share[entering], end[0] = 0.0, 1.0
+        clear = network.backwards.solve(share, end)[::-1]  # from each node to the target
+        visits = network.onwards.solve(share, self._start.copy())
+        p = visits[network.tail] * share * clear[network.head]
+        return MarkovChain(network, p), float(clear[0])
+
     def _each(self, rows: csr_matrix) -> Iterator[
             tuple[int, IndexArray, FloatArray, int, int, FloatArray]]:
         """Each site that routes can meet: its entering edges, what they count, and P(not hit yet).

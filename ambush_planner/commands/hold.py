@@ -1,0 +1,137 @@
+"""``ambush hold``: which places to hold next."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from ..colours import AMBUSHER
+from ..figures import HALO, WIDTH, as_png, draw_strategy
+from ..maps.coordinates import Coordinates
+from ..maps.risk_map import RiskMap
+from ..planning.holding import Held, Holding, places_to_hold
+from . import cli
+from .geo_files import add_outputs
+from .inputs import (
+    MAP_HELP,
+    OPTIONS_HELP,
+    POSITION_HELP,
+    add_options,
+    add_places,
+    options_from,
+    risk_map_from,
+)
+from .table import PLACES_HELP, in_metres, read_places
+
+# Held places in the picture: a green that is none of the routes'.
+HELD = '#35c48c'
+EPILOG = f"""\
+{MAP_HELP}
+{POSITION_HELP}
+Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
+and nobody who drives there is hit; then the next one, given the first, and so on.
+PLACES.csv has the columns {PLACES_HELP}.
+The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
+and others, below which no other candidate can bring the value instead. The picture (.png) has
+the places on the map, with the strategy if all are held, and the value as a curve.
+{OPTIONS_HELP}
+--json: {{"verdict", "files", "value", "lower_bound", "places": [{{...}}]}}
+""" + cli.EXIT_CODES
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser('hold', 'Find the places whose holding lowers the value most.', EPILOG)
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
+    add_places(made)
+    made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
+                      help='number of places to hold (default: 5)')
+    made.add_argument('--radius', type=float, required=True, metavar='METRES',
+                      help='radius of the ground that holding a place covers')
+    made.add_argument('--candidates', type=Path, metavar='PLACES.csv', help='the places that can '
+                      "be held (default: places around the ambusher's sites)")
+    add_outputs(made, 'table and picture to write', ('.csv', '.png'))
+    add_options(made)
+    return made
+
+
+def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    options = options_from(arguments)
+    given = read_places(arguments.candidates) if arguments.candidates else None
+    risk_map = risk_map_from(arguments.map, options.map, console)
+    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
+                         for end in ('start', 'goal'))
+    with console.waiting('solving games'):
+        found = places_to_hold(
+            risk_map, start, goal, arguments.radius, arguments.count, options.planning,
+            stops=[place.xy(risk_map) for place in arguments.via or ()],
+            candidates=in_metres(given, risk_map) if given else None)
+    rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
+    columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
+    contents = {path: cli.as_csv(columns, rows) if path.suffix == '.csv' else
+                as_png(hold_figure(found, arguments.radius, risk_map))
+                for path in arguments.output}
+    for path, data in contents.items():
+        cli.write_private(path.parent, {path.name: data})
+    _tell(found, rows, arguments.count, console)
+    files = [cli.place(path) for path in arguments.output]
+    console.line(', '.join(files))
+    console.result['files'] = files
+    return cli.Exit.HOLDS
+
+
+def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
+    """The row of one place; the columns lat and lon are for maps with a coordinate system."""
+    at = dict(zip('xy', step.xy, strict=True))
+    if risk_map.crs:
+        at |= zip(('lat', 'lon'), Coordinates(risk_map.crs).to_lat_lon([step.xy])[0], strict=True)
+    return {'number': number, 'name': step.name, **at, 'value': step.strategy.value,
+            'lower_bound': step.strategy.lower_bound,
+            'others': step.others if step.candidates > 1 else None,
+            'candidates': step.candidates, 'solved': step.solved}
+
+
+def _tell(found: Holding, rows: list[dict[str, Any]], count: int, console: cli.Console) -> None:
+    before = found.before
+    console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
+    for row in rows:
+        at = row['name'] or f'({row["x"]:.1f}, {row["y"]:.1f})'
+        others = '' if row['others'] is None else (
+            f'; no other of {row["candidates"]} candidates can do better than {row["others"]:.4g}')
+        console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
+                     f'{row["lower_bound"]:.4g}{others}')
+    if len(rows) < count:
+        console.say('No further place: the value is 0, or no candidate remains.')
+    held = found.strategies[-1].game.options.held_places
+    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
+    console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
+    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows}
+
+
+def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
+    """The places on the map, with the strategy if all are held, and below the value as a curve."""
+    figure = Figure(figsize=(WIDTH, 8.4), layout='constrained')
+    ground, curve = figure.subplots(2, 1, height_ratios=(3, 1))
+    draw_strategy(ground, found.strategies[-1], risk_map)
+    for number, step in enumerate(found.steps, 1):
+        ground.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
+        ground.annotate(str(number), step.xy, ha='center', va='center', weight='bold',
+                        path_effects=HALO, zorder=10)
+    style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
+    curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
+               label='lower bound', **style)
+    curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
+    names = [f'{number}\n{step.name}'.strip() for number, step in enumerate(found.steps, 1)]
+    curve.set_xticks(range(len(found.strategies)), ['0', *names])
+    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
+              ylabel='mean loss\nby the best ambush')
+    curve.grid(color='0.92')
+    curve.legend(frameon=False)
+    return figure
+
+
+main = cli.command(parser, _work)

@@ -1,0 +1,79 @@
+"""What somebody is worth to the ambusher who sees whether the convoy passes a place.
+
+A spotter at site i tells the ambusher whether the route comes within reach of i; only then does he
+choose where to wait (docs/theory.md, Proposition 5.7). With the published strategy he causes
+
+    max over j of alpha_j P(hit j and i)  +  max over j of alpha_j P(hit j, not i),
+
+the k largest instead of the largest if he holds k sites.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..arrays import FloatArray, IndexArray
+from .hits import largest
+from .law.acyclic import is_acyclic
+from .law.chain import MarkovChain, chain_of
+from .strategy import Strategy
+
+# Largest number of sites that are tried for the spotter; of more, every second, third, ...
+MAX_PLACES = 300
+# Probabilities of passing, or not passing, below which a spotter tells nothing.
+CERTAIN = 1e-9
+
+
+@dataclass(frozen=True)
+class Spotter:
+    """The worst place (x, y) [m] of a spotter, the mean loss with what he tells, over the value."""
+
+    x: float
+    y: float
+    loss: float
+    factor: float
+
+
+def worst_spotter(strategy: Strategy) -> Spotter | None:
+    """The worst of up to ``MAX_PLACES`` sites for a spotter.
+
+    None if the value is 0, the strategy has cycles, or he learns nothing anywhere.
+    """
+    game, p = strategy.game, strategy.edge_probability
+    if not strategy.value > 0.0 or not is_acyclic(game.network, p):
+        return None
+    chain = chain_of(game.network, p)
+    rows, alpha = chain.network.columns(game.hits), game.loss[game.sites]
+    hits = chain.hits(rows)
+    some = np.flatnonzero((hits > CERTAIN) & (hits < 1.0 - CERTAIN))
+    some = some[:: -(-len(some) // MAX_PLACES) or 1]
+    if not len(some):
+        return None
+    losses = [_loss(chain, rows, alpha, hits, site, game.ambushers) for site in some.tolist()]
+    worst = int(np.argmax(losses))
+    x, y = game.network.points[game.sites[some[worst]]].tolist()
+    return Spotter(x, y, losses[worst], losses[worst] / strategy.value)
+
+
+def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatArray, site: int,
+          ambushers: int) -> float:
+    """Mean loss if the ambusher knows whether ``site`` is hit.
+
+    ``rows`` (S, m) are the edges that enter each disc, ``hits`` (S,) is how likely it is hit.
+    """
+    clear, share = chain.avoiding(rows[site].indices)
+
+    def missed(some: IndexArray) -> FloatArray:
+        return np.asarray(alpha[some] * share * clear.hits(rows[some]))
+
+    def passed(some: IndexArray) -> FloatArray:
+        return np.asarray(alpha[some] * hits[some] - missed(some))
+
+    # Entries bound the hits.
+    without = np.minimum(rows @ (share * clear.p), share)
+    along = np.minimum(rows @ np.maximum(chain.p - share * clear.p, 0.0), hits[site])
+    return sum(float(largest(alpha * most, exact, ambushers)[0].sum())
+               for most, exact in ((without, missed), (along, passed)))

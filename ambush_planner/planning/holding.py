@@ -1,0 +1,151 @@
+"""What to hold next: the place that lowers a plan's value most if nobody can wait around it.
+
+Places are added one by one, each given those before it. Any ambusher's mixture bounds from below
+what holding a place can achieve, by what it causes from elsewhere (``bound_if_held``). So only the
+most promising candidates are solved, until no other one can be better by more than the slack.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import sums
+from ..errors import InvalidOption
+from ..game.game import HeldPlace
+from ..game.revaluation import bound_if_held
+from ..game.strategy import Strategy
+from ..maps.risk_map import RiskMap
+from ..option_checks import check_at_least, check_whole
+from .options import PlanningOptions
+from .solving import WarmStart, solve_on_network
+from .trip import Position, trip_network
+
+# Candidates of one step if none are given, and their least distance, as a share of the radius.
+MAX_CANDIDATES, APART = 16, 0.7
+
+_Place = tuple[str, Position]
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A place to hold, with the strategy if it and all places before it are held.
+
+    ``name`` is its candidate's, '' if none were given, and ``xy`` its position [m]. With any other
+    candidate instead, the value is at least ``others``; inf if there was none. Of ``candidates``
+    so many were ``solved``; the bounds rule out the rest.
+    """
+
+    name: str
+    xy: Position
+    strategy: Strategy
+    others: float
+    solved: int
+    candidates: int
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """The places to hold, in their order, and the strategy ``before``, if none of them is held."""
+
+    before: Strategy
+    steps: tuple[Held, ...]
+
+    @property
+    def strategies(self) -> tuple[Strategy, ...]:
+        """The strategies with 0, 1, 2, ... of the places held."""
+        return self.before, *(step.strategy for step in self.steps)
+
+
+def places_to_hold(risk_map: RiskMap, start_xy: Position, goal_xy: Position, radius: float,
+                   count: int = 5, options: PlanningOptions | None = None, *,
+                   stops: Iterable[Position] = (),
+                   candidates: Mapping[str, Position] | None = None) -> Holding:
+    """Find up to ``count`` places to hold on a trip, as ``plan_trip`` takes it.
+
+    Holding a place means that nobody can wait within ``radius`` [m] of it, and with a reach that
+    nobody who drives there is hit. Value and lower bound of each step are those of ``plan_trip``
+    with these ``held_places``. Candidates are the given ones [m], or the sites around which the
+    ambusher charges most, and those that cost most beyond. The search ends early if the value is
+    0 or no candidate remains.
+
+    Raises InvalidOption if the radius is below the map's resolution, the count below 1 or a
+    candidate off the map, and the errors of ``plan_trip``.
+    """
+    _check(risk_map, radius, count, candidates or {})
+    options = options or PlanningOptions()
+    network = trip_network(risk_map, start_xy, goal_xy, options.network, list(stops), 'given')
+
+    def solved(held: tuple[HeldPlace, ...], after: Strategy | None = None) -> Strategy:
+        warm = WarmStart(after.network, after.multipliers) if (
+            after and after.multipliers) else None
+        game = replace(options.game, held_places=held)
+        return solve_on_network(risk_map, network, replace(options, game=game), warm)
+
+    before = strategy = solved(options.game.held_places)
+    steps: list[Held] = []
+    while len(steps) < count and strategy.value > 0.0:
+        taken = [step.name for step in steps]
+        given = None if candidates is None else [
+            each for each in candidates.items() if each[0] not in taken]
+        if not (places := _by_charge(strategy, given, radius)):
+            break
+        steps.append(_best_of(places, radius, strategy, 1.0 + options.strategy.risk_slack, solved))
+        strategy = steps[-1].strategy
+    return Holding(before, tuple(steps))
+
+
+def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: float,
+             solved: Callable[..., Strategy]) -> Held:
+    """The place of least value if it is held, too; of those within the slack of it, the first."""
+    held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
+    bounds = np.array([bound_if_held(before, each) for each in held])
+    values, last = np.full(len(held), np.inf), before
+    while len(left := np.flatnonzero(np.isinf(values) & (bounds * slack < values.min()))):
+        k = int(left[bounds[left].argmin()])
+        last = solved(held[k], last)
+        values[k], bounds[k] = last.value, last.lower_bound
+        for j in left[left != k].tolist():
+            bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
+    best = int(np.flatnonzero(values <= values.min() * slack)[0])
+    # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
+    others = float(np.delete(bounds, best).min(initial=np.inf))
+    return Held(*places[best], solved(held[best]), others, int(np.isfinite(values).sum()),
+                len(held))
+
+
+def _by_charge(strategy: Strategy, given: Sequence[_Place] | None, radius: float) -> list[_Place]:
+    """The candidates, those first that take most from the ambusher; by default some sites.
+
+    What he charges at the radius from a candidate counts half as much as at its position.
+    """
+    game = strategy.game
+    points = game.network.points[game.sites]
+    charge = game.loss[game.sites] * game.at_sites(strategy.ambush_probability)
+    centres = points if given is None else np.reshape([xy for _, xy in given], (-1, 2))
+    pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius, output_type='ndarray')
+    near = charge[pairs['j']] * (1.0 - 0.5 * (pairs['v'] / radius)**2)
+    taken = sums(pairs['i'], near, len(centres))
+    if given is not None:
+        return [given[k] for k in np.argsort(-taken, kind='stable')]
+    kept: list[int] = []
+    for k in np.lexsort((-game.site_losses(strategy.edge_probability), -taken)).tolist():
+        away = np.hypot(*(points[kept] - points[k]).T).min(initial=np.inf)
+        if away > APART * radius and len(kept) < MAX_CANDIDATES:
+            kept.append(k)
+    return [('', (x, y)) for x, y in points[kept].tolist()]
+
+
+def _check(risk_map: RiskMap, radius: float, count: int,
+           candidates: Mapping[str, Position]) -> None:
+    check_whole('count', count, 1)
+    check_at_least('radius (at least a cell of the map)', radius, risk_map.resolution, 'm')
+    for name, (x, y) in candidates.items():
+        if not risk_map.contains(risk_map.to_map_axes((x, y))):
+            (left, low), (right, high) = risk_map.bounds
+            raise InvalidOption(
+                f'candidate {name!r} at ({x:.6g}, {y:.6g}) is off the map, which spans x '
+                f'{left:.6g} to {right:.6g} and y {low:.6g} to {high:.6g} [m]')

@@ -1,0 +1,196 @@
+"""What to hold next: held places against all routes, plans and every candidate; the command."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_here
+from games import examples, planar_network, routes_of, value_by_routes
+from hypothesis import given
+from hypothesis import strategies as st
+from test_doc_commands import run as run_script
+
+from ambush_planner import (
+    GameOptions,
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    StrategyOptions,
+    places_to_hold,
+    plan_trip,
+    solve,
+)
+from ambush_planner.commands import hold
+from ambush_planner.game.revaluation import bound_if_held
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
+
+DOCS = Path(__file__).resolve().parent.parent / 'docs'
+START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
+OPTIONS = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(2.0, 6.0),
+                          StrategyOptions(risk_slack=SLACK))
+CANDIDATES = {'corner': (3.0, 18.0), 'north gate': (15.5, 15.0), 'south gate': (15.5, 5.0),
+              'before it': (11.0, 5.0), 'mill': (22.0, 9.0)}
+
+
+@pytest.fixture(scope='module')
+def yard():
+    """Open ground with a wall and two gates, the northern one dearer."""
+    alpha, wall = np.ones((20, 30)), np.zeros((20, 30), dtype=bool)
+    alpha[10:] = 3.0
+    wall[:, 15] = True
+    wall[[4, 5, 14, 15], 15] = False
+    return RiskMap(alpha, wall, 1.0)
+
+
+@pytest.fixture(scope='module')
+def found(yard):
+    return places_to_hold(yard, START, GOAL, RADIUS, 2, OPTIONS)
+
+
+def exposed_hits(network, reach, discs):
+    """(N, M): whether an edge, outside held discs (x, y, radius), comes into reach of a node."""
+    share = np.linspace(0.0, 1.0, 1501)[:, None, None]
+    at = network.points[network.tails] * (1.0 - share) + network.points[network.heads] * share
+    out = np.all([np.hypot(*np.moveaxis(at - (x, y), 2, 0)) > r for x, y, r in discs], axis=0)
+    free = np.all([np.hypot(*(network.points - (x, y)).T) > r for x, y, r in discs], axis=0)
+    near = [(out & (np.hypot(*np.moveaxis(at - node, 2, 0)) <= reach)).any(axis=0)
+            for node in network.points]
+    return np.array(near) & free[:, None]
+
+
+@examples(25)
+@given(st.integers(0, 10**6), st.floats(0.3, 1.2), st.sampled_from((1.1, np.inf)),
+       st.sampled_from((1, 2)))
+def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour, ambushers):
+    """With held places; what the ambusher of the game without them proves is below, too."""
+    network, rng = planar_network(seed), np.random.default_rng(seed)
+    routes = routes_of(network)
+    if len(routes) > 1000:
+        return
+    places = tuple((*rng.uniform(0.5, 3.5, 2), rng.uniform(0.3, 1.2)) for _ in range(2))
+    options = StrategyOptions(max_detour=detour)
+    before = solve(network, GameOptions(reach, 0.5, ambushers=ambushers), options)
+    strategy = solve(network, GameOptions(reach, 0.5, ambushers=ambushers, held_places=places),
+                     options)
+    ends = [(*network.points[end], 0.5) for end in network.ends]
+    near = exposed_hits(network, reach, [*ends, *places])
+    once = value_by_routes(network, near, routes, strategy.length_budget, ambushers)
+    assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
+    assert strategy.value >= once * (1.0 - 2e-6) - 1e-9
+    assert bound_if_held(before, places) <= once * (1.0 + 1e-6) + 1e-9
+    assert bound_if_held(before, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
+
+
+def test_the_ambusher_of_a_trip_bounds_it_with_more_held_ground(yard):
+    strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).strategy
+    assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
+    for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none
+        held = GameOptions(2.0, 6.0, held_places=(place,))
+        planned = plan_trip(yard, START, GOAL, PlanningOptions(OPTIONS.network, held),
+                            stops=[(22.0, 16.0)]).strategy
+        assert bound_if_held(strategy, (place,)) <= planned.value
+
+
+def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(yard, found):
+    values = [each.value for each in found.strategies]
+    assert len(values) == 3 and values[1] < 0.9 * values[0]
+    assert values[2] <= values[1] * (1.0 + SLACK)
+    for number, strategy in enumerate(found.strategies):
+        places = tuple((*step.xy, RADIUS) for step in found.steps[:number])
+        game = GameOptions(2.0, 6.0, held_places=places)
+        plan = plan_trip(yard, START, GOAL, PlanningOptions(OPTIONS.network, game))
+        assert (strategy.value, strategy.lower_bound) == pytest.approx(
+            (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
+
+
+def test_no_candidate_that_the_bounds_rule_out_is_better(yard):
+    (step,) = places_to_hold(yard, START, GOAL, RADIUS, 1, OPTIONS, candidates=CANDIDATES).steps
+    assert step.candidates == len(CANDIDATES) > step.solved
+    held = {name: plan_trip(yard, START, GOAL, PlanningOptions(
+        OPTIONS.network, GameOptions(2.0, 6.0, held_places=((*xy, RADIUS),)))).strategy.value
+        for name, xy in CANDIDATES.items()}
+    assert held[step.name] <= min(held.values()) * (1.0 + SLACK + 1e-5)
+    assert step.others <= min(value for name, value in held.items() if name != step.name)
+
+
+def test_ends_early_without_candidates_or_without_a_value(yard):
+    two = {name: CANDIDATES[name] for name in ('north gate', 'south gate')}
+    found = places_to_hold(yard, START, GOAL, RADIUS, 5, OPTIONS, candidates=two)
+    assert sorted(step.name for step in found.steps) == sorted(two)
+    assert found.steps[1].others == np.inf
+    (step,) = places_to_hold(yard, START, GOAL, 30.0, 5, OPTIONS, candidates=two).steps
+    assert step.strategy.value == 0.0
+
+
+@pytest.mark.parametrize(('places', 'words'), [
+    (((1.0, 2.0),), 'must each be x, y and a radius over 0'),
+    (((1.0, 2.0, 0.0),), 'a radius over 0'), (((1.0, np.nan, 1.0),), 'a radius over 0'),
+    ('here', 'a radius over 0'),
+])
+def test_held_places_are_positions_with_a_radius(places, words):
+    with pytest.raises(InvalidOption, match=f'held_places .*{words}'):
+        GameOptions(held_places=places)
+
+
+@pytest.fixture
+def inputs(tmp_path, yard):
+    values = np.where(yard.obstacles, 100, 11 * (yard.alpha - 1.0)).astype(np.int8)
+    write_map(tmp_path / 'map.yaml', OccupancyMap(values, 1.0))
+    (tmp_path / 'places.csv').write_text(
+        'name,x,y\n' + ''.join(f'{name},{x},{y}\n' for name, (x, y) in CANDIDATES.items()))
+    return tmp_path
+
+
+def run(folder, *options):
+    return run_here(hold, folder / 'map.yaml', '--start', 3, 10, '--goal', 27, 10, '--reach', 2,
+                    '--held', 6, '-o', folder / 'hold.csv', folder / 'hold.png', '--set',
+                    'network.spacing=2', *options)
+
+
+def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
+    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+    done = run(inputs, '--radius', 5, '-k', 1, '--candidates', inputs / 'places.csv')
+    assert done.code == 0, done.err
+    assert ' gate' in done.out and 'no other of 5 candidates can do better than' in done.out
+    with (inputs / 'hold.csv').open() as file:
+        (row,) = csv.DictReader(file)
+    assert row['name'].endswith(' gate') and float(row['value']) >= float(row['lower_bound'])
+    for name in ('hold.csv', 'hold.png'):
+        assert (inputs / name).stat().st_mode & 0o777 == 0o600
+    places = done.out.partition("--set '")[2].partition("'")[0]
+    done = run(inputs, places, '--radius', 5, '-k', 1, '--json')
+    assert json.loads(done.out)['value'] == pytest.approx(float(row['value']), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
+    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+    (tmp_path / 'docs').symlink_to(DOCS)
+    script, printed = re.findall(r'(?ms)^```\w+\n(.*?)^```$', (DOCS / 'faq.md').read_text())
+    done = run_script(script, tmp_path)
+    assert done.returncode == 0, done.stderr
+    number = r'\b\d\.\d{2,4}\b'
+    assert re.sub(number, '', done.stdout) == re.sub(number, '', printed)
+    assert list(map(float, re.findall(number, done.stdout))) == pytest.approx(
+        list(map(float, re.findall(number, printed))), rel=0.01)
+
+
+@pytest.mark.parametrize(('options', 'code', 'words'), [
+    (('--radius', 0.5), 3, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
+    (('--radius', 5, '--candidates', 'degrees.csv'), 3, 'coordinate system of the map is unknown'),
+    (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
+    (('--radius', 3, '--candidates', 'far.csv'), 3, "candidate 'far' at (40, 4) is off the map, "
+     'which spans x 0 to 30 and y 0 to 20'),
+])
+def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, options, code, words):
+    monkeypatch.chdir(inputs)
+    (inputs / 'far.csv').write_text('name,x,y\nfar,40,4\n')
+    (inputs / 'degrees.csv').write_text('name,lat,lon\npost,36.5,-84.2\n')
+    done = run(inputs, *options)
+    assert done.code == code and words in done.err
+    assert not list(inputs.glob('hold.*'))
