@@ -27,8 +27,8 @@ from .cli import Console, count, write_private
 from .report_words import percent, travel
 
 SHEET = '.json'
-# Most routes with a panel each.
-MAX_PANELS = 6
+# Most routes with a panel each, and most in the legend.
+MAX_PANELS, MAX_KEYS = 6, 20
 # Line styles, one after another when all colours have been used.
 _STYLES = ('solid', 'dashed', 'dotted', 'dashdot')
 # Tables of a plan that also hold for few of its routes.
@@ -63,9 +63,10 @@ class FewContents:
     def picture(self) -> Figure:
         """An overview with the curve of values, and up to six panels of a route each."""
         panels = len(self.few.paths) if len(self.few.paths) <= MAX_PANELS else 0
-        rows = -(-panels // 3)
-        figure = Figure(figsize=(WIDTH, 4.8 + 2.3 * rows), layout='constrained')
-        top, below = (figure.subfigures(2, 1, height_ratios=(4.8, 2.3 * rows)) if rows
+        rows, (width, height) = -(-panels // 3), self.risk_map.size
+        tall = rows * (0.5 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
+        figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
+        top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
                       else (figure.subfigures(), None))
         grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
         overview = top.add_subplot(grid[:, 0])
@@ -110,7 +111,7 @@ class FewContents:
 
     def _key(self, axes: Axes) -> None:
         lines = [Line2D([], [], **self._style(k), label=name.removeprefix('Route '))
-                 for k, name in enumerate(self.names)]
+                 for k, name in enumerate(self.names[:MAX_KEYS])]
         worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
                        markeredgecolor='white', label='worst ambush')
         held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
@@ -124,9 +125,10 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     """The value over the number of routes, and the lower bound."""
     axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
     axes.axhline(few.lower_bound, color='0.45', linestyle=':')
+    low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
     axes.annotate("plan's lower bound", (1.0, few.lower_bound), xycoords=('axes fraction', 'data'),
-                  xytext=(-2, 3), textcoords='offset points', ha='right', color='0.35',
-                  fontsize='small', path_effects=HALO)
+                  xytext=(-2, 4 if low else -4), textcoords='offset points', ha='right',
+                  va='bottom' if low else 'top', color='0.35', fontsize='small', path_effects=HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')
