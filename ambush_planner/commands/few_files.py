@@ -96,7 +96,8 @@ class FewDrawn(Drawn):
         others = [other[:, :2] for other in (*self.paths[:k], *self.paths[k + 1 :])]
         others = others or [path[[0, -1]]]
         away, _ = cKDTree(np.concatenate(others)).query(path)
-        axes.annotate(str(k + 1), path[away.argmax()], ha='center', va='center', fontsize=9,
+        at = away.argmax() if away.any() else len(path) // 2
+        axes.annotate(str(k + 1), path[at], ha='center', va='center', fontsize=9,
                       weight='bold', zorder=8, bbox={
                           'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
                           'edgecolor': self._style(k)['color'], 'linewidth': 1.8})
@@ -109,7 +110,8 @@ class FewDrawn(Drawn):
         held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
                       label='held ground')
         axes.legend(handles=[*lines, worst, held], title='route and share', frameon=False,
-                    loc='upper left', alignment='left', ncols=1 + len(lines) // 11)
+                    loc='upper left', alignment='left', ncols=1 + len(lines) // 11,
+                    fontsize='medium' if len(lines) < 11 else 'small')
         axes.set_axis_off()
 
 
