@@ -79,7 +79,8 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour, 
                      options)
     ends = [(*network.points[end], 0.5) for end in network.ends]
     near = exposed_hits(network, reach, [*ends, *places])
-    once = value_by_routes(network, near, routes, strategy.length_budget, ambushers)
+    limits = [(network.lengths, strategy.length_budget)]
+    once = value_by_routes(network.alpha, near, routes, limits, ambushers)
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1.0 - 2e-6) - 1e-9
     assert bound_if_held(before, places) <= once * (1.0 + 1e-6) + 1e-9
@@ -181,10 +182,10 @@ def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
 
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [
-    (('--radius', 0.5), 3, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
+    (('--radius', 0.5), 2, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
     (('--radius', 5, '--candidates', 'degrees.csv'), 3, 'coordinate system of the map is unknown'),
     (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
-    (('--radius', 3, '--candidates', 'far.csv'), 3, "candidate 'far' at (40, 4) is off the map, "
+    (('--radius', 3, '--candidates', 'far.csv'), 2, "candidate 'far' at (40, 4) is off the map, "
      'which spans x 0 to 30 and y 0 to 20'),
 ])
 def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, options, code, words):

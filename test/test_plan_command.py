@@ -233,7 +233,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
     (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
     (('--equal',), 2, '--equal needs --routes K'),
-    (('-o', 'r.json'), 2, 'r.json: only --routes K writes a file of this kind'),
+    (('-o', 'r.json'), 2, 'r.json: only --routes K writes such a file'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
                                                    reason):

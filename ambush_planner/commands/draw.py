@@ -16,7 +16,7 @@ draw takes the operating system's entropy and is not recorded. The file is one J
 {"format": "ambush routes 1", "map", "crs", "start": [x, y], "goal": [x, y], "stops": [[x, y]],
 "held_radius", "reach", "value", "lower_bound", "routes": [{"number", "share", "length",
 "path": [[x, y]], "lat_lon": [[latitude, longitude]]}]}
-Positions are the map's [m]; crs is null, and lat_lon missing, if its coordinate system is unknown.
+Positions are the map's [m]; crs and lat_lon are null if its coordinate system is unknown.
 map is relative to FILE's folder. Routes are secret: the file has mode 0600.
 --json: {"verdict", "route", "share", "length"}
 """ + cli.EXIT_CODES

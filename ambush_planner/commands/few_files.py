@@ -17,18 +17,18 @@ from scipy.spatial import cKDTree
 
 from ..colours import AMBUSHER, ROUTES
 from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, risk_bar
-from ..maps.risk_map import RiskMap
 from ..planning.few_routes import FewRoutes
 from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
 from ..planning.route_layers import few_table, strategy_tables
 from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
 from .cli import Console, count, write_private
+from .geo_files import Drawn
 from .report_words import percent, travel
 
 SHEET = '.json'
-# Most routes with a panel each.
-MAX_PANELS = 6
+# Most routes with a panel each, and most in the legend.
+MAX_PANELS, MAX_KEYS = 6, 20
 # Line styles, one after another when all colours have been used.
 _STYLES = ('solid', 'dashed', 'dotted', 'dashdot')
 # Tables of a plan that also hold for few of its routes.
@@ -36,12 +36,10 @@ _GROUND = ('held_ground', 'forbidden')
 
 
 @dataclass(frozen=True, eq=False)
-class FewContents:
-    """The few routes of a plan as the contents of files: one layer for each."""
+class FewDrawn(Drawn):
+    """The few routes of a plan: files have a layer for each, with its number and share."""
 
-    plan: Plan
     few: FewRoutes
-    risk_map: RiskMap
 
     @cached_property
     def routes(self) -> Any:
@@ -56,41 +54,36 @@ class FewContents:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """A layer for each route, then held and forbidden ground."""
-        layers = {f'route_{k + 1}': self.routes.iloc[[k]] for k in range(len(self.routes))}
-        ground = strategy_tables(self.plan.strategy, self.risk_map)
+        layers = {f'route_{k + 1}': self.routes.iloc[[k]] for k in range(len(self.paths))}
+        ground = strategy_tables(self.strategy, self.risk_map)
         return {**layers, **{name: ground[name] for name in _GROUND if name in ground}}
 
     def picture(self) -> Figure:
         """An overview with the curve of values, and up to six panels of a route each."""
-        panels = len(self.few.paths) if len(self.few.paths) <= MAX_PANELS else 0
-        rows = -(-panels // 3)
-        figure = Figure(figsize=(WIDTH, 4.8 + 2.3 * rows), layout='constrained')
-        top, below = (figure.subfigures(2, 1, height_ratios=(4.8, 2.3 * rows)) if rows
+        panels = len(self.paths) if len(self.paths) <= MAX_PANELS else 0
+        rows, (width, height) = -(-panels // 3), self.risk_map.size
+        tall = rows * (0.5 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
+        figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
+        top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
                       else (figure.subfigures(), None))
         grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
         overview = top.add_subplot(grid[:, 0])
-        risk_bar(figure if below is None else top, self._ground(overview, self._title), overview,
+        title = f'The best ambush causes a mean loss of {self.few.value:#.3g}'
+        risk_bar(top, draw_ground(overview, self.strategy, self.risk_map, title), overview,
                  location='bottom', shrink=0.6, aspect=30)
         self._key(top.add_subplot(grid[0, 1]))
         _curve(top.add_subplot(grid[1, 1]), self.few)
-        for k in range(len(self.few.paths)):
+        for k in range(len(self.paths)):
             self._route(overview, k)
         overview.plot(*self.few.worst_xy, marker='o', markersize=9, color=AMBUSHER,
                       markeredgecolor='white', zorder=9)
         for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
             if k < panels:
-                self._ground(axes, self.names[k])
+                draw_ground(axes, self.strategy, self.risk_map, self.names[k])
                 self._route(axes, k)
             else:
                 axes.set_axis_off()
         return figure
-
-    @property
-    def _title(self) -> str:
-        return f'The best ambush causes a mean loss of {self.few.value:#.3g}'
-
-    def _ground(self, axes: Axes, title: str) -> Any:
-        return draw_ground(axes, self.plan.strategy, self.risk_map, title)
 
     def _style(self, k: int) -> dict[str, Any]:
         return {'color': ROUTES[k % len(ROUTES)], 'linewidth': 1.9, 'path_effects': HALO,
@@ -98,25 +91,27 @@ class FewContents:
 
     def _route(self, axes: Axes, k: int) -> None:
         """Draw a route with its number where it is farthest from the others."""
-        path = self.few.paths[k][:, :2]
+        path = self.paths[k][:, :2]
         axes.plot(*path.T, **self._style(k), solid_joinstyle='round', zorder=4)
-        others = [other[:, :2] for other in (*self.few.paths[:k], *self.few.paths[k + 1 :])]
+        others = [other[:, :2] for other in (*self.paths[:k], *self.paths[k + 1 :])]
         others = others or [path[[0, -1]]]
         away, _ = cKDTree(np.concatenate(others)).query(path)
-        axes.annotate(str(k + 1), path[away.argmax()], ha='center', va='center', fontsize=9,
+        at = away.argmax() if away.any() else len(path) // 2
+        axes.annotate(str(k + 1), path[at], ha='center', va='center', fontsize=9,
                       weight='bold', zorder=8, bbox={
                           'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
                           'edgecolor': self._style(k)['color'], 'linewidth': 1.8})
 
     def _key(self, axes: Axes) -> None:
         lines = [Line2D([], [], **self._style(k), label=name.removeprefix('Route '))
-                 for k, name in enumerate(self.names)]
+                 for k, name in enumerate(self.names[:MAX_KEYS])]
         worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
                        markeredgecolor='white', label='worst ambush')
         held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
                       label='held ground')
         axes.legend(handles=[*lines, worst, held], title='route and share', frameon=False,
-                    loc='upper left', alignment='left', ncols=1 + len(lines) // 11)
+                    loc='upper left', alignment='left', ncols=1 + len(lines) // 11,
+                    fontsize='medium' if len(lines) < 11 else 'small')
         axes.set_axis_off()
 
 
@@ -124,32 +119,32 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     """The value over the number of routes, and the lower bound."""
     axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
     axes.axhline(few.lower_bound, color='0.45', linestyle=':')
+    low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
     axes.annotate("plan's lower bound", (1.0, few.lower_bound), xycoords=('axes fraction', 'data'),
-                  xytext=(-2, 3), textcoords='offset points', ha='right', color='0.35',
-                  fontsize='small', path_effects=HALO)
+                  xytext=(-2, 4 if low else -4), textcoords='offset points', ha='right',
+                  va='bottom' if low else 'top', color='0.35', fontsize='small', path_effects=HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')
 
 
-def write_sheets(paths: Sequence[Path], contents: FewContents, map_file: Path) -> None:
+def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path) -> None:
     """Write route sheets with mode 0600."""
-    plan, few, crs = contents.plan, contents.few, contents.risk_map.crs
-    game, start = plan.strategy.game.options, plan.network.points[plan.network.source].tolist()
+    few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
+    start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
     routes = tuple(sheet_route(k, float(share), path, crs)
                    for k, (share, path) in enumerate(zip(few.shares, few.paths, strict=True), 1))
-    sheet = RouteSheet(map_file.absolute(), crs, (start[0], start[1]), plan.goal_xy, plan.stops_xy,
-                       game.held_radius, game.ambush_radius, few.value, few.lower_bound, routes)
+    game = drawn.strategy.game.options
+    sheet = RouteSheet(map_file.absolute(), crs, start, goal, tuple(stops), game.held_radius,
+                       game.ambush_radius, few.value, few.lower_bound, routes)
     for path in paths:
         write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
 
 
-def tell_few(contents: FewContents, console: Console) -> None:
+def tell_few(plan: Plan, few: FewRoutes, console: Console) -> None:
     """Print the value and how to draw, and put all but the paths into the result."""
-    plan, few = contents.plan, contents.few
-    draws = random_draws(plan)
-    tube = plan.strategy.game.options.tube
-    price = few.value / few.lower_bound if few.lower_bound > 0.0 else 1.0
+    draws, tube = random_draws(plan), plan.strategy.game.options.tube
+    price = few.value / few.lower_bound
     below = (f'; it may be below, because the bound lets convoys stray {tube:.3g} m from their '
              'routes, and these are fixed') * (price < 1.0)
     console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.3g} times '

@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,29 +37,6 @@ _DEGREES_ONLY = ('.gpx', '.kml')
 SUFFIXES = ('.gpkg', '.geojson', *_DEGREES_ONLY, '.csv', '.png')
 # Points of a GPX route that are nearer to the line through the others are left out [m].
 _STRAIGHT = 0.5
-
-
-class Contents(Protocol):
-    """What files hold: a table of routes, a name for each, all tables, and a picture."""
-
-    @property
-    def risk_map(self) -> RiskMap:
-        """The map of the routes."""
-
-    @property
-    def routes(self) -> Any:
-        """The table of routes."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """A name for each route."""
-
-    @property
-    def tables(self) -> Mapping[str, Any]:
-        """All tables by name, routes first."""
-
-    def picture(self) -> Figure:
-        """Draw the routes on the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +95,7 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:
     return Drawn(plan.strategy, plan.risk_map, plan.paths(n, rng), times)
 
 
-def write_outputs(paths: Sequence[Path], drawn: Contents) -> None:
+def write_outputs(paths: Sequence[Path], drawn: Drawn) -> None:
     """Write files with mode 0600; the suffix of each, one of ``SUFFIXES``, is its format.
 
     Raises InvalidCoordinates, and writes nothing, if a format needs a coordinate system and the
@@ -129,15 +106,15 @@ def write_outputs(paths: Sequence[Path], drawn: Contents) -> None:
         write_private(path.parent, {path.name: data})
 
 
-def tell_outputs(paths: Sequence[Path], drawn: Contents, console: Console) -> None:
+def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
     """Print what was written, and put it into the result."""
     files = [place(path) for path in paths]
-    console.line(f'{", ".join(files)}: {count(len(drawn.names), "route")}; secret, so only this '
+    console.line(f'{", ".join(files)}: {count(len(drawn.paths), "route")}; secret, so only this '
                  'user can read them.')
-    console.result |= {'files': files, 'departures': len(drawn.names)}
+    console.result |= {'files': files, 'departures': len(drawn.paths)}
 
 
-def _content(path: Path, drawn: Contents) -> bytes:
+def _content(path: Path, drawn: Drawn) -> bytes:
     suffix = path.suffix
     if suffix in _DEGREES_ONLY and not drawn.risk_map.crs:
         raise InvalidCoordinates(
@@ -172,7 +149,7 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
     return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
 
 
-def _gpx(drawn: Contents) -> bytes:
+def _gpx(drawn: Drawn) -> bytes:
     from gpxpy import gpx
 
     file = gpx.GPX()

@@ -42,7 +42,7 @@ A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the 
 # Time limit of each solve [s], as the node's.
 TIME_LIMIT = 60.0
 # Options that a plan or an argument of its own sets.
-SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads', 'game.held_places')
+SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads')
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
@@ -182,7 +182,7 @@ def options_of(assignments: Sequence[str]) -> SolveOptions:
         group, option = name.split('.')
         if option in changes[group]:
             raise InvalidOption(f'{name} has two values; give one')
-        kind = next(kind for kind in (str, float, int, bool) if kind.__name__ in names[name])
+        kind = next(kind for kind in (tuple, str, float, int, bool) if kind.__name__ in names[name])
         changes[group][option] = _value(name, text, kind)
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})

@@ -17,16 +17,8 @@ from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
 from ..planning.trip import ORDERS
 from . import cli
-from .few_files import SHEET, FewContents, tell_few, write_sheets
-from .geo_files import (
-    FORMATS_HELP,
-    SUFFIXES,
-    Contents,
-    add_outputs,
-    draw,
-    tell_outputs,
-    write_outputs,
-)
+from .few_files import SHEET, FewDrawn, tell_few, write_sheets
+from .geo_files import FORMATS_HELP, SUFFIXES, add_outputs, draw, tell_outputs, write_outputs
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -100,32 +92,29 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.seed is not None:
         console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
                     'routes. Use it for tests only.')
+    few = plan.few
+    drawn = (draw(plan, arguments.departures, np.random.default_rng(arguments.seed)) if few is None
+             else FewDrawn(plan.strategy, risk_map, few.paths, (), few))
     sheets = [path for path in arguments.output if path.suffix == SHEET]
-    contents = _contents(plan, risk_map, arguments)
-    write_outputs([path for path in arguments.output if path not in sheets], contents)
+    write_outputs([path for path in arguments.output if path not in sheets], drawn)
     _tell(plan, console)
-    if isinstance(contents, FewContents):
-        write_sheets(sheets, contents, arguments.map)
-        tell_few(contents, console)
+    if isinstance(drawn, FewDrawn):
+        write_sheets(sheets, drawn, arguments.map)
+        tell_few(plan, drawn.few, console)
     for text in concerns(plan):
         console.say(f'Warning: {text}.')
-    tell_outputs(arguments.output, contents, console)
+    tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
 
 
 def _check(arguments: argparse.Namespace) -> None:
     """Raise UsageError if options that need --routes are given without it."""
-    if arguments.routes is None and arguments.equal:
-        raise cli.UsageError('--equal needs --routes K')
-    sheets = [path for path in arguments.output if path.suffix == SHEET]
-    if arguments.routes is None and sheets:
-        raise cli.UsageError(f'{cli.place(sheets[0])}: only --routes K writes a file of this kind')
-
-
-def _contents(plan: Plan, risk_map: RiskMap, arguments: argparse.Namespace) -> Contents:
-    if plan.few is not None:
-        return FewContents(plan, plan.few, risk_map)
-    return draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
+    if arguments.routes is None:
+        if arguments.equal:
+            raise cli.UsageError('--equal needs --routes K')
+        for path in arguments.output:
+            if path.suffix == SHEET:
+                raise cli.UsageError(f'{cli.place(path)}: only --routes K writes such a file')
 
 
 def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,

@@ -22,7 +22,7 @@ from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import BudgetInfeasible, InvalidOption
 from ..game.route_sampler import route_edges
 from ..routes.driven_path import driven_paths
-from .path_mixtures import PathMixture, PathMixtures, least_value
+from .path_mixtures import PathMixture, PathMixtures, best_shares
 from .plan import DRAWN, Plan
 
 # Most routes; with more, draw from the plan itself.
@@ -41,8 +41,8 @@ FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
 # Most rounds of exchanges and judgements on the map.
 ROUNDS = 5
 # How much sites below the worst one count in equal shares, from first to last, as a share of the
-# value; and by how much a budget's overrun counts more than the value.
-SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 10.0
+# value; and how much a budget's overrun counts, in values: more than any gain.
+SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,8 @@ class FewRoutes:
 
     Attributes
     ----------
-    routes, paths : K arrays (L,) and (L, 3)
-        Drawn routes as nodes, and the driven paths as ``Plan.paths`` has them.
+    paths : K arrays (L, 3)
+        The driven paths, as ``Plan.paths`` has them.
     shares : (K,)
         How likely each is driven; the largest first.
     value : float
@@ -67,7 +67,6 @@ class FewRoutes:
         The value of the best mixture found with at most K routes.
     """
 
-    routes: tuple[IndexArray, ...]
     paths: tuple[FloatArray, ...]
     shares: FloatArray
     value: float
@@ -92,66 +91,52 @@ def few_routes(plan: Plan, most: int, equal: bool = False,
     if no equal shares are within the budgets.
     """
     assert plan.risk_map is not None
+    if not plan.strategy.value > 0.0:
+        raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
+                            'several')
     routes = _candidates(plan, rng or np.random.default_rng())
     if not 1 <= most <= min(len(routes), MAX_ROUTES):
         raise InvalidOption(f'routes must be from 1 to {min(len(routes), MAX_ROUTES)}: of {DRAWN} '
                             f'drawn routes, {len(routes)} are different; got {most}')
-    routes = _promising(plan, routes, max(CANDIDATES, most))
+    routes, costs = _promising(plan, routes, max(CANDIDATES, most))
     paths = driven_paths(plan.corridors, routes, plan.spacing, plan.options.drive.turning_radius)
-    mixtures = PathMixtures(plan.risk_map, plan, paths)
-    search = _Search(mixtures, _budgeted(plan, routes, paths), equal)
+    if plan.network.seconds is None:
+        costs[0] = [np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths]
+    limits = [(cost / (budget.limit or 1.0)) for cost, budget in zip(
+        costs, plan.strategy.budgets, strict=True) if budget.binds]
+    search = _Search(PathMixtures(plan.risk_map, plan, paths),
+                     np.reshape(limits, (len(limits), len(paths))), equal)
     sizes = [*(k for k in CURVE if k < most), most]
-    found = dict(zip(sizes, search.best(sizes), strict=True))
-    best = found[most]
-    chosen = np.flatnonzero(best.shares > 0.0)
-    chosen = chosen[np.argsort(-best.shares[chosen], kind='stable')]
-    return FewRoutes(tuple(routes[k] for k in chosen), tuple(paths[k] for k in chosen),
-                     frozen_array(best.shares[chosen], np.float64), best.value, best.worst_xy,
-                     plan.strategy.lower_bound, _costs(plan, routes, paths)[chosen],
-                     tuple((size, mixture.value) for size, mixture in found.items()))
+    found = search.best(sizes)
+    shares = found[-1].shares
+    chosen = np.argsort(-shares, kind='stable')[: np.count_nonzero(shares)]
+    return FewRoutes(tuple(paths[k] for k in chosen), frozen_array(shares[chosen], np.float64),
+                     found[-1].value, found[-1].worst_xy, plan.strategy.lower_bound,
+                     frozen_array(costs[0][chosen], np.float64),
+                     tuple(zip(sizes, (mixture.value for mixture in found), strict=True)))
 
 
 def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:
     """Different routes among ``DRAWN``."""
-    places = plan.network.places
     drawn = plan.strategy.sample_routes(DRAWN, rng)
-    return list({places[route].tobytes(): route for route in drawn}.values())
+    return list({plan.network.places[route].tobytes(): route for route in drawn}.values())
 
 
-def _promising(plan: Plan, routes: list[IndexArray], most: int) -> list[IndexArray]:
-    """At most ``most`` of the routes: those of the best mixture on the network come first."""
-    game, network = plan.strategy.game, plan.network
+def _promising(plan: Plan, routes: list[IndexArray],
+               most: int) -> tuple[list[IndexArray], FloatArray]:
+    """Some routes, those of the best mixture on the network first, and their costs (2, K)."""
+    game, network, budgets = plan.strategy.game, plan.network, plan.strategy.budgets
     edges = [route_edges(network, route) for route in routes]
-    uses = csr_matrix((np.ones(sum(map(len, edges))), (np.concatenate(edges), np.repeat(
-        np.arange(len(edges)), list(map(len, edges))))), (len(network.edges), len(edges)))
+    route = np.repeat(np.arange(len(edges)), list(map(len, edges)))
+    uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
+                      (len(network.edges), len(edges)))
     met = csr_matrix(game.hits @ uses)
-    met.data[:] = 1.0
-    best = least_value(met.multiply(game.loss[game.sites][:, None]).tocsr(),
-                       _limits(plan, [each @ uses for each in (network.travel_costs,
-                                                               network.edge_exposure)]))
+    met.data[:] = 1.0  # however often a route comes back
+    costs = np.array([budget.cost @ uses for budget in budgets])
+    limits = np.array([[budget.limit or 1.0] for budget in budgets])
+    best = best_shares(met.multiply(game.loss[game.sites][:, None]).tocsr(), costs / limits)
     order = np.argsort(-best.shares, kind='stable')[:most]
-    return [routes[k] for k in order]
-
-
-def _budgeted(plan: Plan, routes: list[IndexArray], paths: list[FloatArray]) -> FloatArray:
-    """Costs (B, K) as shares of the budgets that bind."""
-    exposure = plan.network.edge_exposure
-    exposed = [exposure[route_edges(plan.network, route)].sum() for route in routes]
-    return _limits(plan, [_costs(plan, routes, paths), np.array(exposed)])
-
-
-def _costs(plan: Plan, routes: list[IndexArray], paths: list[FloatArray]) -> FloatArray:
-    """Lengths (K,) of the paths [m], or driving times of the routes [s]."""
-    if plan.network.seconds is None:
-        return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
-    return np.array([plan.network.seconds[route_edges(plan.network, route)].sum()
-                     for route in routes])
-
-
-def _limits(plan: Plan, costs: Sequence[FloatArray]) -> FloatArray:
-    rows = [cost / (budget.limit or 1.0)
-            for budget, cost in zip(plan.strategy.budgets, costs, strict=True) if budget.binds]
-    return np.reshape(rows, (len(rows), len(costs[0])))
+    return [routes[k] for k in order], costs[:, order]
 
 
 class _Choice(NamedTuple):
@@ -204,8 +189,8 @@ class _Search:
                 raise BudgetInfeasible(f'no mixture of {len(choice.columns)} routes was found '
                                        'within the budgets; raise max_detour or max_exposure')
             shares = np.zeros(self._count)
-            shares[choice.columns] = choice.shares
-            found.append(self._mixtures.judged(shares))
+            shares[choice.columns] = np.where(choice.shares > LEAST_SHARE, choice.shares, 0.0)
+            found.append(self._mixtures.judged(shares / shares.sum()))
             self._losses = self._mixtures.losses.toarray()
             if found[-1].value <= choice.value * (1.0 + MAX_EXCESS):
                 break
@@ -224,7 +209,7 @@ class _Search:
 
     def _exchanged(self, columns: IndexArray, size: int) -> _Choice:
         """Let one column join, and one leave if there are too many, while the value falls."""
-        equal = self._of_equal_shares(columns, size)
+        equal = self._of_equal_shares(columns[:0], size)
         choice = _better_of([self._solved(columns), self._solved(equal.columns)])
         while choice.value > self._enough and (better := self._better(choice, size)):
             choice = better
@@ -251,7 +236,7 @@ class _Search:
         """The best mixture of the columns, by the program over the sites that matter."""
         losses, costs = self._losses[:, columns], self._costs[:, columns]
         while True:
-            best = least_value(csr_matrix(losses[self._sites]), costs)
+            best = best_shares(csr_matrix(losses[self._sites]), costs)
             sites = self._sites
             if not self._misses(losses @ best.shares, best.value):
                 break
@@ -266,21 +251,18 @@ class _Search:
         return len(worst) > 0
 
     def _of_equal_shares(self, columns: IndexArray, size: int) -> _Choice:
-        """``size`` columns of equal shares: some are chosen one by one, then exchanged."""
-        found = []
-        for chosen in (columns[:0], columns):
-            while len(chosen) < size:
-                chosen = np.append(chosen, self._smooth(chosen, SMOOTH[0]).argmin())
-            while True:
-                for smooth in SMOOTH:
-                    chosen = self._exchanged_equal(chosen, smooth)
-                mean = self._losses[:, chosen].mean(axis=1)
-                if not self._misses(mean, float(mean[self._sites].max())):
-                    break
-            over = (self._costs[:, chosen].mean(axis=1) > 1.0 + LEAST_SHARE).any()
-            found.append(_Choice(chosen, math.inf if over else float(mean.max()),
-                                 np.full(size, 1.0 / size), np.zeros(0)))
-        return _better_of(found)
+        """``size`` columns of equal shares: some join one by one, then they are exchanged."""
+        while len(columns) < size:
+            columns = np.append(columns, self._smooth(columns, SMOOTH[0]).argmin())
+        while True:
+            for smooth in SMOOTH:
+                columns = self._exchanged_equal(columns, smooth)
+            mean = self._losses[:, columns].mean(axis=1)
+            if not self._misses(mean, float(mean[self._sites].max())):
+                break
+        over = (self._costs[:, columns].mean(axis=1) > 1.0 + LEAST_SHARE).any()
+        return _Choice(columns, math.inf if over else float(mean.max()),
+                       np.full(size, 1.0 / size), np.zeros(0))
 
     def _exchanged_equal(self, chosen: IndexArray, smooth: float) -> IndexArray:
         """Exchange the best pair of columns until none lowers the smooth value."""
@@ -297,7 +279,7 @@ class _Search:
         """The smooth value (K,) of equal shares if each column joins; inf for those chosen."""
         losses, costs = ((each[:, chosen].sum(axis=1)[:, None] + each) / (len(chosen) + 1)
                          for each in (self._losses[self._sites], self._costs))
-        top, smooth = losses.max(axis=0), smooth * self._enough
+        top, smooth = losses.max(axis=0), smooth * self._enough or smooth
         value = top + smooth * np.log(np.exp((losses - top) / smooth).sum(axis=0))
         value += OVERRUN * self._enough * np.maximum(costs - 1.0, 0.0).sum(axis=0)
         value[chosen] = np.inf

@@ -45,7 +45,7 @@ class PathMixture:
     met: BoolArray
 
 
-class LeastValue(NamedTuple):
+class BestShares(NamedTuple):
     """The least value of a mixture of paths, and its shares (K,): a vertex, so mostly 0.
 
     ``q`` (S,) is the ambusher's best mixture, ``prices`` (B,) what the budgets cost him.
@@ -106,7 +106,7 @@ class PathMixtures:
                                    f'budget of {budget:.6g}; raise max_detour')
         limits = (costs[None, :] / (budget or 1.0))[: int(np.isfinite(budget))]
         while True:
-            solved = least_value(self.losses, limits)
+            solved = best_shares(self.losses, limits)
             mixture = self.judged(solved.shares)
             if mixture.value <= solved.value * (1.0 + MAX_GAP):
                 return mixture
@@ -136,7 +136,7 @@ def check_judged(options: GameOptions) -> None:
         raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
 
 
-def least_value(losses: csr_matrix, costs: FloatArray) -> LeastValue:
+def best_shares(losses: csr_matrix, costs: FloatArray) -> BestShares:
     """The linear program over shares of paths that cause ``losses`` (S, K) at sites.
 
     The mean of each row of ``costs`` (B, K) is at most 1. The value is inf if no shares are.
@@ -150,10 +150,10 @@ def least_value(losses: csr_matrix, costs: FloatArray) -> LeastValue:
     program = highs.Program(np.append(np.zeros(count), 1.0), rows, bounds, total, np.ones(1))
     solved = highs.run(program, 'simplex', math.inf)
     if solved.x is None:
-        return LeastValue(math.inf, np.zeros(count), bounds[: losses.shape[0]], np.ones(len(costs)))
+        return BestShares(math.inf, np.zeros(count), bounds[: losses.shape[0]], np.ones(len(costs)))
     shares = np.maximum(solved.x[:count], 0.0)
     duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
-    return LeastValue(solved.fun * unit, shares / shares.sum(), duals[: losses.shape[0]],
+    return BestShares(solved.fun * unit, shares / shares.sum(), duals[: losses.shape[0]],
                       duals[losses.shape[0] :] * unit)
 
 
