@@ -9,10 +9,10 @@ from tempfile import TemporaryDirectory
 from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
-commands = ('audit', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', 'risk', 'table',
-            'terrain', 'verify', 'views')
-gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
-       'shapely>=2.0']
+commands = ('audit', 'card', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', 'risk',
+            'table', 'terrain', 'verify', 'views')
+gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'mgrs>=1.4.6', 'pyogrio>=0.7', 'pyproj>=3.4',
+       'rasterio>=1.3', 'shapely>=2.0']
 
 # A package index has neither the pictures nor the pages that README.md links to.
 introduction = Path('README.md').read_text(encoding='utf-8').split('\n## ')[0]

@@ -27,6 +27,7 @@ from matplotlib.transforms import Affine2D
 
 from . import colours
 from .arrays import FloatArray
+from .maps.coordinates import Coordinates
 from .maps.risk_map import RiskMap
 
 if TYPE_CHECKING:
@@ -94,6 +95,19 @@ def scale_bar(axes: Axes) -> None:
     axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
 
 
+def north_arrow(axes: Axes, crs: str | None) -> None:
+    """Point to true north in the upper right corner, if the coordinate system is known."""
+    if not crs:
+        return
+    middle = np.array([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
+    degrees = Coordinates(crs).to_lat_lon(middle)
+    north = Coordinates(crs).from_lat_lon(degrees + (1e-4, 0.0)) - middle
+    axes.annotate('N', (0.95, 0.9), xytext=24.0 * north / np.hypot(*north), ha='center',
+                  va='center', xycoords='axes fraction', textcoords='offset points', weight='bold',
+                  path_effects=HALO, zorder=8,
+                  arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
+
+
 def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
     """Explain the grey scale next to the axes."""
     figure.colorbar(image, ax=axes, label='loss if ambushed here', **layout)
@@ -128,18 +142,24 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
 
 
 def draw_ends(axes: Axes, strategy: Strategy) -> None:
-    """Mark start (square), goal (star) and stops (diamonds) with names; circle held ground."""
-    network, radius = strategy.network, strategy.game.options.held_radius
-    marks = [(network.source, 's', 90, 'start'), (network.target, '*', 260, 'goal')]
-    marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(network.stops, start=1)]
-    for node, marker, size, name in marks:
-        x, y = network.points[node]
+    """Mark start, stops and goal of a strategy's network, and its held ground."""
+    network = strategy.network
+    draw_places(axes, network.points[[network.source, *network.stops, network.target]],
+                strategy.game.options.held_radius)
+
+
+def draw_places(axes: Axes, places: FloatArray, held_radius: float) -> None:
+    """Mark start (square), stops (diamonds) and goal (star) with names; circle held ground."""
+    stops = [('D', 70, f'stop {k}') for k in range(1, len(places) - 1)]
+    for (x, y), (marker, size, name) in zip(
+        places, [('s', 90, 'start'), *stops, ('*', 260, 'goal')], strict=True
+    ):
         axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
         axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
                       va='top', weight='bold', path_effects=HALO, zorder=8)
-        if radius > 0.0:
-            axes.add_patch(Circle((x, y), radius, fill=False, edgecolor='black', linewidth=1.2,
-                                  linestyle=HELD_DASHES, zorder=6))
+        if held_radius > 0.0:
+            axes.add_patch(Circle((x, y), held_radius, fill=False, edgecolor='black',
+                                  linewidth=1.2, linestyle=HELD_DASHES, zorder=6))
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
@@ -148,6 +168,13 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
         colour = colours.ROUTES[k % len(colours.ROUTES)]
         axes.plot(*np.asarray(route).T, color=colour, linewidth=1.9, path_effects=HALO,
                   solid_joinstyle='round', zorder=4)
+
+
+def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str) -> None:
+    """Write a number in a circle of a route's colour."""
+    axes.annotate(str(number), tuple(xy), ha='center', va='center', fontsize=8, weight='bold',
+                  zorder=8, bbox={'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
+                                  'edgecolor': colour, 'linewidth': 1.6})
 
 
 def draw_sites(axes: Axes, strategy: Strategy) -> None:

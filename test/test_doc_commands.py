@@ -26,9 +26,9 @@ RUN_BY = {
     ('README.md', 'sh'): (2, 'test_readme'),
     ('README.md', 'python'): (1, 'test_readme'),
     ('README.md', 'text'): (1, '.ci/run, which builds a colcon workspace'),
-    ('gis.md', 'sh'): (5, 'test_gis_docs'),
+    ('gis.md', 'sh'): (6, 'test_gis_docs'),
     ('gis.md', 'python'): (1, 'test_gis_docs'),
-    ('gis.md', 'text'): (1, '.ci/package, which installs the wheel'),
+    ('gis.md', 'text'): (2, '.ci/package, which installs the wheel; test_gis_docs'),
     ('nav2.md', 'python'): (1, 'test_launch'),
     ('nav2.md', 'xml'): (1, 'test_launch'),
     ('nav2.md', 'sh'): (5, 'checked below; test_launch starts what the first one starts, '

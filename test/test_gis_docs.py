@@ -33,7 +33,7 @@ def test_every_command_of_the_page_works(tmp_path):
     a_plan = sample_plan()
     entries = {'parameters': parameters(**{'map.crs': 'datum 36.6 -84.3 0.0'})}
     record(tmp_path / 'runs', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
-    assert sum(kind == 'sh' for kind, _ in BLOCKS) == 5
+    assert sum(kind == 'sh' for kind, _ in BLOCKS) == 6
     script = '\n'.join(f"python - <<'END'\n{text}END" if kind == 'python' else text
                        for kind, text in BLOCKS)
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
@@ -41,9 +41,11 @@ def test_every_command_of_the_page_works(tmp_path):
                           env={**os.environ, 'PATH': path}, timeout=TIMEOUT)
     assert done.returncode == 0, done.stderr
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
-    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map)\.\w+', ' '.join(
+    told = re.search(r'(?m)^card.html: .*$', (DOCS / 'gis.md').read_text())[0]
+    assert re.search(re.sub(r'\d+', r'\\d+', told), done.stdout), done.stdout
+    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|card)\.\w+', ' '.join(
         text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 10 and all((tmp_path / file).stat().st_size for file in files)
+    assert len(files) == 11 and all((tmp_path / file).stat().st_size for file in files)
 
 
 @pytest.mark.slow

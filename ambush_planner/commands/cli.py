@@ -36,6 +36,7 @@ from .console import place as place
 
 COMMANDS = {
     'audit': 'test whether departures follow their strategies',
+    'card': 'write the map, legs and times of one departure for its driver',
     'demo': 'run a node on real terrain, with recordings and a report',
     'export': 'write recorded routes to files for a GPS or a GIS',
     'frontier': 'compare length budgets and slacks on a map',
