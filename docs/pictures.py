@@ -48,8 +48,7 @@ LEGEND = {'loc': 'outside lower center', 'frameon': False}
 def strategy(demo: Section) -> Figure:
     """Where the convoy drives and where the ambusher waits."""
     figure = Figure((6.4, 6.6), layout='compressed')
-    axes = figures.draw_strategy(figure.subplots(), demo.strategy, demo.risk_map)
-    figures.scale_bar(axes)
+    figures.draw_strategy(figure.subplots(), demo.strategy, demo.risk_map)
     return figure
 
 
@@ -73,7 +72,8 @@ def trip(demo: Section) -> Figure:
                f'(the shortest trip, once known: {known:.2f})'),
         (right, f'{TRIPS_SHOWN} departures'),
     ):
-        risk = figures.draw_ground(axes, plan.strategy, risk_map, title)
+        risk = figures.draw_ground(axes, risk_map, title)
+        figures.draw_ends(axes, plan.strategy)
     edges = figures.draw_segments(left, network.points[network.edges],
                                   plan.strategy.edge_probability)
     figures.draw_sites(left, plan.strategy)
@@ -91,7 +91,8 @@ class Panel:
     def __init__(self, axes: Axes, demo: Section, title: str) -> None:
         self.axes, self.game = axes, demo.strategy.game
         self.points = self.game.network.points
-        figures.draw_ground(axes, demo.strategy, demo.risk_map, title)
+        figures.draw_ground(axes, demo.risk_map, title)
+        figures.draw_ends(axes, demo.strategy)
         self.text = axes.set_xlabel(' \n ', fontsize=10, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
                               path_effects=figures.HALO)

@@ -46,8 +46,11 @@ def difference(one, other):
 def test_colour_blind_readers_tell_the_colours_apart():
     for one, other in combinations(colours.ROUTES, 2):
         assert difference(one, other) > 12.0, (one, other)
-    for route in (*colours.ROUTES, *colours.PROBABILITY, *colours.RISK, colours.ENDS):
+    for route in (*colours.ROUTES, *colours.PROBABILITY, *colours.RISK, colours.ENDS,
+                  colours.NETWORK):
         assert difference(route, colours.AMBUSHER) > 30.0, route
+    for route in colours.ROUTES:
+        assert difference(route, colours.NETWORK) > 20.0, route
     assert difference('#cc3311', colours.AMBUSHER) < 20.0  # the measure sees what it should
 
 

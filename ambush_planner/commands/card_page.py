@@ -138,15 +138,12 @@ def _picture(card: Card) -> bytes:
     longer = (high - low).max()
     half = np.maximum((high - low) / 2.0 + _MARGIN * longer, _LEAST_SIDE / 2.0 * longer)
     first, last = card.risk_map.bounds
-    low = np.maximum((low + high) / 2.0 - half, first)
-    high = np.minimum(low + 2.0 * half, last)
-    width, height = high - low
+    middle = (low + high) / 2.0
+    box = np.maximum(middle - half, first), np.minimum(middle + half, last)
+    width, height = box[1] - box[0]
     figure = Figure((figures.WIDTH, figures.WIDTH * height / width), layout='compressed')
     axes = figure.subplots()
-    figures.draw_risk_map(axes, card.risk_map)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect='equal')
-    figures.scale_bar(axes)
-    figures.north_arrow(axes, card.risk_map.crs)
+    figures.draw_ground(axes, card.risk_map, box=box)
     axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=figures.HALO, zorder=4)
     figures.draw_places(axes, card.places, card.held_radius)
     for k, point in enumerate(card.legs.way_points):

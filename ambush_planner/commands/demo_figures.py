@@ -43,7 +43,8 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
                f'Mean loss of {strategy.value:.2f} if the strategy is known'),
         (right, f'The same route every day\nLoss of up to {worst:.2f} once the route is known'),
     ):
-        risk = figures.draw_ground(axes, strategy, risk_map, title)
+        risk = figures.draw_ground(axes, risk_map, title)
+        figures.draw_ends(axes, strategy)
     figures.draw_routes(left, routes)
     for route, (colour, dashes), (side, share) in zip(
         fixed, FIXED, (('left', 0.62), ('right', 0.75)), strict=True
@@ -64,7 +65,8 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
             arrowprops={'arrowstyle': '-', 'relpos': (0.0, 0.5), 'linewidth': 1.2},
         )
     figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
-    left.legend(handles=[HELD_GROUND, OBSTACLE], loc='lower right', fontsize=9)
+    figure.legend(handles=[HELD_GROUND, OBSTACLE], loc='outside lower center', ncols=2,
+                  frameon=False)
     return figure
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import GoalOutsideMap, StartOutsideMap, StopOutsideMap
 from ..maps.coordinates import Coordinates
-from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
 from ..planning.concerns import assumptions, concerns, is_sound
@@ -90,9 +90,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
                     console: cli.Console) -> RiskMap:
     elevation, ground = terrain_from(arguments, arguments.map, console)
-    options = replace(options, crs=agreed_crs(elevation.crs, options.crs))
-    return risk_map_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
-                                   options)
+    return ground.risk_map(elevation.corner,
+                           replace(options, crs=agreed_crs(elevation.crs, options.crs)))
 
 
 def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,

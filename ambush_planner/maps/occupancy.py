@@ -107,9 +107,9 @@ def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
     obstacles = grid >= options.obstacle_threshold
     if options.unknown_alpha is not None:
         alpha = np.where(unknown, options.unknown_alpha, alpha)
-    else:
-        obstacles = obstacles | unknown
-    return RiskMap(alpha, obstacles, resolution, origin, options.crs)
+        return RiskMap(alpha, obstacles, resolution, origin, options.crs)
+    return RiskMap(alpha, obstacles | unknown, resolution, origin, options.crs,
+                   unknown if unknown.any() else None)
 
 
 def carries_risk(values: npt.NDArray[np.number[Any]], options: OccupancyOptions) -> bool:
