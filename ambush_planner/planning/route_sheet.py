@@ -1,0 +1,140 @@
+"""Route sheets: a few routes with their shares in a small JSON file, from which one is drawn.
+
+The file is one object; positions are the map's world coordinates [m]::
+
+    {"format": "ambush routes 1", "map": "yard.yaml", "crs": "EPSG:32616",
+     "start": [x, y], "goal": [x, y], "stops": [[x, y], ...], "held_radius": 2.0, "reach": 2.0,
+     "value": 0.41, "lower_bound": 0.38,
+     "routes": [{"number": 1, "share": 0.25, "length": 61.2, "path": [[x, y], ...],
+                 "lat_lon": [[latitude, longitude], ...]}, ...]}
+
+``map`` is relative to the file's folder. ``crs`` is null, and ``lat_lon`` missing, if the map has
+no coordinate system. Shares add up to 1. Routes are secret: whoever writes it uses mode 0600.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray, frozen_array
+from ..errors import AmbushPlannerError, shown
+from ..maps.coordinates import Coordinates
+
+FORMAT = 'ambush routes 1'
+# Digits after the decimal point: millimetres, and degrees of latitude as fine.
+_METRES, _DEGREES = 3, 8
+# Largest rounding of a sum of shares.
+MAX_ROUNDING = 1e-6
+
+Position = tuple[float, float]
+
+
+class InvalidRouteSheet(AmbushPlannerError, ValueError):
+    """A file is no route sheet."""
+
+
+@dataclass(frozen=True, eq=False)
+class SheetRoute:
+    """One route: its ``share``, ``length`` [m], and ``path`` (L, 2) in world coordinates [m].
+
+    ``lat_lon`` (L, 2) is the path in degrees; None if the map has no coordinate system.
+    """
+
+    number: int
+    share: float
+    length: float
+    path: FloatArray
+    lat_lon: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class RouteSheet:
+    """A few routes between two places.
+
+    ``map`` is the map's file. An ambusher who knows all of the sheet but the draw causes a mean
+    loss of ``value``; with any routes he causes at least ``lower_bound``. He meets a convoy within
+    ``reach`` [m], but cannot wait within ``held_radius`` [m] of start, stops and goal.
+    """
+
+    map: Path
+    crs: str | None
+    start: Position
+    goal: Position
+    stops: tuple[Position, ...]
+    held_radius: float
+    reach: float
+    value: float
+    lower_bound: float
+    routes: tuple[SheetRoute, ...]
+
+    def draw(self, rng: np.random.Generator) -> SheetRoute:
+        """Draw one route by the shares."""
+        shares = np.array([route.share for route in self.routes])
+        return self.routes[int(rng.choice(len(shares), p=shares / shares.sum()))]
+
+
+def sheet_route(number: int, share: float, path: FloatArray, crs: str | None) -> SheetRoute:
+    """A route from its path (L, 2 or 3) [m]."""
+    xy = frozen_array(path[:, :2], np.float64)
+    length = float(np.hypot(*np.diff(xy, axis=0).T).sum())
+    lat_lon = frozen_array(Coordinates(crs).to_lat_lon(xy), np.float64) if crs else None
+    return SheetRoute(number, share, length, xy, lat_lon)
+
+
+def sheet_bytes(sheet: RouteSheet, folder: Path) -> bytes:
+    """The content of a file in ``folder``; write it with mode 0600."""
+    routes = []
+    for route in sheet.routes:
+        row: dict[str, Any] = {'number': route.number, 'share': route.share,
+                               'length': round(route.length, _METRES),
+                               'path': route.path.round(_METRES).tolist()}
+        if route.lat_lon is not None:
+            row['lat_lon'] = route.lat_lon.round(_DEGREES).tolist()
+        routes.append(row)
+    content = {**vars(sheet), 'map': os.path.relpath(sheet.map, folder), 'routes': routes}
+    return json.dumps({'format': FORMAT, **content}).encode()
+
+
+def read_route_sheet(path: Path) -> RouteSheet:
+    """Read a file; raises InvalidRouteSheet, and OSError if it cannot be read."""
+    try:
+        content = json.loads(path.read_bytes())
+        if content.pop('format') != FORMAT:
+            raise ValueError
+        routes = tuple(_route(row) for row in content.pop('routes'))
+        start, goal = _position(content.pop('start')), _position(content.pop('goal'))
+        stops = tuple(map(_position, content.pop('stops')))
+        sheet = RouteSheet(map=path.parent / content.pop('map'), start=start, goal=goal,
+                           stops=stops, routes=routes, **content)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InvalidRouteSheet(f'{shown(path)}: not a file of routes as ambush plan --routes '
+                                'writes it (-o FILE.json)') from None
+    if not math.isclose(sum(route.share for route in routes), 1.0, abs_tol=MAX_ROUNDING):
+        raise InvalidRouteSheet(f"{shown(path)}: the routes' shares must add up to 1; write the "
+                                'file again with ambush plan --routes')
+    return sheet
+
+
+def _route(row: dict[str, Any]) -> SheetRoute:
+    lat_lon = row.get('lat_lon')
+    return SheetRoute(int(row['number']), float(row['share']), float(row['length']),
+                      _line(row['path']), None if lat_lon is None else _line(lat_lon))
+
+
+def _line(points: Any) -> FloatArray:
+    line = np.array(points, dtype=np.float64)
+    if line.ndim != 2 or line.shape[1] != 2:
+        raise ValueError
+    return frozen_array(line, np.float64)
+
+
+def _position(point: Any) -> Position:
+    x, y = map(float, point)
+    return x, y
