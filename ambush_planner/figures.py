@@ -1,6 +1,6 @@
 """Layers of pictures of risk maps, strategies and routes.
 
-Each ``draw_...`` function draws one layer on given axes, in world metres; ``draw_ground`` comes
+Each ``draw_...`` function draws one layer on given axes, in world metres; ``draw_map`` comes
 first, ``draw_network`` and ``draw_routes`` follow. Risk is grey, or brown over the relief if the
 map has heights; obstacles are black and unknown ground is hatched. The convoy is blue, unless
 routes are drawn over a pale network, and the ambusher is orange.
@@ -67,8 +67,15 @@ NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
                  label='the convoy may drive here: the wider, the likelier')
 
 
-def draw_ground(axes: Axes, risk_map: RiskMap, title: str = '',
-                box: npt.ArrayLike | None = None) -> AxesImage:
+def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str) -> AxesImage:
+    """Draw the map with start, stops, goal and held ground of a strategy."""
+    image = draw_map(axes, risk_map, title)
+    draw_ends(axes, strategy)
+    return image
+
+
+def draw_map(axes: Axes, risk_map: RiskMap, title: str = '',
+             box: npt.ArrayLike | None = None) -> AxesImage:
     """Draw the map, or the part in a box ((left, bottom), (right, top)), with scale and north."""
     frame(axes, risk_map, title, box)
     scale_bar(axes)
@@ -162,13 +169,13 @@ def scale_bar(axes: Axes) -> None:
 
 
 def north_arrow(axes: Axes, crs: str | None) -> None:
-    """Point to true north in the upper right corner, if the coordinate system is known."""
+    """Point to true north above the upper right corner, if the coordinate system is known."""
     if not crs:
         return
     middle = np.array([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
     degrees = Coordinates(crs).to_lat_lon(middle)
     north = Coordinates(crs).from_lat_lon(degrees + (1e-4, 0.0)) - middle
-    axes.annotate('N', (0.94, 0.82), xytext=24.0 * north / np.hypot(*north), ha='center',
+    axes.annotate('N', (0.97, 1.01), xytext=20.0 * north / np.hypot(*north), ha='center',
                   va='center', xycoords='axes fraction', textcoords='offset points', weight='bold',
                   path_effects=HALO, zorder=8,
                   arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
@@ -284,10 +291,11 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []
     if risk_map is not None:
-        risk_bar(figure, draw_ground(axes, risk_map, title), axes, **bars)
+        risk_bar(figure, draw_ground(axes, strategy, risk_map, title), axes, **bars)
         key = ground_key(risk_map)
     else:
         axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
+        draw_ends(axes, strategy)
     edges = draw_network(axes, strategy, below_routes=bool(routes))
     if routes:
         lines = draw_routes(axes, routes)
@@ -297,7 +305,6 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     if strategy.value > 0.0:
         draw_sites(axes, strategy)
         key = [SITES, *key]
-    draw_ends(axes, strategy)
     if strategy.game.options.held_radius > 0.0:
         key = [*key, HELD_GROUND]
     drawn = f'{len(routes)} route{"s" * (len(routes) != 1)} drawn'

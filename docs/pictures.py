@@ -10,6 +10,7 @@ import io
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,6 +25,7 @@ from ambush_planner.colours import AMBUSHER, PROBABILITY
 from ambush_planner.commands import demo_figures, demo_ground
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
+from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
 from ambush_planner.planning.plan import departure_paths
 from ambush_planner.recordings import recordings_in
@@ -45,10 +47,15 @@ PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
+def ground(demo: Section) -> RiskMap:
+    """The demo's map with its relief."""
+    return replace(demo.risk_map, heights=demo_ground.load_elevation().heights)
+
+
 def strategy(demo: Section) -> Figure:
     """Where the convoy drives and where the ambusher waits."""
     figure = Figure((6.4, 6.6), layout='compressed')
-    figures.draw_strategy(figure.subplots(), demo.strategy, demo.risk_map)
+    figures.draw_strategy(figure.subplots(), demo.strategy, ground(demo))
     return figure
 
 
@@ -56,12 +63,12 @@ def routes(demo: Section) -> Figure:
     """The demo's own picture."""
     paths = [each.path_poses[:, :2] for each in demo.departures[-8:]]
     fixed = demo_figures.fixed_routes(demo.strategy)
-    return demo_figures.routes_figure(demo.risk_map, demo.strategy, paths, fixed)
+    return demo_figures.routes_figure(ground(demo), demo.strategy, paths, fixed)
 
 
 def trip(demo: Section) -> Figure:
     """One strategy over all legs on the left, departures on the right."""
-    risk_map = demo.risk_map
+    risk_map = ground(demo)
     plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS, order='best')
     network = plan.network
     known = evaluate(plan.strategy)['energy_efficient'].v_repeated
@@ -72,13 +79,13 @@ def trip(demo: Section) -> Figure:
                f'(the shortest trip, once known: {known:.2f})'),
         (right, f'{TRIPS_SHOWN} departures'),
     ):
-        risk = figures.draw_ground(axes, risk_map, title)
-        figures.draw_ends(axes, plan.strategy)
+        risk = figures.draw_ground(axes, plan.strategy, risk_map, title)
     edges = figures.draw_segments(left, network.points[network.edges],
                                   plan.strategy.edge_probability)
     figures.draw_sites(left, plan.strategy)
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
     figures.draw_routes(right, [path[:, :2] for path in paths])
+    right.label_outer()
     figures.probability_bar(figure, edges, left, location='bottom')
     figures.risk_bar(figure, risk, right, location='bottom')
     figure.legend(handles=[figures.SITES, figures.HELD_GROUND, figures.OBSTACLE], ncols=3, **LEGEND)
@@ -91,8 +98,8 @@ class Panel:
     def __init__(self, axes: Axes, demo: Section, title: str) -> None:
         self.axes, self.game = axes, demo.strategy.game
         self.points = self.game.network.points
-        figures.draw_ground(axes, demo.risk_map, title)
-        figures.draw_ends(axes, demo.strategy)
+        figures.draw_ground(axes, demo.strategy, demo.risk_map, title)
+        axes.set(xticks=[], yticks=[], ylabel='')
         self.text = axes.set_xlabel(' \n ', fontsize=10, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
                               path_effects=figures.HALO)

@@ -15,7 +15,16 @@ from hypothesis import strategies as st
 
 from ambush_planner.commands import card
 from ambush_planner.maps.coordinates import Coordinates
-from ambush_planner.routes.legs import MAX_LEGS, bearings, held_stretches, legs
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ambush_planner.routes.legs import (
+    MAX_LEGS,
+    bearings,
+    distances_along,
+    held_stretches,
+    way_points,
+)
 
 FRAME = 'datum 36.6 -84.3 0.2'
 NO_STOPS = np.empty((0, 2))
@@ -25,21 +34,18 @@ PLACES = st.tuples(*2 * [st.integers(-50, 50)])
 @given(st.lists(PLACES, min_size=2, max_size=40, unique=True), st.integers(0, 39))
 def test_legs_add_up_and_pass_the_stops(path, stop):
     path = np.array(path, float)
-    made = legs(path, path[[stop % len(path)]])
-    assert made.distances[0] == 0.0 and np.all(np.diff(made.distances) > 0.0)
-    assert made.distances[-1] == pytest.approx(np.hypot(*np.diff(path, axis=0).T).sum())
-    assert len(made.distances) <= MAX_LEGS + 1
-    chosen = made.way_points.tolist()
-    assert path[stop % len(path)].tolist() in chosen
-    assert chosen[0] == path[0].tolist() and chosen[-1] == path[-1].tolist()
+    at = way_points(path, path[[stop % len(path)]])
+    assert {0, stop % len(path), len(path) - 1} <= set(at) and len(at) <= MAX_LEGS + 1
+    lengths = np.diff(distances_along(path)[at])
+    assert np.all(lengths > 0.0)
+    assert lengths.sum() == pytest.approx(np.hypot(*np.diff(path, axis=0).T).sum())
 
 
 def test_corners_are_way_points_and_bearings_are_clockwise_from_y():
     path = np.array([(0, 0), (0, 5), (0, 10), (5, 10), (10, 10), (10, 0)], float)
-    made = legs(path, NO_STOPS)
-    assert made.way_points.tolist() == [[0, 0], [0, 10], [10, 10], [10, 0]]
-    assert made.distances.tolist() == [0, 10, 20, 30]
-    assert bearings(made.way_points).tolist() == [0, 90, 180]
+    at = way_points(path, NO_STOPS)
+    assert at.tolist() == [0, 2, 4, 5] and distances_along(path)[at].tolist() == [0, 10, 20, 30]
+    assert bearings(path[at]).tolist() == [0, 90, 180]
 
 
 def test_held_ground_is_where_the_path_is_near_a_place():
@@ -70,7 +76,7 @@ def written(recording, folder, *options):
 
 def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     folder, routes = runs
-    page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--start-time', '23:59')
+    page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--start-time', '23:59', '--speed', 3.6)
     assert (tmp_path / 'card.html').stat().st_mode & 0o777 == 0o600
     places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(routes[1] - place).T).min() < 0.1 for place in places)
@@ -79,12 +85,10 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     text = re.sub('base64,[^"]*', '', page)
     assert not any(place in text for place in others - {row[1] for row in rows})
     assert not re.search(r'probab|ambush|\bvalue|loss|run_|strategy', text, re.IGNORECASE)
-    # Ten metres a second; legs add up to the length, and times pass midnight.
+    # One metre a second: legs add up to the length, and times pass midnight.
     length = round(np.hypot(*np.diff(routes[1], axis=0).T).sum())
     assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
-    assert rows[0][5] == '23:59:00'
-    minutes, seconds = map(int, rows[-1][5].split(':')[1:])
-    assert 60 * (minutes + 1) % 3600 + seconds == pytest.approx(length / 10, abs=1)
+    assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{(length - 60) // 60}'
     assert 'Held ground, within 40 m of start and goal: 0 m to 4' in page
 
 
@@ -104,9 +108,28 @@ def test_grid_references_agree_with_pyproj(runs, tmp_path):
         np.testing.assert_allclose(mgrs.MGRS().toLatLon(square.replace(' ', '')),
                                    (latitude, longitude), atol=3e-5)
     # True bearings differ from those of the grid by the convergence of the meridians.
-    grid = bearings(legs(path, NO_STOPS).way_points)
+    grid = bearings(path[way_points(path, NO_STOPS)])
     turned = (np.array([int(row[4][:-1]) for row in rows[:-1]]) - grid + 180.0) % 360.0 - 180.0
     assert np.ptp(turned) < 1.5 and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
+
+
+def test_one_of_few_routes(runs, tmp_path):
+    write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((60, 80), np.int8), 5.0))
+    routes = [sheet_route(k, share, path, None) for k, share, path in zip(
+        (1, 2, 3), (0.5, 0.3, 0.2), runs[1], strict=True)]
+    stop = tuple(runs[1][1][4])
+    sheet = RouteSheet(tmp_path / 'map.yaml', None, (12.5, 147.5), (387.5, 152.5), (stop,), 0.0,
+                       5.0, 1.5, 1.4, tuple(routes))
+    (tmp_path / 'few.json').write_bytes(sheet_bytes(sheet, tmp_path))
+    page, rows = written(tmp_path / 'few.json', tmp_path, '--route', 2)
+    places = np.array([row[1].split(', ') for row in rows], float)
+    assert all(np.hypot(*(runs[1][1] - place).T).min() < 0.1 for place in places)
+    assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
+    assert 'No ground is held' in page and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
+    for options, words in (('', '--route NUMBER'), ('--route 4', 'has routes 1 to 3, not 4')):
+        done = run_here(card, tmp_path / 'few.json', '-o', tmp_path / 'c.html', '--speed', 36,
+                        *options.split())
+        assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
 
 
 @pytest.mark.parametrize(('options', 'words'), [

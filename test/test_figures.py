@@ -66,7 +66,7 @@ def test_ticks_are_round_degrees_at_their_places(axes, crs):
     pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
     corner = (730_000.0, 4_040_000.0) if crs.startswith('EPSG') else (100.0, 50.0)
     risk_map = RiskMap(np.ones((30, 40)), np.zeros((30, 40), bool), 100.0, (*corner, 0.0), crs)
-    figures.draw_ground(axes, risk_map)
+    figures.draw_map(axes, risk_map)
     for axis, start in ((axes.xaxis, lambda at: (at, corner[1])),
                         (axes.yaxis, lambda at: (corner[0], at))):
         assert len(axis.get_ticklocs()) >= 2

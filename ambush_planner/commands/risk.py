@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..colours import ROUTES
-from ..figures import WIDTH, as_png, draw_cells, draw_ground, frame, risk_bar
+from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
@@ -93,7 +93,7 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     for axes, layer in zip(panels, joined.layers, strict=False):
         _draw(figure, axes, joined.risk_map, layer)
     last = panels[count - 1]
-    risk_bar(figure, draw_ground(last, joined.risk_map, 'Risk map'), last, shrink=0.7)
+    risk_bar(figure, draw_map(last, joined.risk_map, 'Risk map'), last, shrink=0.7)
     for axes in panels[count:]:
         axes.set_visible(False)
     return figure

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..figures import WIDTH, as_png, draw_cells, draw_ground, frame, risk_bar
+from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
 from ..maps import (
     Elevation,
     TerrainMap,
@@ -129,7 +129,7 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
         frame(axes, risk_map, title)
         shown = draw_cells(axes, risk_map, np.ma.masked_invalid(layer), cmap=colours)
         figure.colorbar(shown, ax=axes, shrink=0.7)
-    risk_bar(figure, draw_ground(last, risk_map, 'Risk map'), last, shrink=0.7)
+    risk_bar(figure, draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
     if ground.roads.any():
         draw_cells(last, risk_map, np.ma.masked_equal(ground.roads, False), cmap='winter',
                    alpha=0.8)

@@ -1,8 +1,6 @@
-"""Positions as maps and receivers name them: UTM and MGRS references, true bearings."""
+"""Positions (K, 2) in WGS 84 [degrees] as maps and receivers name them, and true bearings."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -10,40 +8,33 @@ from ..arrays import FloatArray
 from .coordinates import WGS84, utm_zone
 
 
-def utm_reference(latitude: float, longitude: float) -> str:
-    """Return zone, hemisphere, easting and northing of a position in WGS 84 [degrees].
-
-    They are whole metres, rounded down as in MGRS.
+def utm_references(lat_lon: FloatArray) -> list[str]:
+    """Return zone, hemisphere, easting and northing, whole metres rounded down as in MGRS.
 
     Raises InvalidCoordinates near the poles, which have no UTM zone.
     """
     from pyproj import Transformer
 
-    zone = utm_zone(latitude, longitude)
-    east, north = Transformer.from_crs(WGS84, zone).transform(latitude, longitude)
-    return f'{zone.utm_zone[:-1]} {zone.utm_zone[-1]} {int(east)} {int(north)}'
+    found = []
+    for place in lat_lon:
+        zone = utm_zone(*place)
+        east, north = Transformer.from_crs(WGS84, zone).transform(*place)
+        found.append(f'{zone.utm_zone[:-1]} {zone.utm_zone[-1]} {int(east)} {int(north)}')
+    return found
 
 
 def mgrs_references(lat_lon: FloatArray) -> list[str]:
-    """Return the MGRS references, to 1 m, of positions (K, 2) in WGS 84 [degrees].
-
-    Raises ModuleNotFoundError without the package mgrs.
-    """
+    """Return MGRS references to 1 m; raises ModuleNotFoundError without the package mgrs."""
     from mgrs import MGRS
 
-    return [_spaced(MGRS().toMGRS(latitude, longitude)) for latitude, longitude in lat_lon]
+    found = [MGRS().toMGRS(*place) for place in lat_lon]
+    return [f'{text[:-12]} {text[-12:-10]} {text[-10:-5]} {text[-5:]}' for text in found]
 
 
 def true_bearings(lat_lon: FloatArray) -> FloatArray:
-    """Directions (K - 1,) from each position (K, 2) to the next, clockwise from north [degrees]."""
+    """Directions (K - 1,) from each position to the next, clockwise from north [degrees]."""
     from pyproj import Geod
 
-    latitude, longitude = lat_lon.T
-    turned: Any = Geod(ellps='WGS84').inv(longitude[:-1], latitude[:-1], longitude[1:],
-                                          latitude[1:])[0]
+    (latitude, longitude), (next_latitude, next_longitude) = lat_lon[:-1].T, lat_lon[1:].T
+    turned, *_ = Geod(ellps='WGS84').inv(longitude, latitude, next_longitude, next_latitude)
     return np.asarray(turned) % 360.0
-
-
-def _spaced(reference: str) -> str:
-    """Separate grid zone, square, easting and northing."""
-    return f'{reference[:-12]} {reference[-12:-10]} {reference[-10:-5]} {reference[-5:]}'
