@@ -40,7 +40,7 @@ from scipy.spatial import cKDTree
 
 from . import colours
 from .arrays import BoolArray, FloatArray
-from .maps.coordinates import Coordinates
+from .maps.coordinates import Coordinates, InvalidCoordinates
 from .maps.risk_map import RiskMap
 
 if TYPE_CHECKING:
@@ -52,6 +52,8 @@ RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
 PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
 # Minimum probability of edges in pictures.
 LEAST_PROBABILITY = 1e-3
+# Maximum cells across a picture; larger maps are subsampled.
+MAX_CELLS = 2000
 WIDTH = 7.0  # inches
 DOTS_PER_INCH = 200
 HELD_DASHES = (0, (4, 3))
@@ -94,16 +96,23 @@ def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | N
     axes.set_title(title, fontsize='medium', loc='left', linespacing=1.4)
     axes.patch.set(facecolor=UNKNOWN.get_facecolor(), edgecolor=UNKNOWN.get_edgecolor(),
                    hatch=UNKNOWN.get_hatch())
-    if risk_map.crs:
-        corner, system = (left, bottom), Coordinates(risk_map.crs)
-        _degrees(axes.xaxis, system, np.linspace(corner, (right, bottom)))
-        _degrees(axes.yaxis, system, np.linspace(corner, (left, top)))
+    if system := _coordinates(risk_map.crs):
+        _degrees(axes.xaxis, system, np.linspace((left, bottom), (right, bottom)))
+        _degrees(axes.yaxis, system, np.linspace((left, bottom), (left, top)))
         return
     unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
     axes.set(xlabel=f'x [{unit}]', ylabel=f'y [{unit}]')
+
+
+def _coordinates(crs: str | None) -> Coordinates | None:
+    """Return the coordinate system; None if it is unknown, or pyproj is not installed."""
+    try:
+        return Coordinates(crs or '')
+    except InvalidCoordinates:
+        return None
 
 
 def _degrees(axis: Axis, system: Coordinates, edge: FloatArray) -> None:
@@ -140,15 +149,18 @@ def ground_key(risk_map: RiskMap) -> list[Patch]:
 
 
 def _blocked(risk_map: RiskMap) -> BoolArray:
-    return risk_map.obstacles & ~np.asarray(False if risk_map.unknown is None else risk_map.unknown)
+    if risk_map.unknown is None:
+        return risk_map.obstacles
+    return risk_map.obstacles & ~risk_map.unknown
 
 
-def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.ArrayLike, **style: Any) -> AxesImage:
+def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.NDArray[Any], **style: Any) -> AxesImage:
     """Draw values (H, W) of the map's cells, except masked ones."""
+    thin = -(-max(values.shape) // MAX_CELLS)
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
     limits = axes.get_xlim(), axes.get_ylim()
-    image = axes.imshow(values, origin='lower', extent=(0.0, width, 0.0, height),
+    image = axes.imshow(values[::thin, ::thin], origin='lower', extent=(0.0, width, 0.0, height),
                         interpolation='nearest', zorder=0, **style)
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     axes.set(xlim=limits[0], ylim=limits[1])
@@ -170,11 +182,11 @@ def scale_bar(axes: Axes) -> None:
 
 def north_arrow(axes: Axes, crs: str | None) -> None:
     """Point to true north above the upper right corner, if the coordinate system is known."""
-    if not crs:
+    system = _coordinates(crs)
+    if system is None:
         return
     middle = np.array([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
-    degrees = Coordinates(crs).to_lat_lon(middle)
-    north = Coordinates(crs).from_lat_lon(degrees + (1e-4, 0.0)) - middle
+    north = system.from_lat_lon(system.to_lat_lon(middle) + (1e-4, 0.0)) - middle
     axes.annotate('N', (0.97, 1.01), xytext=20.0 * north / np.hypot(*north), ha='center',
                   va='center', xycoords='axes fraction', textcoords='offset points', weight='bold',
                   path_effects=HALO, zorder=8,

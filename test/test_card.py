@@ -76,7 +76,8 @@ def written(recording, folder, *options):
 
 def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     folder, routes = runs
-    page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--start-time', '23:59', '--speed', 3.6)
+    page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--speed', 3.6, '--start-time',
+                         '23:59')
     assert (tmp_path / 'card.html').stat().st_mode & 0o777 == 0o600
     places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(routes[1] - place).T).min() < 0.1 for place in places)
@@ -89,7 +90,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     length = round(np.hypot(*np.diff(routes[1], axis=0).T).sum())
     assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
     assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{(length - 60) // 60}'
-    assert 'Held ground, within 40 m of start and goal: 0 m to 4' in page
+    assert 'Held ground (circles), 40 m around start and goal: 0 m to 4' in page
 
 
 def test_grid_references_agree_with_pyproj(runs, tmp_path):

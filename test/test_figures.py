@@ -32,6 +32,11 @@ def test_frame_contains_a_rotated_map(axes):
     assert axes.get_xlabel() == 'x [m]'
 
 
+def test_a_system_that_cannot_be_read_leaves_metres(axes):
+    figures.draw_map(axes, RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0, crs='nowhere'))
+    assert axes.get_xlabel() == 'x [m]'
+
+
 def test_map_is_drawn_at_its_origin(axes):
     risk_map = turned_map(0.3)
     image = figures.draw_risk_map(axes, risk_map)

@@ -123,14 +123,16 @@ def _notes(card: Card) -> list[str]:
                  f'{"" if card.start else " min"})' for first, last in held_stretches(
                      card.path, card.places, card.held_radius)]
     names = 'start, stops and goal' if len(card.places) > 2 else 'start and goal'
-    held = (f'Held ground, within {distance(card.held_radius)} of {names}: {"; ".join(stretches)}.'
+    held = (f'Held ground (circles), {distance(card.held_radius)} around {names}: '
+            f'{"; ".join(stretches)}.'
             if card.held_radius > 0.0 else 'No ground is held on the way.')
     north, systems = (
         ('true north; a compass differs by the local declination',
          ' Positions are WGS 84; N or S after the UTM zone is the hemisphere.')
         if card.risk_map.crs else ("the map's y axis", ''))
-    return [held, f'Bearings lead straight to the next way point, clockwise from {north}. '
-                  f'Distances follow the path.{systems}']
+    return [held, 'On the map, the darker the ground, the more dangerous it is; black: obstacles.',
+            f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
+            f'follow the path.{systems}']
 
 
 def _picture(card: Card) -> bytes:
