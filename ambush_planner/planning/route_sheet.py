@@ -1,15 +1,6 @@
 """Route sheets: a few routes with their shares in a small JSON file, from which one is drawn.
 
-The file is one object; positions are the map's world coordinates [m]::
-
-    {"format": "ambush routes 1", "map": "yard.yaml", "crs": "EPSG:32616",
-     "start": [x, y], "goal": [x, y], "stops": [[x, y], ...], "held_radius": 2.0, "reach": 2.0,
-     "value": 0.41, "lower_bound": 0.38,
-     "routes": [{"number": 1, "share": 0.25, "length": 61.2, "path": [[x, y], ...],
-                 "lat_lon": [[latitude, longitude], ...]}, ...]}
-
-``map`` is relative to the file's folder. ``crs`` is null, and ``lat_lon`` missing, if the map has
-no coordinate system. Shares add up to 1. Routes are secret: whoever writes it uses mode 0600.
+The format is in ``ambush draw --help``. Routes are secret: write it with mode 0600.
 """
 
 from __future__ import annotations
@@ -90,14 +81,9 @@ def sheet_route(number: int, share: float, path: FloatArray, crs: str | None) ->
 
 def sheet_bytes(sheet: RouteSheet, folder: Path) -> bytes:
     """The content of a file in ``folder``; write it with mode 0600."""
-    routes = []
-    for route in sheet.routes:
-        row: dict[str, Any] = {'number': route.number, 'share': route.share,
-                               'length': round(route.length, _METRES),
-                               'path': route.path.round(_METRES).tolist()}
-        if route.lat_lon is not None:
-            row['lat_lon'] = route.lat_lon.round(_DEGREES).tolist()
-        routes.append(row)
+    routes = [{**vars(route), 'path': route.path.round(_METRES).tolist(),
+               'lat_lon': None if route.lat_lon is None else route.lat_lon.round(_DEGREES).tolist()}
+              for route in sheet.routes]
     content = {**vars(sheet), 'map': os.path.relpath(sheet.map, folder), 'routes': routes}
     return json.dumps({'format': FORMAT, **content}).encode()
 
