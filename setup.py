@@ -9,12 +9,12 @@ from tempfile import TemporaryDirectory
 from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
-commands = ('audit', 'demo', 'draw', 'export', 'frontier', 'hold', 'judge', 'plan', 'replay',
-            'report', 'risk', 'slots', 'table', 'terrain', 'verify', 'views')
+commands = ('audit', 'card', 'demo', 'draw', 'export', 'frontier', 'hold', 'judge', 'plan',
+            'replay', 'report', 'risk', 'slots', 'table', 'terrain', 'verify', 'views')
 # mcap with its compressions.
 recordings = ['mcap>=1.2.2', 'mcap-ros2-support>=0.5.3', 'lz4>=4.0', 'zstandard>=0.19']
-gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
-       'shapely>=2.0']
+gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'mgrs>=1.4.6', 'pyogrio>=0.7', 'pyproj>=3.4',
+       'rasterio>=1.3', 'shapely>=2.0']
 
 # A package index has neither the pictures nor the pages that README.md links to.
 introduction = Path('README.md').read_text(encoding='utf-8').split('\n## ')[0]

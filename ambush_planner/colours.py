@@ -9,8 +9,11 @@ AMBUSHER = '#e66100'
 ENDS = '#ffd92f'
 # From the least loss to the largest, and from rare to likely.
 RISK = ('#ffffff', '#848484')
+# The same where the relief shows through: the colour of the largest loss, and its opacity.
+RISK_ON_RELIEF, RISK_OPACITY = '#4d0d00', 0.65
 PROBABILITY = ('#7fb8e6', '#2f7fd0', '#1146b0', '#14075c')
-# Departures. None resembles the ambusher's orange.
-ROUTES = ('#2560a2', '#590051', '#15a9ff', '#350290', '#e0aed9', '#35c48c', '#9216f9', '#5b4a39')
+# The network below routes, which have none of its blues and do not resemble the ambusher's orange.
+NETWORK = '#a5c8e8'
+ROUTES = ('#b605f9', '#01584b', '#1fd19b', '#870005', '#f57bfd', '#b7775e', '#640c89', '#916298')
 # RViz and Foxglove, whose ground is dark: the last departure and the start, and the goal.
 LIVE_ROUTE, LIVE_GOAL = '#00ff88', '#cc00cc'

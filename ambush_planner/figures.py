@@ -1,7 +1,9 @@
 """Layers of pictures of risk maps, strategies and routes.
 
-Each ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` sets the axes
-to the map's extent. Risk is grey, obstacles are black, the convoy blue and the ambusher orange.
+Each ``draw_...`` function draws one layer on given axes, in world metres; ``draw_map`` comes
+first, ``draw_network`` and ``draw_routes`` follow. Risk is grey, or brown over the relief if the
+map has heights; obstacles are black and unknown ground is hatched. The convoy is blue, unless
+routes are drawn over a pale network, and the ambusher is orange.
 Pictures are at most ``WIDTH`` inches wide: text of 9 points has 16 pixels on a page of 900, and 7
 on a telephone of 400.
 """
@@ -15,27 +17,43 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.colors import (
+    Colormap,
+    LightSource,
+    LinearSegmentedColormap,
+    ListedColormap,
+    LogNorm,
+    Normalize,
+    to_rgba,
+)
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
+from scipy.spatial import cKDTree
 
 from . import colours
-from .arrays import FloatArray
+from .arrays import BoolArray, FloatArray
+from .maps.coordinates import Coordinates, InvalidCoordinates
 from .maps.risk_map import RiskMap
 
 if TYPE_CHECKING:
     from .game.strategy import Strategy
 
 RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
+RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
+    'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
 PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
 # Minimum probability of edges in pictures.
 LEAST_PROBABILITY = 1e-3
+# Maximum cells across a picture; larger maps are subsampled.
+MAX_CELLS = 2000
 WIDTH = 7.0  # inches
 DOTS_PER_INCH = 200
 HELD_DASHES = (0, (4, 3))
@@ -46,42 +64,111 @@ SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours
 HELD_GROUND = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
                      label='held ground: nobody can wait here')
 OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
+UNKNOWN = Patch(facecolor='#f2f2f2', edgecolor='#a8a8a8', hatch='////', label='unknown')
+NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
+                 label='the convoy may drive here: the wider, the likelier')
 
 
-def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
-    """Give the axes the map's extent, equal scales, and ticks in km (m for maps under 2 km)."""
-    (left, bottom), (right, top) = risk_map.bounds
+def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str) -> AxesImage:
+    """Draw the map with start, stops, goal and held ground of a strategy."""
+    image = draw_map(axes, risk_map, title)
+    draw_ends(axes, strategy)
+    return image
+
+
+def draw_map(axes: Axes, risk_map: RiskMap, title: str = '',
+             box: npt.ArrayLike | None = None) -> AxesImage:
+    """Draw the map, or the part in a box ((left, bottom), (right, top)), with scale and north."""
+    frame(axes, risk_map, title, box)
+    scale_bar(axes)
+    north_arrow(axes, risk_map.crs)
+    return draw_risk_map(axes, risk_map)
+
+
+def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None) -> None:
+    """Give the axes the map's extent, or a box, equal scales, and ticks.
+
+    Ticks are latitudes and longitudes, or for maps without a coordinate system the map's own
+    coordinates in km (m for maps under 2 km).
+    """
+    (left, bottom), (right, top) = np.asarray(risk_map.bounds if box is None else box).tolist()
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect='equal')
+    axes.set_title(title, fontsize='medium', loc='left', linespacing=1.4)
+    axes.patch.set(facecolor=UNKNOWN.get_facecolor(), edgecolor=UNKNOWN.get_edgecolor(),
+                   hatch=UNKNOWN.get_hatch())
+    if system := _coordinates(risk_map.crs):
+        _degrees(axes.xaxis, system, np.linspace((left, bottom), (right, bottom)))
+        _degrees(axes.yaxis, system, np.linspace((left, bottom), (left, top)))
+        return
     unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
     axes.set(xlabel=f'x [{unit}]', ylabel=f'y [{unit}]')
-    axes.set_title(title, fontsize='medium', loc='left', linespacing=1.4)
 
 
-def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str) -> AxesImage:
-    """Draw the map with start, stops, goal, held ground and a scale bar instead of ticks."""
-    frame(axes, risk_map, title)
-    image = draw_risk_map(axes, risk_map)
-    draw_ends(axes, strategy)
-    scale_bar(axes)
-    return image
+def _coordinates(crs: str | None) -> Coordinates | None:
+    """Return the coordinate system; None if it is unknown, or pyproj is not installed."""
+    try:
+        return Coordinates(crs or '')
+    except InvalidCoordinates:
+        return None
+
+
+def _degrees(axis: Axis, system: Coordinates, edge: FloatArray) -> None:
+    """Mark round latitudes or longitudes, whichever vary, along an edge (K, 2) of the axes."""
+    degrees = system.to_lat_lon(edge)
+    kind = int(np.ptp(degrees, axis=0).argmax())
+    order = degrees[:, kind].argsort()
+    found = degrees[order, kind]
+    ticks = MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(found[0], found[-1])
+    ticks = ticks[(found[0] <= ticks) & (ticks <= found[-1])]
+    at = np.interp(ticks, found, edge[order, 'xy'.index(axis.axis_name)])
+    signs = ('NS', 'EW')[kind]
+    axis.set_ticks(at, [f'{abs(tick):.6g}°{signs[int(tick < 0.0)]}' for tick in ticks],
+                   fontsize='small')
 
 
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
-    """Draw losses in grey, the least one white, and obstacles in black."""
+    """Draw losses, the least one white, obstacles, and the relief below if heights are known."""
+    relief, step = risk_map.heights is not None, risk_map.resolution
+    if relief:
+        # Row 0 is in the south, in the north for matplotlib.
+        shade = LightSource().hillshade(risk_map.heights, vert_exag=2.0, dx=step, dy=-step)
+        draw_cells(axes, risk_map, np.ma.masked_invalid(shade), cmap='gray', vmin=-0.6, vmax=0.9)
+    draw_cells(axes, risk_map, np.ma.masked_equal(_blocked(risk_map), False),
+               cmap=ListedColormap([colours.OBSTACLE]), alpha=0.8 if relief else 1.0)
+    return draw_cells(axes, risk_map, np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
+                      cmap=RISK_ON_RELIEF if relief else RISK)
+
+
+def ground_key(risk_map: RiskMap) -> list[Patch]:
+    """Return the entries of a legend for obstacles and unknown ground."""
+    return ([OBSTACLE] * bool(_blocked(risk_map).any())
+            + [UNKNOWN] * (risk_map.unknown is not None))
+
+
+def _blocked(risk_map: RiskMap) -> BoolArray:
+    if risk_map.unknown is None:
+        return risk_map.obstacles
+    return risk_map.obstacles & ~risk_map.unknown
+
+
+def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.NDArray[Any], **style: Any) -> AxesImage:
+    """Draw values (H, W) of the map's cells, except masked ones."""
+    thin = -(-max(values.shape) // MAX_CELLS)
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
-    image = axes.imshow(np.ma.masked_array(risk_map.alpha, risk_map.obstacles), origin='lower',
-                        extent=(0.0, width, 0.0, height), interpolation='nearest', zorder=0,
-                        cmap=RISK.with_extremes(bad=colours.OBSTACLE))
+    limits = axes.get_xlim(), axes.get_ylim()
+    image = axes.imshow(values[::thin, ::thin], origin='lower', extent=(0.0, width, 0.0, height),
+                        interpolation='nearest', zorder=0, **style)
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
+    axes.set(xlim=limits[0], ylim=limits[1])
     return image
 
 
 def scale_bar(axes: Axes) -> None:
-    """Draw a bar of a round length in the lower left corner instead of ticks."""
+    """Draw a bar of a round length in the lower left corner."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     ticks = MaxNLocator(nbins=1, steps=[1, 2, 5, 10]).tick_values(0.0, 0.3 * (right - left))
     length = float(ticks[ticks <= 0.3 * (right - left)][-1])
@@ -91,7 +178,19 @@ def scale_bar(axes: Axes) -> None:
     text = f'{length / 1000:g} km' if length >= 1000.0 else f'{length:g} m'
     axes.annotate(text, (x, y), xytext=(0, 4), textcoords='offset points', path_effects=HALO,
                   zorder=8)
-    axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
+
+
+def north_arrow(axes: Axes, crs: str | None) -> None:
+    """Point to true north above the upper right corner, if the coordinate system is known."""
+    system = _coordinates(crs)
+    if system is None:
+        return
+    middle = np.array([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
+    north = system.from_lat_lon(system.to_lat_lon(middle) + (1e-4, 0.0)) - middle
+    axes.annotate('N', (0.97, 1.01), xytext=20.0 * north / np.hypot(*north), ha='center',
+                  va='center', xycoords='axes fraction', textcoords='offset points', weight='bold',
+                  path_effects=HALO, zorder=8,
+                  arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
 
 
 def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
@@ -112,42 +211,79 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
 
 
+def draw_network(axes: Axes, strategy: Strategy, below_routes: bool = False) -> LineCollection:
+    """Draw how likely the convoy drives where; below routes in one pale colour."""
+    network = strategy.network
+    pale = {'cmap': ListedColormap([colours.NETWORK])} if below_routes else {}
+    return draw_segments(axes, network.points[network.edges], strategy.shown_probability, **pale)
+
+
 def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
-                  scale: Normalize | None = None,
-                  widths: tuple[float, float] = (0.5, 3.0)) -> LineCollection:
+                  scale: Normalize | None = None, widths: tuple[float, float] = (0.5, 3.0),
+                  cmap: Colormap = PROBABILITY) -> LineCollection:
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= LEAST_PROBABILITY)
     shown = shown[np.argsort(p[shown], kind='stable')]
     linewidths = widths[0] + (widths[1] - widths[0]) * np.asarray(scale(p[shown])) ** 2
-    lines = LineCollection(segments[shown], array=p[shown], cmap=PROBABILITY, norm=scale,
+    lines = LineCollection(segments[shown], array=p[shown], cmap=cmap, norm=scale,
                            linewidths=linewidths, capstyle='round', zorder=2)
     axes.add_collection(lines)
     return lines
 
 
 def draw_ends(axes: Axes, strategy: Strategy) -> None:
-    """Mark start (square), goal (star) and stops (diamonds) with names; circle held ground."""
-    network, held = strategy.network, strategy.game.held.shrunk(0.0)
-    marks = [(network.source, 's', 90, 'start'), (network.target, '*', 260, 'goal')]
-    marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(network.stops, start=1)]
-    for node, marker, size, name in marks:
-        x, y = network.points[node]
+    """Mark start, stops and goal of a strategy's network, and its held ground."""
+    network, options = strategy.network, strategy.game.options
+    draw_places(axes, network.points[[network.source, *network.stops, network.target]],
+                options.held_radius)
+    for x, y, radius in options.held_places:
+        _circle(axes, (x, y), radius)
+
+
+def draw_places(axes: Axes, places: FloatArray, held_radius: float) -> None:
+    """Mark start (square), stops (diamonds) and goal (star) with names; circle held ground."""
+    stops = [('D', 70, f'stop {k}') for k in range(1, len(places) - 1)]
+    for (x, y), (marker, size, name) in zip(
+        places, [('s', 90, 'start'), *stops, ('*', 260, 'goal')], strict=True
+    ):
         axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
         axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
                       va='top', weight='bold', path_effects=HALO, zorder=8)
-    for centre, radius in zip(*held, strict=True):
-        axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
-                              linestyle=HELD_DASHES, zorder=6))
+        if held_radius > 0.0:
+            _circle(axes, (x, y), held_radius)
 
 
-def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
-    """Draw routes (K, 2) as lines in different colours with white edges."""
+def _circle(axes: Axes, centre: tuple[float, float], radius: float) -> None:
+    axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
+                          linestyle=HELD_DASHES, zorder=6))
+
+
+def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
+    """Draw routes (K, 2), each with its number where it is farthest from the others.
+
+    More routes than there are colours have the first colour and no numbers. Returns a handle for a
+    legend with ``HandlerTuple``.
+    """
+    few = len(routes) <= len(colours.ROUTES)
+    style = {'linewidth': 1.9, 'path_effects': HALO} if few else {'linewidth': 1.1, 'alpha': 0.7}
+    lines = []
     for k, route in enumerate(routes):
-        colour = colours.ROUTES[k % len(colours.ROUTES)]
-        axes.plot(*np.asarray(route).T, color=colour, linewidth=1.9, path_effects=HALO,
-                  solid_joinstyle='round', zorder=4)
+        colour = colours.ROUTES[k if few else 0]
+        lines += axes.plot(*route.T, color=colour, solid_joinstyle='round', zorder=4, **style)
+        others = [each for other, each in enumerate(routes) if other != k]
+        if few and others:
+            away, _ = cKDTree(np.concatenate(others)).query(route)
+            number_badge(axes, k + 1, route[away.argmax()], colour)
+    return tuple(lines if few else lines[:1])
+
+
+def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str) -> None:
+    """Write a number in a circle of a route's colour."""
+    axes.annotate(str(number), tuple(xy), ha='center', va='center', fontsize=8, weight='bold',
+                  zorder=8, bbox={'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
+                                  'edgecolor': colour, 'linewidth': 1.6})
 
 
 def draw_sites(axes: Axes, strategy: Strategy) -> None:
@@ -173,22 +309,26 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []
     if risk_map is not None:
-        frame(axes, risk_map, title)
-        risk_bar(figure, draw_risk_map(axes, risk_map), axes, **bars)
-        key = [OBSTACLE] * bool(risk_map.obstacles.any())
+        risk_bar(figure, draw_ground(axes, strategy, risk_map, title), axes, **bars)
+        key = ground_key(risk_map)
     else:
         axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
-    edges = draw_segments(axes, network.points[network.edges], strategy.shown_probability)
-    probability_bar(figure, edges, axes, **bars)
+        draw_ends(axes, strategy)
+    edges = draw_network(axes, strategy, below_routes=bool(routes))
+    if routes:
+        lines = draw_routes(axes, routes)
+        key = [NETWORK, lines, *key]
+    else:
+        probability_bar(figure, edges, axes, **bars)
     if strategy.value > 0.0:
         draw_sites(axes, strategy)
         key = [SITES, *key]
-    draw_routes(axes, routes)
-    draw_ends(axes, strategy)
     if strategy.game.held.radii.any():
         key = [*key, HELD_GROUND]
-    axes.legend(handles=key, loc='upper left', bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4,
-                frameon=False)
+    drawn = f'{len(routes)} route{"s" * (len(routes) != 1)} drawn'
+    axes.legend(key, [drawn if isinstance(each, tuple) else each.get_label() for each in key],
+                handler_map={tuple: HandlerTuple(None, 0.0)}, loc='upper left',
+                bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4, frameon=False)
     return axes
 
 

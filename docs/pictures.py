@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,6 +26,7 @@ from ambush_planner.colours import AMBUSHER, PROBABILITY
 from ambush_planner.commands import demo_figures, demo_ground
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
+from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
 from ambush_planner.planning.plan import departure_paths
 from ambush_planner.recordings import recordings_in
@@ -46,11 +48,15 @@ PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
+def ground(demo: Section) -> RiskMap:
+    """The demo's map with its relief."""
+    return replace(demo.risk_map, heights=demo_ground.load_elevation().heights)
+
+
 def strategy(demo: Section) -> Figure:
     """Where the convoy drives and where the ambusher waits."""
     figure = Figure((6.4, 6.6), layout='compressed')
-    axes = figures.draw_strategy(figure.subplots(), demo.strategy, demo.risk_map)
-    figures.scale_bar(axes)
+    figures.draw_strategy(figure.subplots(), demo.strategy, ground(demo))
     return figure
 
 
@@ -58,12 +64,12 @@ def routes(demo: Section) -> Figure:
     """The demo's own picture."""
     paths = [each.path_poses[:, :2] for each in demo.departures[-8:]]
     fixed = demo_figures.fixed_routes(demo.strategy)
-    return demo_figures.routes_figure(demo.risk_map, demo.strategy, paths, fixed)
+    return demo_figures.routes_figure(ground(demo), demo.strategy, paths, fixed)
 
 
 def trip(demo: Section) -> Figure:
     """One strategy over all legs on the left, departures on the right."""
-    risk_map = demo.risk_map
+    risk_map = ground(demo)
     plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS, order='best')
     network = plan.network
     known = evaluate(plan.strategy)['energy_efficient'].v_repeated
@@ -80,6 +86,7 @@ def trip(demo: Section) -> Figure:
     figures.draw_sites(left, plan.strategy)
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
     figures.draw_routes(right, [path[:, :2] for path in paths])
+    right.label_outer()
     figures.probability_bar(figure, edges, left, location='bottom')
     figures.risk_bar(figure, risk, right, location='bottom')
     figure.legend(handles=[figures.SITES, figures.HELD_GROUND, figures.OBSTACLE], ncols=3, **LEGEND)
@@ -93,6 +100,7 @@ class Panel:
         self.axes, self.game = axes, demo.strategy.game
         self.points = self.game.network.points
         figures.draw_ground(axes, demo.strategy, demo.risk_map, title)
+        axes.set(xticks=[], yticks=[], ylabel='')
         self.text = axes.set_xlabel(' \n ', fontsize=10, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
                               path_effects=figures.HALO)

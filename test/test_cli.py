@@ -109,7 +109,8 @@ def inputs(tmp_path_factory):
 
 
 LINES = {
-    'audit': 'runs', 'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported',
+    'audit': 'runs', 'card': 'runs/run_0.mcap -o card.html --speed 20',
+    'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported',
     'verify': 'runs', 'terrain': 'dem.npz -o made.yaml', 'views': 'map.yaml -o viewed',
     'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '

@@ -1,6 +1,7 @@
 """Pictures: the layers, and the figure of the demo."""
 
 import math
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from matplotlib.figure import Figure
 
-from ambush_planner import figures
+from ambush_planner import colours, figures
+from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map import RiskMap
 
 
@@ -29,8 +31,55 @@ def test_frame_contains_a_rotated_map(axes):
     assert axes.get_xlabel() == 'x [m]'
 
 
+def test_a_system_that_cannot_be_read_leaves_metres(axes):
+    figures.draw_map(axes, RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0, crs='nowhere'))
+    assert axes.get_xlabel() == 'x [m]'
+
+
 def test_map_is_drawn_at_its_origin(axes):
     risk_map = turned_map(0.3)
     image = figures.draw_risk_map(axes, risk_map)
     shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
     np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
+
+
+def test_unknown_ground_is_hatched_with_and_without_relief():
+    obstacles = np.array([[True, True, False]] * 2)
+    for heights in (None, np.zeros((2, 3))):
+        figure = Figure((3, 2), dpi=40)
+        axes = figure.add_axes((0, 0, 1, 1))
+        risk_map = RiskMap(np.ones((2, 3)), obstacles, 1.0, unknown=[[False, True, False]] * 2,
+                           heights=heights)
+        figures.frame(axes, risk_map)
+        figures.draw_risk_map(axes, risk_map)
+        figure.savefig(stream := BytesIO(), format='rgba')
+        pixels = np.frombuffer(stream.getvalue(), np.uint8).reshape(80, 120, 4)[..., :3]
+        known, unknown = (pixels[5:-5, first:first + 30].mean() for first in (5, 45))
+        assert known < 90.0 < 180.0 < unknown
+        assert figures.ground_key(risk_map) == [figures.OBSTACLE, figures.UNKNOWN]
+
+
+@pytest.mark.parametrize('crs', ['EPSG:32616', 'datum 36.6 -84.3 1.4', 'datum -33.0 18.0 -0.2'])
+def test_ticks_are_round_degrees_at_their_places(axes, crs):
+    pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
+    corner = (730_000.0, 4_040_000.0) if crs.startswith('EPSG') else (100.0, 50.0)
+    risk_map = RiskMap(np.ones((30, 40)), np.zeros((30, 40), bool), 100.0, (*corner, 0.0), crs)
+    figures.draw_map(axes, risk_map)
+    for axis, start in ((axes.xaxis, lambda at: (at, corner[1])),
+                        (axes.yaxis, lambda at: (corner[0], at))):
+        assert len(axis.get_ticklocs()) >= 2
+        for at, label in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=True):
+            number, sign = label.get_text().split('°')
+            degrees = float(number) * (-1.0 if sign in 'SW' else 1.0)
+            found = Coordinates(crs).to_lat_lon(start(at))['NSEW'.index(sign) // 2]
+            assert found == pytest.approx(degrees, abs=2e-5)
+
+
+def test_few_routes_are_numbered_and_many_are_not(axes):
+    routes = [np.array([(0.0, 0.0), (5.0, k), (10.0, 0.0)]) for k in range(9)]
+    figures.draw_routes(axes, routes[:3])
+    assert [text.get_text() for text in axes.texts] == ['1', '2', '3']
+    assert len({line.get_color() for line in axes.lines}) == 3
+    many = Figure().subplots()
+    figures.draw_routes(many, routes)
+    assert not many.texts and {line.get_color() for line in many.lines} == {colours.ROUTES[0]}

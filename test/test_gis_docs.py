@@ -63,9 +63,11 @@ def test_every_command_of_the_page_works(tmp_path):
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
     shown = next(text for kind, text in BLOCKS if kind == 'text' and 'routes' in text)
     assert words(shown) in words(done.stdout)
-    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|six)\.\w+', ' '.join(
+    told = re.search(r'(?m)^card.html: .*$', (DOCS / 'gis.md').read_text())[0]
+    assert re.search(re.sub(r'\d+', r'\\d+', told), done.stdout), done.stdout
+    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|six|card)\.\w+', ' '.join(
         text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 13 and all((tmp_path / file).stat().st_size for file in files)
+    assert len(files) == 14 and all((tmp_path / file).stat().st_size for file in files)
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas':
                 'yaml': 'PyYAML'}
 # Import name -> extra, for packages that only pip has.
 FROM_PIP = dict.fromkeys(
-    ('geopandas', 'gpxpy', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
+    ('geopandas', 'gpxpy', 'mgrs', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
 
 
 @cache

@@ -77,6 +77,7 @@ def one_bad(value) -> np.ndarray:
     ({'alpha': np.ones(3)}, r'alpha .*\(3,\)'),
     ({'alpha': np.ones((0, 3))}, r'alpha .*\(0, 3\)'), ({'alpha': 'abc'}, 'not numeric'),
     ({'obstacles': np.zeros((3, 2), bool)}, r'obstacles .*\(2, 3\), got \(3, 2\)'),
+    ({'unknown': [[True]]}, r'unknown .*\(2, 3\), got \(1, 1\)'),
     ({'resolution': -1.0}, r'resolution .*-1\.0'), ({'resolution': 0.0}, r'resolution .*0\.0'),
     ({'resolution': np.nan}, 'resolution .*nan'), ({'resolution': None}, 'not numeric'),
     ({'resolution': 10**400}, 'not numeric'), ({'origin': (0.0, 0.0)}, 'origin'),

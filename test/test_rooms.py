@@ -17,7 +17,7 @@ FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).glob('*.py'))
 # Everything before the worker needs only these; map files also need a YAML reader.
 CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
 MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas', 'pandas',
-                  'pyogrio', 'shapely'}
+                  'pyogrio', 'shapely', 'mgrs'}
 NEEDED_ALSO = {'route_layers.py': {'geopandas', 'shapely', 'rasterio'}}
 
 NO_ROS = """

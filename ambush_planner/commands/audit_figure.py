@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 from ..colours import AMBUSHER
 from ..figures import (
     WIDTH,
-    draw_risk_map,
+    draw_map,
     draw_segments,
-    frame,
     probability_bar,
     probability_scale,
     risk_bar,
@@ -29,8 +28,7 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
         (published, result.expected, 'Published probability'),
         (recorded, result.passages, f'Share of {result.departures} departures'),
     ):
-        frame(axes, risk_map, title)
-        risk = draw_risk_map(axes, risk_map)
+        risk = draw_map(axes, risk_map, title)
         edges = draw_segments(axes, result.segments, passages / result.departures, scale)
     probability_bar(figure, edges, published, 'share of departures that pass', location='bottom')
     risk_bar(figure, risk, recorded, location='bottom')

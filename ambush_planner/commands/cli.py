@@ -38,6 +38,7 @@ from .console import place as place
 
 COMMANDS = {
     'audit': 'test whether departures follow their strategies',
+    'card': 'write the map, legs and times of one departure for its driver',
     'demo': 'run a node on real terrain, with recordings and a report',
     'draw': 'draw one of a few routes, for a departure',
     'export': 'write recorded routes to files for a GPS or a GIS',

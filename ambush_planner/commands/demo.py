@@ -25,7 +25,7 @@ from ..recordings import recordings_in
 from . import cli
 from . import report_words as words
 from .demo_figures import fixed_routes, routes_figure
-from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
+from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
 from .frontier import write_frontier
 from .node_process import NodeProcess, free_domain
 from .report import write_report
@@ -74,7 +74,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
     section, strategy = sections[-1], sections[-1].strategy
-    figure = routes_figure(section.risk_map, strategy, [path[:, :2] for path in paths],
+    shown = replace(section.risk_map, heights=load_elevation().heights)
+    figure = routes_figure(shown, strategy, [path[:, :2] for path in paths],
                            fixed_routes(strategy))
     cli.write_private(folder, {'routes.png': as_png(figure)})
     console.step('solving for other budgets')

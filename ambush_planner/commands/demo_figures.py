@@ -44,6 +44,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
         (right, f'The same route every day\nLoss of up to {worst:.2f} once the route is known'),
     ):
         risk = figures.draw_ground(axes, strategy, risk_map, title)
+    right.label_outer()
     figures.draw_routes(left, routes)
     for route, (colour, dashes), (side, share) in zip(
         fixed, FIXED, (('left', 0.62), ('right', 0.75)), strict=True
@@ -59,12 +60,13 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
         right.scatter(*route.worst_place, s=130, color=AMBUSHER, edgecolors='white', zorder=5)
         right.annotate(
             f'worst place of the\n{route.name}: loss {route.loss:.2f}', route.worst_place,
-            xytext=(0.97, 0.38 - 0.13 * k), textcoords='axes fraction', ha='right',
+            xytext=(0.97, 0.33 - 0.14 * k), textcoords='axes fraction', ha='right',
             path_effects=HALO, zorder=9,
             arrowprops={'arrowstyle': '-', 'relpos': (0.0, 0.5), 'linewidth': 1.2},
         )
     figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
-    left.legend(handles=[HELD_GROUND, OBSTACLE], loc='lower right', fontsize=9)
+    figure.legend(handles=[HELD_GROUND, OBSTACLE], loc='outside lower center', ncols=2,
+                  frameon=False)
     return figure
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.cbook import get_sample_data
 
 from ..maps import (
+    Elevation,
     Raster,
     TerrainMap,
     TerrainOptions,
@@ -33,6 +34,11 @@ GOAL = (26055.0, 27945.0)
 
 def load_ground() -> TerrainMap:
     """Make the risk map and its layers; raises OSError without matplotlib's sample data."""
+    return terrain_map(load_elevation(), OPTIONS)
+
+
+def load_elevation() -> Elevation:
+    """Load the heights; raises OSError without matplotlib's sample data."""
     with np.load(get_sample_data('jacksboro_fault_dem.npz', asfileobj=False)) as file:
         sample = dict(file)
     # ymin and ymax are swapped in the file; their mean is correct.
@@ -41,4 +47,4 @@ def load_ground() -> TerrainMap:
     scale = METRES_PER_DEGREE * math.cos(math.radians(latitude))
     steps = METRES_PER_DEGREE * float(sample['dy']), scale * float(sample['dx'])
     heights = np.asarray(sample['elevation'], dtype=np.float64)[::-1]
-    return terrain_map(elevation_from_raster(Raster(heights, *steps), RESOLUTION), OPTIONS)
+    return elevation_from_raster(Raster(heights, *steps), RESOLUTION)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
+from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
 from ..planning.concerns import assumptions, concerns, is_sound
@@ -120,9 +120,8 @@ def _check(arguments: argparse.Namespace) -> None:
 def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
                     console: cli.Console) -> RiskMap:
     elevation, ground = terrain_from(arguments, arguments.map, console)
-    options = replace(options, crs=agreed_crs(elevation.crs, options.crs))
-    return risk_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
-                                   options)
+    return ground.risk_map(elevation.corner,
+                           replace(options, crs=agreed_crs(elevation.crs, options.crs)))
 
 
 def _tell(plan: Plan, console: cli.Console) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..colours import OBSTACLE, ROUTES
-from ..figures import WIDTH, as_png, draw_risk_map, frame, risk_bar
+from ..colours import ROUTES
+from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
@@ -93,8 +93,7 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     for axes, layer in zip(panels, joined.layers, strict=False):
         _draw(figure, axes, joined.risk_map, layer)
     last = panels[count - 1]
-    frame(last, joined.risk_map, 'Risk map: obstacles are black')
-    risk_bar(figure, draw_risk_map(last, joined.risk_map), last, shrink=0.7)
+    risk_bar(figure, draw_map(last, joined.risk_map, 'Risk map'), last, shrink=0.7)
     for axes in panels[count:]:
         axes.set_visible(False)
     return figure
@@ -102,10 +101,7 @@ def layers_figure(joined: LayeredRisk) -> Figure:
 
 def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     frame(axes, risk_map, layer.title)
-    axes.set_facecolor(OBSTACLE)
-    (left, low), (right, high) = risk_map.bounds
-    image = axes.imshow(layer.values, cmap='magma_r', origin='lower', interpolation='nearest',
-                        extent=(left, right, low, high))
+    image = draw_cells(axes, risk_map, np.ma.masked_invalid(layer.values), cmap='magma_r')
     figure.colorbar(image, ax=axes, shrink=0.7)
     if layer.shapes is not None:
         parts = {'column': 'part', 'cmap': 'tab10', 'legend': True,

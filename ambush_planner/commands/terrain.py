@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..colours import OBSTACLE
-from ..figures import WIDTH, as_png, draw_risk_map, frame, risk_bar
+from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
 from ..maps import (
     Elevation,
     TerrainMap,
@@ -21,7 +20,7 @@ from ..maps import (
 )
 from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
-from ..maps.occupancy import OccupancyMap, risk_from_occupancy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
 from .inputs import add_datum, add_map_output, crs_text
@@ -40,8 +39,6 @@ It also writes MAP.pgm, in map_server's mode raw, a preview, MAP.png, and, if th
 is known, a GeoTIFF, MAP.tif.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
-# Maximum cells across a panel of the preview; larger maps are subsampled.
-_MOST_CELLS = 1000
 
 
 def parser() -> argparse.ArgumentParser:
@@ -121,10 +118,7 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
     figure = Figure(figsize=(WIDTH, 9.8), layout='compressed')
     *panels, last = figure.subplots(3, 2).ravel()
-    risk_map = risk_from_occupancy(ground.values, ground.resolution)
-    width, height = risk_map.size
-    place = {'origin': 'lower', 'extent': (0.0, width, 0.0, height), 'interpolation': 'nearest'}
-    thin = max(1, max(elevation.heights.shape) // _MOST_CELLS)
+    risk_map = ground.risk_map(elevation.corner, OccupancyOptions(crs=elevation.crs))
     for axes, (layer, title, colours) in zip(panels, (
         (elevation.heights, 'Height [m]', 'cividis'),
         (ground.slope, 'Slope, rise over run', 'magma_r'),
@@ -133,14 +127,12 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
         (ground.approach, 'Mean distance to hidden ground [m]', 'magma'),
     ), strict=True):
         frame(axes, risk_map, title)
-        axes.set_facecolor(OBSTACLE)
-        shown = np.ma.masked_invalid(layer[::thin, ::thin])
-        figure.colorbar(axes.imshow(shown, cmap=colours, **place), ax=axes, shrink=0.7)
-    frame(last, risk_map, 'Risk map: obstacle or unknown is black')
-    risk_bar(figure, draw_risk_map(last, risk_map), last, shrink=0.7)
+        shown = draw_cells(axes, risk_map, np.ma.masked_invalid(layer), cmap=colours)
+        figure.colorbar(shown, ax=axes, shrink=0.7)
+    risk_bar(figure, draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
     if ground.roads.any():
-        roads = np.ma.masked_equal(ground.roads, False)
-        last.imshow(roads, cmap='winter', alpha=0.8, zorder=1, **place)
+        draw_cells(last, risk_map, np.ma.masked_equal(ground.roads, False), cmap='winter',
+                   alpha=0.8)
     return figure
 
 

@@ -109,7 +109,8 @@ def risk_from_occupancy(values: npt.ArrayLike, resolution: float,
     alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
     if options.unknown_alpha is not None:
         alpha = np.where(unknown, options.unknown_alpha, alpha)
-    return RiskMap(alpha, obstacles_in(grid, options), resolution, origin, options.crs)
+    return RiskMap(alpha, obstacles_in(grid, options), resolution, origin, options.crs,
+                   unknown if options.unknown_alpha is None and unknown.any() else None)
 
 
 def obstacles_in(values: npt.NDArray[Any], options: OccupancyOptions) -> BoolArray:

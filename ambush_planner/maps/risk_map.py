@@ -42,6 +42,10 @@ class RiskMap(Shown):
         World pose of the lower left corner of cell (0, 0) [m, m, rad].
     crs : str or None
         Coordinate system of world positions, as ``coordinates`` reads it; None if unknown.
+    unknown : (H, W) bool or None
+        Obstacle cells that nobody has mapped, for pictures; None: no cell.
+    heights : (H, W) float or None
+        Height of the terrain [m], for pictures; NaN or None where unknown.
 
     Raises
     ------
@@ -54,6 +58,8 @@ class RiskMap(Shown):
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crs: str | None = None
+    unknown: BoolArray | None = None
+    heights: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -67,6 +73,12 @@ class RiskMap(Shown):
         check_place(resolution, origin)
         for name, value in (('alpha', alpha), ('obstacles', obstacles)):
             object.__setattr__(self, name, value)
+        for name, kind in (('unknown', np.bool_), ('heights', np.float32)):
+            if (layer := getattr(self, name)) is not None:
+                if np.shape(layer) != alpha.shape:
+                    raise InvalidRiskMap(f"{name} must have alpha's shape {alpha.shape}, got "
+                                         f'{np.shape(layer)}')
+                object.__setattr__(self, name, frozen_array(layer, kind))
         object.__setattr__(self, 'resolution', resolution)
         object.__setattr__(self, 'origin', origin)
 

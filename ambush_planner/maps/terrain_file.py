@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from .elevation import elevation_from_raster, mask_from_raster
 from .elevation_file import read_raster
-from .occupancy import OccupancyOptions, risk_from_occupancy
+from .occupancy import OccupancyOptions
 from .risk_map import RiskMap
 from .terrain_risk import TerrainOptions, terrain_map
 from .visibility import ViewOptions
@@ -53,6 +54,5 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
     if roads is not None:
         on_roads = mask_from_raster(read_raster(Path(roads), 'roads', nearest=True), elevation)
     ground = terrain_map(elevation, options, on_roads)
-    made = risk_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
-                                   occupancy)
-    return RiskMap(made.alpha, made.obstacles, made.resolution, made.origin, elevation.crs)
+    made = ground.risk_map(elevation.corner, occupancy or OccupancyOptions())
+    return replace(made, crs=elevation.crs)

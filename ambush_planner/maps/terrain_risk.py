@@ -22,14 +22,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ..arrays import BoolArray
 from .elevation import Elevation, HeightArray, InvalidTerrain
+from .occupancy import OccupancyOptions, risk_from_occupancy
 from .relief import relative_depth, slope
+from .risk_map import RiskMap
 from .visibility import ViewOptions, viewshed
 
 OBSTACLE, UNKNOWN = 100, -1
@@ -82,18 +84,24 @@ class TerrainMap:
         As in an occupancy grid: 0..99 risk, 100 obstacle, -1 unknown.
     resolution : float
         Cell size [m].
-    slope, depth, exposure, approach
-        Rise over run; [m]; share 0..1; [m].
+    heights, slope, depth, exposure, approach
+        [m]; rise over run; [m]; share 0..1; [m].
     roads : bool
     """
 
     values: npt.NDArray[np.int8]
     resolution: float
+    heights: HeightArray
     slope: HeightArray
     depth: HeightArray
     exposure: HeightArray
     approach: HeightArray
     roads: BoolArray
+
+    def risk_map(self, corner: tuple[float, float], options: OccupancyOptions) -> RiskMap:
+        """Return the map whose lower left corner is at ``corner`` [m], with its heights."""
+        made = risk_from_occupancy(self.values, self.resolution, (*corner, 0.0), options)
+        return replace(made, heights=self.heights)
 
 
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
@@ -119,7 +127,7 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     values = _values(elevation, layers, options)
     for layer in (values, *layers):
         layer.setflags(write=False)
-    return TerrainMap(values, elevation.resolution, *layers)
+    return TerrainMap(values, elevation.resolution, elevation.heights, *layers)
 
 
 def _values(elevation: Elevation,

@@ -1,0 +1,153 @@
+"""The driver's sheet as one HTML page: map, way points and held ground of a single route.
+
+Nothing on it tells of other routes: no probabilities, ambush sites or values.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import cached_property
+from string import Template
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .. import figures
+from ..arrays import FloatArray, IndexArray
+from ..colours import PROBABILITY
+from ..maps.coordinates import Coordinates
+from ..maps.grid_references import mgrs_references, true_bearings, utm_references
+from ..maps.risk_map import RiskMap
+from ..routes.legs import bearings, distances_along, held_stretches, way_points
+from .cli import Console, resource
+from .report_words import distance, rounded
+
+_ROUTE = PROBABILITY[2]
+# Minimum length of a path with distances in km [m].
+_KILOMETRES = 2000.0
+# Margin around the route on the map, and the map's shorter side, as shares of the longer one.
+_MARGIN, _LEAST_SIDE = 0.12, 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class Card:
+    """A path (L, 2) [m], and what its driver may know.
+
+    ``places`` (P, 2) are start, stops and goal, around which ground is held. ``speed`` is in km/h;
+    ``start`` is when he leaves, None if that is unknown.
+    """
+
+    path: FloatArray
+    risk_map: RiskMap
+    places: FloatArray
+    held_radius: float
+    speed: float
+    start: datetime | None
+
+    @cached_property
+    def at(self) -> IndexArray:
+        """Where in the path the way points are."""
+        return way_points(self.path, self.places[1:-1])
+
+    @property
+    def points(self) -> FloatArray:
+        """The way points (W, 2) [m]."""
+        return self.path[self.at]
+
+    @property
+    def distances(self) -> FloatArray:
+        """Distances (W,) to the way points along the path [m]."""
+        return distances_along(self.path)[self.at]
+
+    @cached_property
+    def names(self) -> dict[int, str]:
+        """The way points that are start, stops or goal."""
+        stops = {int(np.hypot(*(self.points - stop).T).argmin()): f'stop {k}'
+                 for k, stop in enumerate(self.places[1:-1], start=1)}
+        return {0: 'start', **stops, len(self.points) - 1: 'goal'}
+
+    def time(self, metres: float) -> str:
+        """When the convoy has gone so far: time of day, or minutes from departure."""
+        minutes = 0.06 * metres / self.speed
+        return (f'{self.start + timedelta(minutes=minutes):%H:%M}' if self.start
+                else f'{minutes:.1f}')
+
+
+def card_page(card: Card, console: Console) -> str:
+    """Return the page; the console says if MGRS is missing."""
+    columns, end = _columns(card, console), card.distances[-1]
+    hours = f', {card.time(0.0)} to {card.time(end)}' if card.start else ''
+    return Template(resource('card_page.html')).substitute(
+        summary=f'{distance(end)} at {card.speed:g} km/h: {rounded(0.06 * end / card.speed)} '
+                f'minutes{hours}',
+        map=b64encode(_picture(card)).decode(),
+        head=''.join(f'<th scope="col">{name}</th>' for name in columns),
+        rows='\n'.join('<tr>' + ''.join(f'<td>{cell}</td>' for cell in row) + '</tr>'
+                       for row in zip(*columns.values(), strict=True)),
+        notes=''.join(f'<li>{note}</li>' for note in _notes(card)),
+    )
+
+
+def _columns(card: Card, console: Console) -> dict[str, list[str]]:
+    """The cells of all way points by the heads of the columns."""
+    points, crs = card.points, card.risk_map.crs
+    scale, digits, unit = ((1000.0, 2, 'km') if card.distances[-1] >= _KILOMETRES
+                           else (1.0, 0, 'm'))
+    # Rounded before they are subtracted, so that the legs add up to the total.
+    total = np.round(card.distances / scale, digits)
+    columns = {'way point': [f'{k + 1} {card.names.get(k, "")}' for k in range(len(points))]}
+    if crs:
+        lat_lon = Coordinates(crs).to_lat_lon(points)
+        turns = true_bearings(lat_lon)
+        try:
+            columns['MGRS'] = mgrs_references(lat_lon)
+        except ModuleNotFoundError:
+            console.say("Without MGRS, which needs mgrs: pip install 'ambush_planner[gis]'")
+        columns['UTM zone, east, north'] = utm_references(lat_lon)
+        columns['latitude, longitude'] = [f'{lat:.5f}, {lon:.5f}' for lat, lon in lat_lon]
+    else:
+        turns = bearings(points)
+        columns['x, y [m]'] = [f'{x:.1f}, {y:.1f}' for x, y in points]
+    return columns | {
+        'bearing to next': [*(f'{round(turn) % 360:03d}°' for turn in turns), ''],
+        f'to next [{unit}]': [*(f'{leg:.{digits}f}' for leg in np.diff(total)), ''],
+        f'from start [{unit}]': [f'{each:.{digits}f}' for each in total],
+        'time' if card.start else 'minutes': [card.time(each) for each in card.distances],
+    }
+
+
+def _notes(card: Card) -> list[str]:
+    stretches = [f'{distance(first)} to {distance(last)} ({card.time(first)} to {card.time(last)}'
+                 f'{"" if card.start else " min"})' for first, last in held_stretches(
+                     card.path, card.places, card.held_radius)]
+    names = 'start, stops and goal' if len(card.places) > 2 else 'start and goal'
+    held = (f'Held ground (circles), {distance(card.held_radius)} around {names}: '
+            f'{"; ".join(stretches)}.'
+            if card.held_radius > 0.0 else 'No ground is held on the way.')
+    north, systems = (
+        ('true north; a compass differs by the local declination',
+         ' Positions are WGS 84; N or S after the UTM zone is the hemisphere.')
+        if card.risk_map.crs else ("the map's y axis", ''))
+    return [held, 'On the map, the darker the ground, the more dangerous it is; black: obstacles.',
+            f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
+            f'follow the path.{systems}']
+
+
+def _picture(card: Card) -> bytes:
+    """The ground around the route, which is the only one on it."""
+    low, high = card.path.min(axis=0), card.path.max(axis=0)
+    longer, middle = (high - low).max(), (low + high) / 2.0
+    half = np.maximum((high - low) / 2.0 + _MARGIN * longer, _LEAST_SIDE / 2.0 * longer)
+    first, last = card.risk_map.bounds
+    box = np.maximum(middle - half, first), np.minimum(middle + half, last)
+    width, height = box[1] - box[0]
+    figure = Figure((figures.WIDTH, figures.WIDTH * height / width), layout='compressed')
+    axes = figure.subplots()
+    figures.draw_map(axes, card.risk_map, box=box)
+    axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=figures.HALO, zorder=4)
+    figures.draw_places(axes, card.places, card.held_radius)
+    for k in sorted(set(range(len(card.points))) - set(card.names)):
+        figures.number_badge(axes, k + 1, card.points[k], _ROUTE)
+    return figures.as_png(figure)

@@ -1,0 +1,40 @@
+"""Positions (K, 2) in WGS 84 [degrees] as maps and receivers name them, and true bearings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import FloatArray
+from .coordinates import WGS84, utm_zone
+
+
+def utm_references(lat_lon: FloatArray) -> list[str]:
+    """Return zone, hemisphere, easting and northing, whole metres rounded down as in MGRS.
+
+    Raises InvalidCoordinates near the poles, which have no UTM zone.
+    """
+    from pyproj import Transformer
+
+    found = []
+    for place in lat_lon:
+        zone = utm_zone(*place)
+        east, north = Transformer.from_crs(WGS84, zone).transform(*place)
+        found.append(f'{zone.utm_zone[:-1]} {zone.utm_zone[-1]} {int(east)} {int(north)}')
+    return found
+
+
+def mgrs_references(lat_lon: FloatArray) -> list[str]:
+    """Return MGRS references to 1 m; raises ModuleNotFoundError without the package mgrs."""
+    from mgrs import MGRS
+
+    found = [MGRS().toMGRS(*place) for place in lat_lon]
+    return [f'{text[:-12]} {text[-12:-10]} {text[-10:-5]} {text[-5:]}' for text in found]
+
+
+def true_bearings(lat_lon: FloatArray) -> FloatArray:
+    """Directions (K - 1,) from each position to the next, clockwise from north [degrees]."""
+    from pyproj import Geod
+
+    (latitude, longitude), (next_latitude, next_longitude) = lat_lon[:-1].T, lat_lon[1:].T
+    turned, *_ = Geod(ellps='WGS84').inv(longitude, latitude, next_longitude, next_latitude)
+    return np.asarray(turned) % 360.0

@@ -1,0 +1,146 @@
+"""``ambush card``: legs of a path, and a page that tells of one departure only."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('matplotlib', reason='the map on a card needs matplotlib')
+
+from audit_samples import departure, drawn, parameters, record, sample_plan
+from commands import run_here
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner.commands import card
+from ambush_planner.maps.coordinates import Coordinates
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ambush_planner.routes.legs import (
+    MAX_LEGS,
+    bearings,
+    distances_along,
+    held_stretches,
+    way_points,
+)
+
+FRAME = 'datum 36.6 -84.3 0.2'
+NO_STOPS = np.empty((0, 2))
+PLACES = st.tuples(*2 * [st.integers(-50, 50)])
+
+
+@given(st.lists(PLACES, min_size=2, max_size=40, unique=True), st.integers(0, 39))
+def test_legs_add_up_and_pass_the_stops(path, stop):
+    path = np.array(path, float)
+    at = way_points(path, path[[stop % len(path)]])
+    assert {0, stop % len(path), len(path) - 1} <= set(at) and len(at) <= MAX_LEGS + 1
+    lengths = np.diff(distances_along(path)[at])
+    assert np.all(lengths > 0.0)
+    assert lengths.sum() == pytest.approx(np.hypot(*np.diff(path, axis=0).T).sum())
+
+
+def test_corners_are_way_points_and_bearings_are_clockwise_from_y():
+    path = np.array([(0, 0), (0, 5), (0, 10), (5, 10), (10, 10), (10, 0)], float)
+    at = way_points(path, NO_STOPS)
+    assert at.tolist() == [0, 2, 4, 5] and distances_along(path)[at].tolist() == [0, 10, 20, 30]
+    assert bearings(path[at]).tolist() == [0, 90, 180]
+
+
+def test_held_ground_is_where_the_path_is_near_a_place():
+    path = np.array([(0, 0), (100, 0)], float)
+    stretches = held_stretches(path, np.array([(0, 0), (50, 6), (100, 0)], float), 10.0)
+    np.testing.assert_allclose(stretches, [(0, 10), (42, 58), (90, 100)], atol=0.05)
+
+
+@pytest.fixture(scope='module')
+def runs(tmp_path_factory):
+    """Recordings of three departures, the first one also in a known frame, and their paths."""
+    plan, folder = sample_plan(), tmp_path_factory.mktemp('runs')
+    routes = drawn(plan, 3)
+    known = {'parameters': parameters(**{'map.crs': FRAME})}
+    record(folder / 'plain', [departure(plan, route, k) for k, route in enumerate(routes, 1)])
+    record(folder / 'known', [departure(plan, routes[0], entries=known)])
+    return folder, [plan.network.points[route] for route in routes]
+
+
+def written(recording, folder, *options):
+    """The text of a card, and its table: a list of cells for each way point."""
+    done = run_here(card, recording, '-o', folder / 'card.html', '--speed', 36, *options)
+    assert done.code == 0, done.err
+    page = (folder / 'card.html').read_text()
+    rows = re.findall(r'<tr>(<td>.*?)</tr>', page)
+    return page, [re.findall('<td>(.*?)</td>', row) for row in rows]
+
+
+def test_a_card_tells_of_its_departure_only(runs, tmp_path):
+    folder, routes = runs
+    page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--speed', 3.6, '--start-time',
+                         '23:59')
+    assert (tmp_path / 'card.html').stat().st_mode & 0o777 == 0o600
+    places = np.array([row[1].split(', ') for row in rows], float)
+    assert all(np.hypot(*(routes[1] - place).T).min() < 0.1 for place in places)
+    others = {f'{x:.1f}, {y:.1f}' for k in (0, 2) for x, y in routes[k]}
+    assert others - {f'{x:.1f}, {y:.1f}' for x, y in routes[1]}
+    text = re.sub('base64,[^"]*', '', page)
+    assert not any(place in text for place in others - {row[1] for row in rows})
+    assert not re.search(r'probab|ambush|\bvalue|loss|run_|strategy', text, re.IGNORECASE)
+    # One metre a second: legs add up to the length, and times pass midnight.
+    length = round(np.hypot(*np.diff(routes[1], axis=0).T).sum())
+    assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
+    assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{(length - 60) // 60}'
+    assert 'Held ground (circles), 40 m around start and goal: 0 m to 4' in page
+
+
+def test_grid_references_agree_with_pyproj(runs, tmp_path):
+    pyproj = pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
+    mgrs = pytest.importorskip('mgrs', reason='MGRS takes the extra "gis"')
+    _, rows = written(runs[0] / 'known/run_0.mcap', tmp_path)
+    degrees = pyproj.Transformer.from_crs('EPSG:32616', 'EPSG:4326')
+    path = Coordinates(FRAME).to_crs(runs[1][0])  # EPSG:32616
+    for _, square, utm, lat_lon, *_ in rows:
+        latitude, longitude = map(float, lat_lon.split(', '))
+        zone, hemisphere, east, north = utm.split()
+        assert (zone, hemisphere) == ('16', 'N')
+        place = np.array([float(east), float(north)])
+        assert np.hypot(*(path - place).T).min() < 1.5  # rounded down
+        np.testing.assert_allclose(degrees.transform(*place), (latitude, longitude), atol=3e-5)
+        np.testing.assert_allclose(mgrs.MGRS().toLatLon(square.replace(' ', '')),
+                                   (latitude, longitude), atol=3e-5)
+    # True bearings differ from those of the grid by the convergence of the meridians.
+    grid = bearings(path[way_points(path, NO_STOPS)])
+    turned = (np.array([int(row[4][:-1]) for row in rows[:-1]]) - grid + 180.0) % 360.0 - 180.0
+    assert np.ptp(turned) < 1.5 and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
+
+
+def test_one_of_few_routes(runs, tmp_path):
+    write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((60, 80), np.int8), 5.0))
+    routes = [sheet_route(k, share, path, None) for k, share, path in zip(
+        (1, 2, 3), (0.5, 0.3, 0.2), runs[1], strict=True)]
+    stop = tuple(runs[1][1][4])
+    sheet = RouteSheet(tmp_path / 'map.yaml', None, (12.5, 147.5), (387.5, 152.5), (stop,), 0.0,
+                       5.0, 1.5, 1.4, tuple(routes))
+    (tmp_path / 'few.json').write_bytes(sheet_bytes(sheet, tmp_path))
+    page, rows = written(tmp_path / 'few.json', tmp_path, '--route', 2)
+    places = np.array([row[1].split(', ') for row in rows], float)
+    assert all(np.hypot(*(runs[1][1] - place).T).min() < 0.1 for place in places)
+    assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
+    assert 'No ground is held' in page and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
+    for options, words in (('', '--route NUMBER'), ('--route 4', 'has routes 1 to 3, not 4')):
+        done = run_here(card, tmp_path / 'few.json', '-o', tmp_path / 'c.html', '--speed', 36,
+                        *options.split())
+        assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    ('plain --speed 30 -o c.html', 'name its recording'),
+    ('plain/run_0.mcap --speed 30 -o c.pdf', r'suffix must be \.html'),
+    ('plain/run_0.mcap --speed 0 -o c.html', 'number from 0.01'),
+    ('plain/run_0.mcap --speed 30 --start-time 25:00 -o c.html', 'must be HH:MM'),
+])
+def test_bad_input_is_named_and_nothing_is_written(runs, options, words, monkeypatch):
+    monkeypatch.chdir(runs[0])
+    done = run_here(card, *options.split())
+    assert done.code == 2 and re.search(words, done.err)
+    assert not list(Path().glob('c.*'))
