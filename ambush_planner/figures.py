@@ -181,13 +181,13 @@ def scale_bar(axes: Axes) -> None:
 
 
 def north_arrow(axes: Axes, crs: str | None) -> None:
-    """Point to true north above the upper right corner, if the coordinate system is known."""
+    """Point to true north, right of the upper right corner, if the system is known."""
     system = _coordinates(crs)
     if system is None:
         return
     middle = np.array([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
     north = system.from_lat_lon(system.to_lat_lon(middle) + (1e-4, 0.0)) - middle
-    axes.annotate('N', (0.97, 1.01), xytext=20.0 * north / np.hypot(*north), ha='center',
+    axes.annotate('N', (1.04, 0.84), xytext=20.0 * north / np.hypot(*north), ha='center',
                   va='center', xycoords='axes fraction', textcoords='offset points', weight='bold',
                   path_effects=HALO, zorder=8,
                   arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
