@@ -68,7 +68,7 @@ class FewDrawn(Drawn):
                       else (figure.subfigures(), None))
         grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
         overview = top.add_subplot(grid[:, 0])
-        title = f'The best ambush causes a mean loss of {self.few.value:#.3g}'
+        title = f'Mean loss {self.few.value:#.3g}'
         risk_bar(top, draw_ground(overview, self.strategy, self.risk_map, title), overview,
                  location='bottom', shrink=0.6, aspect=30)
         self._key(top.add_subplot(grid[0, 1]))
