@@ -38,7 +38,8 @@ def assumptions(plan: Plan) -> list[str]:
                   else "at the network's nodes only")
         where = (f'ambushes are {places} and meet a convoy that passes within '
                  f'{game.ambush_radius:.4g} m')
-        where += f'; it strays at most {float(f"{game.tube:.2g}"):g} m from its drawn route' if game.tube else ''
+        if game.tube:
+            where += f'; it strays at most {game.tube:.3g} m from its drawn route'
     more = [f'nobody can wait within {radius:.4g} m of ({x:.6g}, {y:.6g})'
             for x, y, radius in game.held_places]
     return [f'nobody can wait {held} start, stops and goal', *more, where]
