@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build and installation with colcon (ament_python), and with pip for the commands in bin/."""
 
 import sys

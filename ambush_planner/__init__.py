@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
 
 from importlib.metadata import version as _version

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Array types of the records, read-only copies, sums by index."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layers of pictures of risk maps, strategies and routes.
 
 Each ``draw_...`` function draws one layer on given axes, in world metres; ``draw_map`` comes

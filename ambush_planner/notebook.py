@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How records show themselves in a Python prompt and in a notebook."""
 
 from __future__ import annotations

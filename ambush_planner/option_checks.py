@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks of options' types and ranges; each raises InvalidOption with a message of one line."""
 
 from __future__ import annotations

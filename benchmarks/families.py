@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random problems, each drawn from a seed: map, start, goal and all options of a plan.
 
 A problem's name is ``kind:family:nodes:seed``. Nothing is chosen by hand: losses, obstacles,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What having only a few routes costs: values of the best mixtures found, over the plan's.
 
 The plan's value and bound let convoys stray from their routes by the tube. Few routes are judged as

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans for one reach on coarser and coarser networks: how fine is fine enough?
 
 Map, reach, held ground and detour stay the same, and the spacing is a share of the reach. Values

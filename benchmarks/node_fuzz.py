@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random and mutated messages, requests and parameters for a planner node, over DDS.
 
 After each message the node must answer: the request, if it was one, and `get_parameters`. After

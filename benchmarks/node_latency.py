@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How soon the node answers: during a long solve, and with a route of a known strategy.
 
 The node is a process of its own. Times are the caller's [ms], from the request to the answer read.

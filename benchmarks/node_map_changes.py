@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Departures while the map changes every second, and while the goal moves slightly.
 
 The node is a process of its own and receives the whole map each time. Times are the caller's [ms],

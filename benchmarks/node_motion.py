@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A robot on patrol, known by TF: does it keep its word, however often it asks?
 
 It drives between two ends of a warehouse and follows the node's paths as regulated pure pursuit

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A planner node in a process of its own and a client for it, shared by the node's benchmarks."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A departure every second for an hour, as an operator would use the node.
 
 An obstacle moves each time. Regularly the goal or the whole map changes, a plan between other

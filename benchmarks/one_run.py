@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run one function on one problem in a process of its own: one thread, a hard limit, a profile.
 
 A separate process makes the peak memory the problem's own, and one that hangs or crashes is only

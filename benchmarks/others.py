@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What random routes without a game cost: how others vary their routes, at our mean length.
 
 On the same network, against the same ambusher: the largest loss over all free cells outside held

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shortest routes by scipy, and the linear program of the value by HiGHS (Huangfu and Hall, 2018).
 
 They share no code with the package. Of HiGHS, only its own run is timed, on one thread.

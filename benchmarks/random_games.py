@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random valid games as users have them: does any fail, and is what is published right?
 
 Maps, networks, trips, roads, reaches, held ground, budgets, thresholds and ambushers are drawn from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command lines of the benchmarks, and the tables that they write into results.md."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Would you drive it? Paths of many departures on four maps, next to A* on the map's cells."""
 
 from __future__ import annotations

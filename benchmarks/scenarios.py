@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps with start and goal for the benchmarks: terrain, depot, city, maze, and two formulas."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure what a user waits for: ``plan_trip`` on random problems of every family, and its gap.
 
 The kinds of problems are in families.py; ``nodes`` is ``solve`` without a reach, next to HiGHS'

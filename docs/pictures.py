@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw the pictures of the documents into docs/images; ``make demo`` and ``make paper`` first.
 
 Those of the demo's terrain show the strategy that its node has recorded in out/demo.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a map of map_server to routes."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From heights to tracks for a GPS: writes routes.gpx."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Roads only: a town with one-way streets and a fast ring road; budgets are of driving time."""
 
 import numpy as np

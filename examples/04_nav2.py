@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A path from a running node (`ros2 launch ambush_planner ambush_planner.launch.xml`).
 
 Each request for another goal is a departure with a fresh route. Give the path to Nav2's FollowPath,

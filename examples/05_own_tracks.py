@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What does an ambusher gain who has learnt your tracks, and what does the optimum leave him?"""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``python -m paper``: the paper's tables and figures, repeated on a stated environment.
 
 E. Boidot and E. Feron, *Planning Random path distributions for ambush games in unstructured

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The environment of the repeated experiments, which is our choice.
 
 The paper publishes neither its risk map nor its start and goal. Its figures show about 30 x 30

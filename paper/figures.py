@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's figures 2 to 7, and our strategies in the same style."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tables, and the paper's statements compared with the results here."""
 
 from __future__ import annotations

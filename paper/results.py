@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's experiments: all strategies of its tables and figures, and their numbers."""
 
 from __future__ import annotations

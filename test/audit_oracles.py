@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slow, independent answers to what the audit computes."""
 
 from __future__ import annotations

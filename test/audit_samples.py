@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of departures for the tests of the tools, written as the format says."""
 
 from functools import cache

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps that have to be refused, and words that the reason must have (regular expressions)."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run commands and benchmarks in this process, which is faster than to start Python."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Routes to drive, made at random, for the tests of what is driven."""
 
 from functools import cache

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of a real node, and their contents edited and written again with valid checksums."""
 
 from dataclasses import replace

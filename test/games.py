@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random ambush games and slow, independent oracles for them.
 
 The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, random examples.

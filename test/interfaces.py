@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS interfaces that PyPI lacks, built from their definitions and installed below ``sys.prefix``.
 
 rclpy's wheels bring rosidl's generators with the headers and libraries that their code needs; only

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A departure with every kind of message, and independent readers to compare it with."""
 
 import array

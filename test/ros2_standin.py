@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stand-in for ``ros2`` and Nav2's map_server, which are not on PyPI, for the tutorial's commands.
 
 ``ros2 run ambush_planner`` starts the real programs.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A running planner node with a client, isolated from all other tests and processes."""
 
 import itertools

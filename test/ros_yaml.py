@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages from YAML, as ``ros2 topic pub`` reads them (rosidl_runtime_py has no wheel)."""
 
 import array

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Greatest route entropy by Clarabel, a conic solver that shares nothing with ours."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orders of the nodes, the parts of the network that go forward in them, and cycles taken off."""
 
 import networkx

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The audit of departures: an exact test that finds what it should, and a foresight by hand."""
 
 from __future__ import annotations

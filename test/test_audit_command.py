@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush audit`` on recordings: verdicts, exit codes, JSON, the picture, bad input."""
 
 import re

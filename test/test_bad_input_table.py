@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bad input: the documented rows that have a code, tried on one node, which survives them all."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Smoke run: every benchmark runs on tiny inputs and writes its block."""
 
 import os

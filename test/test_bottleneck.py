@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bottleneck report: the decisive sites, and the value with secured ends."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
 import re

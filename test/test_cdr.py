@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Serialised marker arrays equal those of plain messages, by two independent readers."""
 
 import math

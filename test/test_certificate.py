@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The certificate: it refuses wrong strategies, and holds at any scale of the losses."""
 
 from dataclasses import replace

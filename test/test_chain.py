@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """P(hit) of a Markov chain and its derivatives, against the enumeration of all routes."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A strategy assessed on changed ground: against frequencies, exact geometry and new games."""
 
 from functools import cache

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all commands share: one entry, options, exit codes, output for terminals and pipes."""
 
 import json

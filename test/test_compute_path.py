@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nav2's action, called as Nav2 calls it."""
 
 from contextlib import contextmanager

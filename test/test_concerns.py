@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a plan's value says about itself, in words."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A strategy on condition that routes avoid some edges, against all routes one by one."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """config/ambush_planner.yaml, the declared parameters and docs/ros_interface.md say the same."""
 
 from pathlib import Path

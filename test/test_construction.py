@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Networks on maps: positions of nodes, joined pairs, and repeatability."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages to arrays and back: round trips, exactness, and what is refused."""
 
 import math

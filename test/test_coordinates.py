@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coordinate systems against pyproj and geodesics, and maps that keep them from file to file."""
 
 import numpy as np

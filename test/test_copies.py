@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law on labelled copies of a trip's ground."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors: as wide as obstacles allow, clear of new ones, and from and to moved ends."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What circulations prove, against the best response and against all routes."""
 
 import math

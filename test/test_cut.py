@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The exact value by minimum cut: laws, exact rational arithmetic, a linear program, tiny games.
 
 Several ambushers share the sites of cuts.

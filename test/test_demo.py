@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush demo``: its recordings, pictures and numbers, and the node that it starts and stops."""
 
 import os

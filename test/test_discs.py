@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges that enter discs, against independent geometry: points along the drawn line."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes of the map over DDS: the displayed plan is assessed, solved again, and departed on."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands of README.md and docs that no other test runs: they parse, and their options exist.
 
 `ros2 launch`, `ros2 bag`, `ros2 security`, RViz and Nav2 are not on the package index.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Links lead somewhere, modules that are named exist, formulas parse, and examples run."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The value bounds the mean loss of driven paths, measured by geometry alone."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driven paths: within the corridors, clear of obstacles, short and smooth; their taut strings."""
 
 import itertools

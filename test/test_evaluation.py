@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's table III: laws, and tiny games whose rows are known by hand."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each script in examples runs and prints its results; the one for Nav2 asks a real node."""
 
 import os

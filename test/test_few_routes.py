@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Few routes against all sets of the same candidates, and draws by hand against their shares."""
 
 from itertools import combinations

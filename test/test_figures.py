@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures: the layers, and the figure of the demo."""
 
 import math

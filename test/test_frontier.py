@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frontier of budgets: laws of its rows, and the command."""
 
 import csv

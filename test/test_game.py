@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of the game: forbidden nodes, held ground, sites off the road, ranges."""
 
 import numpy as np

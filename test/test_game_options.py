@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the options of game and route change in what the node answers, held against geometry."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Gibbs law: gradient, entropy, all routes by hand, Clarabel, and weights beyond e^700."""
 
 import math

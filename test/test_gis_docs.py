@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/gis.md, operations.md and tour.ipynb: all that is in them runs, and leaves what they say."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who may read routes: the SROS2 policy compared with a running node, and unpublished routes."""
 
 import xml.etree.ElementTree as ElementTree

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hiding places in obstacles: their cells and losses, and their effect on a plan."""
 
 from dataclasses import replace

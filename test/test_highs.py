@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """HiGHS through scipy: optimum, infeasible, no time, the fallbacks.
 
 That its interior point method runs without crossover is seen in test_linear_program.

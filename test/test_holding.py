@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to hold next: held places against all routes, plans and every candidate; the command."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Judged trips: laws of their values, what counts as a trip, files of tracks, and the command."""
 
 import json

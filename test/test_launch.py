@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The launch file and the commands of docs/nav2.md, run without ``ros2``."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law's entropy against Clarabel's optimum, its limits, and what it may use."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
 import interfaces

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's linear programs: its 8-node example, its observations, and length weights."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trips with less aboard on later legs: a program over all trips, and what is refused."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Long solves: the node keeps answering, and requests can be cancelled."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many games on executors: order, errors, progress, broken pools."""
 
 import multiprocessing

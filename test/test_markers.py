@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Markers tell what the strategy says: one marker a topic, as many points as colours."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A convoy that has moved on: the joined routes' law and value, against enumeration by hand."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every file in msg_examples does what its comment says, with a real node."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Networks: bad inputs are named, useless edges dropped with a warning; shortest paths in them."""
 
 import networkx

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recording fails under a running node: departures go on, and recording resumes."""
 
 import os

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
 import threading

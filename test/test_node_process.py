@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node in its own process: over DDS from the first map to a clean exit."""
 
 import os

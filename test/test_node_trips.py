@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trips with stops: requested over DDS, displayed, recorded, verified and replayed."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Segments against obstacle cells: exact rational clipping and distances as the oracle."""
 
 from fractions import Fraction

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same question gives the same number at every door."""
 
 import csv

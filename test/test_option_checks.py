@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options of a wrong type or out of range: an error of ours that names them."""
 
 import numpy as np

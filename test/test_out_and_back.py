@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trip out and back over the same ground: a site of both legs is shown once, with its total."""
 
 import numpy as np

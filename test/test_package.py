@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """package.xml, setup.py, the source's imports and the files agree."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's reproduction: environment, laws of the results, and the tables in docs/paper.md."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters: described, ranged, checked as a set, and set in any order."""
 
 import math

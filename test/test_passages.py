@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Doors and corridors narrower than the node spacing, and maps divided by obstacles."""
 
 import itertools

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mixtures of given paths against their meaning: distances from every place, and small games."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush plan`` and ``export`` from maps to files, which other programs read; every mistake."""
 
 import json

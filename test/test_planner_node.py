@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node: departures, the plan cache, secrets, diagnostics, and its arguments."""
 
 import math

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program in face potentials: against linear programs, in parts, and its flows.
 
 Its value is compared with that of all mixtures of routes in test_reach.

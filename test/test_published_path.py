@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The path that is published: dense, clear of obstacles, between exactly the poses given."""
 
 import numpy as np

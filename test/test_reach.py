@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The value with a reach, against all routes."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """README.md is short, its commands work, and they print the numbers that it names."""
 
 import re

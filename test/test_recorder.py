@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sessions of recordings: private folders that are bags, files that are whole or not there."""
 
 import os

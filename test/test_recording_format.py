@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is in a recorded file: read back equal by independent readers, complete for rosbag2."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
 import shutil

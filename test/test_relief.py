@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Heights brought to square cells, slope, and depth below the surroundings."""
 
 import numpy as np

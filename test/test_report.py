@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report: one whole page, safe against what files may hold, with the right numbers."""
 
 import hashlib

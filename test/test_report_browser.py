@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report in headless Chromium: its map works, it fits, and it requests nothing.
 
 The browser is controlled by its DevTools protocol over pipes.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Risk maps from layers: each formula against another way to compute it, and bad input."""
 
 import json

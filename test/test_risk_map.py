@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Axes, rotated origins, the reading of occupancy grids, and every bad input by name."""
 
 import math

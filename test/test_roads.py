@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Networks of roads: against networkx and the files themselves; a recording node."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rooms of the package: each imports only from rooms before it, and ROS comes last."""
 
 from __future__ import annotations

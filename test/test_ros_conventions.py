@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What ROS users take for granted: frames, remapping, simulated time, several nodes."""
 
 import math

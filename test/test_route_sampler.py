@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drawn routes have the published probabilities; dense paths keep to their corners."""
 
 from collections import Counter

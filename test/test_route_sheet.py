@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Route sheets: what is written is read again, and files that are none are refused."""
 
 import json

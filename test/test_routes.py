@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program over whole routes, against linear programs over all routes of small networks."""
 
 import math

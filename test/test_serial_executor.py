@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SerialExecutor: order, one thread, and errors that reach somebody."""
 
 import threading

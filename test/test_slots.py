@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slots of departure: the full matrix game, and the formulas for windows."""
 
 from math import ceil

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Solves in a real worker process: queued behind others, overtaken, withdrawn, killed."""
 
 import os

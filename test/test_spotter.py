@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a spotter is worth, against the enumeration of all routes."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of every published strategy by independent oracles; budgets, time limits, errors."""
 
 from dataclasses import replace

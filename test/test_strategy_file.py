@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Strategy files: read back whole, their certificates computed from the probabilities."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Log lines about maps, plans and departures, and the warning of a volatile map."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush table``: the table, its inputs, bad input."""
 
 import csv

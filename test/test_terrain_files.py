@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Elevation models read, maps written and read back, and ``ambush terrain`` as a user starts it."""
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The risk map from the ground: its formulas, and the demo's ground."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses in other frames: transforms that travel over DDS, and clear errors without them."""
 
 import math

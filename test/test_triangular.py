@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Triangular systems of one pattern: against dense algebra, by scipy's product and without it."""
 
 import numpy as np

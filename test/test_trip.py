@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trips with stops: laws, a trip solved by hand, all mixtures of trips, all orders."""
 
 import itertools

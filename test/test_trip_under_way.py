@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which requests continue the trip of a robot, and what is left of its path; without ROS."""
 
 import math

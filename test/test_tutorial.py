@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All commands of the tutorial, in one shell, with a real node, print what it shows."""
 
 import csv

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of a real node are verified: as they are, and with contents that do not follow."""
 
 import itertools

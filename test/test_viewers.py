@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The layouts for RViz and Foxglove match the topics, types and QoS of a running node."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Views for maps of any size: the whole map in view, visible lines, the path on top."""
 
 import json

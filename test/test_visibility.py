@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Visibility compared with two slow computations."""
 
 import math

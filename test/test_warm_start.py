@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warm starts: a solve that starts from the multipliers of a strategy on another map."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracks of a driver with habits in docs/yard.yaml, and what goes wrong with tracks."""
 
 import numpy as np

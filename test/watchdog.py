@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ends test runs that hang or lose a worker, and the processes that tests leave behind."""
 
 import faulthandler

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush audit``: do departures follow the published law, and could one predict them?"""
 
 from __future__ import annotations

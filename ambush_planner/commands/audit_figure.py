@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of ``ambush audit``."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush card``: the driver's sheet of one departure."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver's sheet as one HTML page: map, way points and held ground of a single route.
 
 Nothing on it tells of other routes: no probabilities, ambush sites or values.

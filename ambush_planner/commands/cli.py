@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The program ``ambush`` and what its commands share: options, exit codes, private files.
 
 Each command is a module of this package with ``parser()`` and ``main(arguments)``. The program's

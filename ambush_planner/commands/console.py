@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The output of a command: results, progress and errors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush demo``: departures on real terrain through the real node, with a verified report."""
 
 from __future__ import annotations

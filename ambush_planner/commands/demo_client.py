@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A ROS client of the planner node: publishes the inputs and requests departures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The demo's picture: random departures next to routes that never change."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The demo's terrain: the Jacksboro fault, Tennessee and Kentucky, as a risk map.
 
 The elevations are ``jacksboro_fault_dem.npz`` of matplotlib's sample data: 344 x 403 heights on a

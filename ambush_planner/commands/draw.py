@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush draw``: draw one of a few routes, for a departure."""
 
 from __future__ import annotations

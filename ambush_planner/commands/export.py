@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush export``: recorded departures for GIS programs, phones and GPS receivers."""
 
 from __future__ import annotations

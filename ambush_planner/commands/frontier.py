@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush frontier``: what a longer detour, or a little more risk, buys."""
 
 from __future__ import annotations

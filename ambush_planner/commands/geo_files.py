@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of routes for GIS programs, phones and GPS receivers; the suffix chooses the format."""
 
 from __future__ import annotations

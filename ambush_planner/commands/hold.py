@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush hold``: which places to hold next."""
 
 from __future__ import annotations

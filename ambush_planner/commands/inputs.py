@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inputs of commands that solve games: a risk map, places, options."""
 
 from __future__ import annotations

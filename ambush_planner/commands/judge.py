@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush judge``: what an ambusher causes who has watched the trips that were driven."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A planner node in its own process and its own ROS domain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush plan``: from a map to drawn routes."""
 
 from __future__ import annotations

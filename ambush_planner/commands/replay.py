@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush replay``: publish recorded departures again, as they were published."""
 
 from __future__ import annotations

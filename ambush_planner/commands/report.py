@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush report``: recorded departures on one HTML page that any browser shows offline."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report as one HTML page that needs no network: its style, script and data are inline.
 
 All text from files passes ``html.escape``. The Content-Security-Policy names the only script by its

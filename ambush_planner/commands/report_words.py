@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sentences and tables of the report as plain text."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush risk``: a risk map from terrain, polygons, roads and incidents."""
 
 from __future__ import annotations

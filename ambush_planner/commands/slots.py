@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush slots``: what it is worth to vary the time of departure, too."""
 
 from __future__ import annotations

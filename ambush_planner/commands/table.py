@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush table``: value and length of the strategies for all pairs of depots and customers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush terrain``: a risk map for map_server from an elevation model."""
 
 from __future__ import annotations

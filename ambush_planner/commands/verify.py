@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush verify``: do recorded departures follow from what is recorded with them?"""
 
 from __future__ import annotations

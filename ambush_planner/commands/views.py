@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``ambush views``: RViz and Foxglove layouts for a map of any size.
 
 The two templates next to this file, installed in share/ambush_planner/config, fit the example map

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ambush game on a network, and its solution.
 
 ``game`` has the ambush sites and losses, ``discs`` the edges that enter an ambush's reach.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ambusher's mixed strategy: where he waits, and what the convoy's budgets are worth to him."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sites that decide the value, and the value if the ends were secured."""
 
 from __future__ import annotations

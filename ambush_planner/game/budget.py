@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Budgets: limits on the mean length or exposure of the routes."""
 
 from __future__ import annotations

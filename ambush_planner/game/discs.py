@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ambushes with a reach: held ground, and the edges that bring a route into a site's disc.
 
 Held ground protects convoys inside it: only the exposed part of an edge, outside held ground, can

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ambush game on a network: playable edges, ambush sites and losses.
 
 Letters follow the paper: p (M,) expected uses of each edge, x (N,) visits, q (N,) the ambusher's

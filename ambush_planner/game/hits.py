@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What ambushes cost a strategy, each route counted once however often it comes back to a site.
 
 The rows of the game count how often a route enters a disc. Entries are linear in p and bound the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Value and lower bound of a strategy in another game, and its gap beyond the slack."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random routes from a strategy; routes as edges and as strategies."""
 
 from __future__ import annotations

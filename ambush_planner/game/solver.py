@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The default strategy: least value within the budgets, then the most unpredictable routes.
 
 1. *Value.* One of three programs finds the least value, a flow that attains it, and an ambusher

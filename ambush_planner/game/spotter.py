@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What somebody is worth to the ambusher who sees whether the convoy passes a place.
 
 A spotter at site i tells the ambusher whether the route comes within reach of i; only then does he

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The convoy's mixed strategy: its options, the record with its certificate, and ``solve``."""
 
 from __future__ import annotations

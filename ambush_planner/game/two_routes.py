@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A strategy within the budgets by at most two routes, regardless of ambushes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From an occupancy grid or an elevation model to a risk map.
 
 ``risk_map`` defines the map, ``occupancy`` converts cell values to losses, ``ros_messages`` and

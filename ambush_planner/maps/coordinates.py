@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coordinate systems: world positions of a map to latitude and longitude, and back.
 
 A map file names its system as text: either anything that pyproj reads (``EPSG:32616``, WKT) with

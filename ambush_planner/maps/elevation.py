@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Elevation grids, and resampling of rasters to their square cells."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Elevation models and masks from files: GeoTIFF (and other GDAL formats) and .npz.
 
 An .npz file holds the array ``elevation`` (or ``roads``) (H, W) [m], northernmost row first as in a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Positions (K, 2) in WGS 84 [degrees] as maps and receivers name them, and true bearings."""
 
 from __future__ import annotations

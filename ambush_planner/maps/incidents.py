@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Density of past incidents: a Gaussian kernel on the cells of a map, and its bandwidth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Map files of Nav2's map_server: a YAML file that names an image.
 
 Maps are written in mode ``raw``, which preserves all values: a pixel of 0..100 is the cell value,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exact clearance checks of points and segments against obstacle cells."""
 
 from __future__ import annotations

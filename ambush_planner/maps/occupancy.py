@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Occupancy grids, and the conversion of their values -1..100 to losses and obstacles."""
 
 from __future__ import annotations

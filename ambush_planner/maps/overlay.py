@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Add the obstacles of one map, such as a costmap, to a risk map."""
 
 from __future__ import annotations

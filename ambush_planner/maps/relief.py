@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slope of the terrain, and depth of each cell below the terrain around it."""
 
 from __future__ import annotations

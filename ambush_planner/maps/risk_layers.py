@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Risk maps combined from layers: terrain, polygons, roads and incidents.
 
 A YAML file has one line per layer. Each cell starts at the loss ``base``, and the lines apply from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The risk map: the loss for being ambushed in each cell, and the obstacles.
 
 Row 0 is the lowest row and column 0 the leftmost, as in ``nav_msgs/OccupancyGrid``. *Map axes*

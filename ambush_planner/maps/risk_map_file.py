@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Risk maps from and to files: map_server's YAML, GeoTIFF, and npz with the fields of RiskMap."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Roads from vector files and from the graphs of nav2_route."""
 
 from __future__ import annotations

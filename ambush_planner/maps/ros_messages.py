@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Read maps, poses and paths from ROS messages decoded by any library; needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From the file of an elevation model to a risk map, in one step."""
 
 from __future__ import annotations

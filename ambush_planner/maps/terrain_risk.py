@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Risk map from terrain.
 
 Four factors, each 0..1, make an ambush in a cell costly:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How frames lie to each other now: the part of tf2's buffer that the planner needs.
 
 The newest transform of each link counts, and static ones always do. tf2 answers for any time, so it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracks of vehicles from GPX, CSV and vector files."""
 
 from __future__ import annotations

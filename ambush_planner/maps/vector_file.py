@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Points, lines and polygons from GeoPackage, GeoJSON and other vector files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Visibility: the terrain from which each cell is visible, and the terrain hidden from it.
 
 Rays leave each cell in evenly spaced directions (W. R. Franklin, C. K. Ray, *Higher isn't

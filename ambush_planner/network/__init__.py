@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a risk map to the network that the game is played on.
 
 ``node_sampling`` places nodes, ``connectivity`` joins them, ``layout`` drops what obstacles block,

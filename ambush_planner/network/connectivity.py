@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs (K, 2) of neighbouring nodes: 8-connected lattice or Delaunay triangulation."""
 
 from __future__ import annotations

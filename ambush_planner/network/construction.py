@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Construction of a network on a risk map (the paper's section III, table I)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ambush sites where the convoy has no nodes: in obstacle cells, or anywhere on the map."""
 
 from __future__ import annotations

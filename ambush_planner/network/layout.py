@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Layout of a network: its nodes, and the pairs of them joined by obstacle-free edges."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The network that the game is played on: nodes, directed edges, source, target and losses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Node positions: on a lattice, at random, or at random and denser where alpha changes."""
 
 from __future__ import annotations

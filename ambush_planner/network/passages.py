@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Passages too narrow for a network's mesh, found on the cells of the map itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The network of a trip on roads: a node at each junction and bend, and at least every spacing.
 
 The edges lie on the roads' own lines. Start, stops and goal are joined to the nearest place on a

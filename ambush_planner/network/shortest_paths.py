@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shortest paths and reachability on edge arrays, by scipy's graph routines."""
 
 from __future__ import annotations

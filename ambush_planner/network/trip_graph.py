@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The drivable places of a trip, and the network for any order of its stops."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a request to a plan: map, start, goal and options yield a strategy with its corridors.
 
 ``plan`` has the records and a departure's route and path; ``trip`` makes the plan, with or without

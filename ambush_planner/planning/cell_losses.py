@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ambushers anywhere on the map: how much more they can cause than those at the nodes.
 
 With a reach, an ambush between two nodes hits other routes than one at either of them, and its cell

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assess a plan, and draw its routes, on a map that has changed since it was solved."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plan's network on another map of the same ground: lost edges, and the losses of its nodes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The numbers of a plan, and warnings about them in words."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A strategy conditioned on its routes avoiding some edges.
 
 Drawing routes until one is clear samples this conditional strategy. On an acyclic network it is

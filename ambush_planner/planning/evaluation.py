@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of the stochastic planner with deterministic ones (the paper's table III)."""
 
 from __future__ import annotations

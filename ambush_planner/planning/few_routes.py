@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A few routes: the best mixture that we can find of at most K paths that are driven.
 
 Which K paths are best is a hard combinatorial problem. Candidates are drawn from the plan's

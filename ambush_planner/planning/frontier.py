@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The trade-off between length, risk and entropy: one strategy for each of several budgets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Habits: what driven trips tell an ambusher who has watched them, and how they could be better."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to hold next: the place that lowers a plan's value most if nobody can wait around it.
 
 Places are added one by one, each given those before it. Any ambusher's mixture bounds from below

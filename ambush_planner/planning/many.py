@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many games at once, on any ``concurrent.futures.Executor``: threads, processes, a cluster.
 
 A map is much larger than the rest of a problem, and many problems share it. So problems carry only

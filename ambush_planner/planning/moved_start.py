@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A plan for a convoy that has moved on: its routes, joined from where the convoy is now.
 
 A route is joined at the node where it first leads away from the convoy. The part before that node

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The values of all parameters of the node, read into one frozen record."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All options of a plan, and the game that follows from them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter of the node: default, range and description, in one table."""
 
 from __future__ import annotations

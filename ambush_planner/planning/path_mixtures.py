@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mixtures of given paths: what an ambusher causes who knows them, and the best shares.
 
 Paths that are driven side by side are a network of their own, on which they share no node but start

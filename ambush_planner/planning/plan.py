@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests and plans: a risk map becomes a plan once, and each departure draws a route from it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws of few routes by hand: which faces of dice, or which cards, stand for which route."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Routes, strategy and ground as tables of geometries (GeoDataFrames), for GIS programs.
 
 Positions are world positions, in the map's coordinate system if it has one; those of a robot's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Route sheets: a few routes with their shares in a small JSON file, from which one is drawn.
 
 The format is in ``ambush draw --help``. Routes are secret: write it with mode 0600.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When to depart: an ambusher who waits in one slot of the day cannot wait in another.
 
 Slot t has the value z_t of its own plan. An ambush lasts ``window`` consecutive slots, in each of

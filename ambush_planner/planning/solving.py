@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Solve the game of a plan; with a reach, against an ambusher anywhere in free ground."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans of trips: one strategy over all legs, with the stops in the given or the best order.
 
 An ambush hits every leg that passes its site, so the legs cannot be solved one by one: the network

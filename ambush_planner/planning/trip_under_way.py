@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The trip that the robot is on, and which requests continue it.
 
 A request continues the trip, and is no departure, if all of this holds:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings of departures: MCAP files that rosbag2 and Foxglove take, and what is read from them.
 
 ``Recorder`` writes a departure's messages, metadata and strategy as one file. ``read_recording``

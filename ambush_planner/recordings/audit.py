@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Audit of departures: do they follow the published law, and could an observer predict them?
 
 If all is well, each departure is an independent draw from its own strategy. The test counts the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``metadata.yaml``, by which rosbag2 (version 9, Jazzy) takes a folder of files as one bag.
 
 It is written as JSON, which is YAML and fast to write.

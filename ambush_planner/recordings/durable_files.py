@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that are either complete or absent, even after a crash or a power cut."""
 
 from __future__ import annotations

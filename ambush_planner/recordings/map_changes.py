@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attachment ``map_changes.npz``: cells that changed since a departure was planned."""
 
 from __future__ import annotations

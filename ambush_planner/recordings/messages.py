@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages as they were sent, with quality of service in the text format of rosbag2 (Jazzy)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One recorded departure: where it led, and the map, strategy and entropy it was drawn from."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded departures in folders: listed, read, and compared by their random sources."""
 
 from __future__ import annotations

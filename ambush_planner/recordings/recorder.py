@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes each departure as one finished MCAP file, in a folder that ``ros2 bag`` takes as a bag.
 
 Session folders and their files are named as rosbag2 names its own. Routes are secrets: folders

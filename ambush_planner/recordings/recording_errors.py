@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of recordings: each names the file or folder, the reason, and what to do."""
 
 from __future__ import annotations

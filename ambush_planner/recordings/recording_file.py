@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One departure as an MCAP file with the profile ``ros2``: encoded, read back, messages decoded.
 
 The mcap library is imported on use: apt does not have it, and a node without it can still plan.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The data of a report: departures by trip, and what its maps show."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attachment ``roads.npz``: the roads of the method graph, in the map's coordinates."""
 
 from __future__ import annotations

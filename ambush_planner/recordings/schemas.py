@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Message definitions as an MCAP file carries them, from the installed interface files."""
 
 from __future__ import annotations

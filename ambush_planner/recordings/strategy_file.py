@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The attachment ``strategy.npz``: a strategy with its network."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verifies recorded departures: network, certificate, route and path follow from what is recorded.
 
 The network is built again from the recorded map and options, the certificate is judged on it, and

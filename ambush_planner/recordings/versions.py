@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The versions of the planner and of the software that it computes with."""
 
 from __future__ import annotations

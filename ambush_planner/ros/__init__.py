@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ROS node: one room of the package that needs rclpy.
 
 ``planner_node`` wires the parts and has the lifecycle; ``subscriptions`` and ``inputs`` take what

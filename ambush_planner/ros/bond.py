@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The heartbeat by which Nav2's lifecycle manager knows that an active node lives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Serialise large marker arrays as whole arrays.
 
 rclpy reads every field of every point in Python: 60 000 coloured points take 300 ms that way and

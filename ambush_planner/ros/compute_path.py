@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nav2's actions ComputePathToPose and ComputePathThroughPoses: departures for Nav2."""
 
 from __future__ import annotations

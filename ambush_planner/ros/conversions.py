@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Convert arrays to ROS messages, whole arrays at a time; ``maps/ros_messages.py`` reads them.
 
 Every number is cast before it is assigned: rclpy copies the memory of other types unconverted.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The current risk map: read from a message, then changed by updates of some of its cells."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A departure that leaves, and the messages, metadata and files of its recording."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node's status as a diagnostics message: stable keys, and never a route or a seed."""
 
 from __future__ import annotations

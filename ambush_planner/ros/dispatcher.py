@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers requests for a path: the rest of the trip under way, or a departure on a fresh route."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The displayed plan: the last one that was departed on or solved, with its markers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keep exceptions inside callbacks: one that leaves a callback ends the executor."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of requests, and the codes of all errors in the diagnostics.
 
 Codes have the names of the constants of Nav2's ``ComputePathToPose`` if it has one.

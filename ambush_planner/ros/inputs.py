@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What has arrived: the current map, the latest poses, and the trip that they make."""
 
 from __future__ import annotations

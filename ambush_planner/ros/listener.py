@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node, an executor and a thread of their own for messages that the planner does not wait for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Markers of a strategy for RViz and Foxglove: one per topic, built from whole arrays.
 
 Each function returns a serialised visualization_msgs/MarkerArray.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Declare the parameters of a node, and check their changes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plans are solved once and kept as long as they suit the newest map."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The node: its lifecycle states, and the parts that exist in each of them."""
 
 from __future__ import annotations

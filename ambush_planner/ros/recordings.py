@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records departures in a thread of their own: a bounded queue, so that no answer waits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the node's status and publishes it on /diagnostics, on change and once a second."""
 
 from __future__ import annotations

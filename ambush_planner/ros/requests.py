@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The services of the node: each starts work and answers when its future is done."""
 
 from __future__ import annotations

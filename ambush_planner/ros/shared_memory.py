@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keep other users from reading the messages that Fast DDS puts into shared memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the node listens to, read and handed to its inputs."""
 
 from __future__ import annotations

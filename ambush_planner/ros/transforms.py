@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transform poses into another frame, by what /tf and /tf_static publish."""
 
 from __future__ import annotations

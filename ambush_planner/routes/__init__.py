@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a drawn route to the path to drive.
 
 ``corridors`` limits how far the path may leave the route, ``taut_string`` finds the shortest line

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Free space on both sides of edges and beyond their ends: geometry for ``corridors``, in map axes.
 
 Other nodes, obstacles and the map's edge limit it. See ``corridors`` for strips and quarters.

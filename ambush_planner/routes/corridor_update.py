@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Update corridors after new obstacles appeared, or the start or goal moved slightly.
 
 The affected strips and quarters are measured again, so the guarantees of ``corridors`` still hold.

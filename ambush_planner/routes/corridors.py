@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corridors: how far the driven path may leave the drawn route.
 
 Along each edge lie two *strips*, rectangles of its length and of the ``widths`` left and right.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driven path: the shortest in the drawn route's corridor, with rounded corners.
 
 The taut string leaves a margin at both ends of each portal, in which its corners are rounded. If a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Legs of a path (L, 2) [m]: the straight lines between its way points, for a driver's sheet."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shortest lines through the corridors of many routes at once.
 
 A route's strips and quarters (``corridors``) overlap in a *portal* at each of its nodes: a segment

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Solves in a process of their own, so that they block nothing else.
 
 ``solve_queue`` queues and shares solves; ``process`` starts, asks and kills the worker process;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worker processes, which read requests and send back their plans as pickles, and their parent.
 
 Protocol 5 keeps read-only arrays read-only.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The owner's side of worker processes: start them, have them solve, kill them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run work in one thread, one piece after the other."""
 
 from __future__ import annotations

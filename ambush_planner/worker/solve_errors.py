@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors of the queue and the worker, and of code that fails unexpectedly."""
 
 from __future__ import annotations

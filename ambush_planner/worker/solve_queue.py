@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A queue of solves for one worker process: equal solves are shared and can be cancelled."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sphinx: the pages that GitHub shows, as a site with the reference of the Python API.
 
 The source folder is the checkout's root, so that all links are those of GitHub. docs itself has no

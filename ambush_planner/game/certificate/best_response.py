@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The convoy's best response to an ambusher's mixed strategy when each site hits a route once.
 
 For q >= 0 and prices of the budgets, the least of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The certificate: the worst mean loss of a strategy, and a bound that no strategy can beat.
 
 Each route counts once per site, however often it comes back into the site's reach. For any strategy

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bound that a circulation between faces proves on a planar two-way network.
 
 A closed curve through faces and discs whose signed crossings of one route do not add up to 0

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An acyclic part of the network: an order of the nodes, and the edges that go forward in it.
 
 On an acyclic part every strategy's p and x are probabilities and every drawn route is simple. The

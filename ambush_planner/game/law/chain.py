@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An acyclic strategy as a Markov chain: how likely its routes are hit, each counted once.
 
 Along a route, u_i is how likely it is at node i that the site has not hit the route yet, and V_i

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law of a trip's routes: a label is drawn at the start, each label has a chain of its own.
 
 One Markov chain draws the legs of a trip independently of each other, which can cost more than the

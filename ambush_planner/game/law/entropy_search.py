@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The search for the multipliers of the Gibbs law: the most unpredictable strategy within limits.
 
 Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = C' v has

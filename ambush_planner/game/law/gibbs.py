@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Gibbs law of routes: the strategy of greatest route entropy within given limits.
 
 On an acyclic network, a weight c_e for every edge e defines the probability of each route:

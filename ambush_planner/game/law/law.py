@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law of routes: the most unpredictable strategy whose losses keep to a level.
 
 P(hit) of each site, every route counted once, is a smooth function of the Markov chain. So the law

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Newton's method for limits on the visits of nodes, by one sparse factorisation a step.
 
 Let W hold the Markov chain's probabilities, X = diag(x) its visits with 0 at the source, L = 1 - W

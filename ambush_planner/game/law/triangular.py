@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Repeated solves of sparse triangular systems with one pattern.
 
 scipy's ``spsolve_triangular`` copies and checks its matrix at every call, which takes longer than

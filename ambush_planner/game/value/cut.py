@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The exact value of the plain game: a maximum flow with node capacities 1 / alpha.
 
 A strategy p has value z(p) <= z exactly when every node's visits are at most z / alpha_j. Scaled

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Circulations of greatest gain on a graph that only grows, by HiGHS.
 
     minimise cost' x   subject to   A x = 0,   low <= x <= high

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The faces of a planar two-way network, and which of them the rim of each site's reach touches.
 
 Edges that join the same two nodes are one link, with a face on either side. A curve through faces

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """HiGHS through scipy, with the workarounds that its versions need."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's linear program (its equation 6), solved by HiGHS through scipy."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The linear program over mixtures of known routes.
 
     minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,   mean excess <= 1,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The least value on a planar two-way network within one budget: a program in face potentials.
 
 Every flow of size 1 is the flow of one reference route plus the differences of a potential of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The least value by a linear program over whole routes, each hit once by each site.
 
 Column generation: the mixture of least value of the known routes gives an ambusher's strategy and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Several ambushers: how they share the sites if no budget binds.
 
 With one ambusher, q is spread over the cheapest set of sites that every route meets, a cut, in
