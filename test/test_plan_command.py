@@ -22,6 +22,7 @@ import shapely
 from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
 from pyproj import CRS, Geod, Transformer
 
+from ambush_planner import InvalidOption, NetworkOptions, PlanningOptions, RiskMap, plan_trip
 from ambush_planner.commands import draw, export, plan, terrain
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
@@ -268,3 +269,16 @@ def test_recorded_departures_are_exported(tmp_path):
     point = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text())).tracks[2].segments[0].points[0]
     assert metres_between((5.3, 60.4), (point.longitude, point.latitude)) == pytest.approx(
         np.hypot(*START), rel=5e-4)
+
+
+def test_a_plan_saves_the_routes_that_it_returns(tmp_path):
+    ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0)
+    options = PlanningOptions(NetworkOptions(spacing=40.0))
+    made = plan_trip(ground, (25.0, 95.0), (275.0, 95.0), options)
+    paths = made.save(tmp_path / 'r.csv', str(tmp_path / 'r.png'), n=3)
+    lines = pyogrio.read_dataframe(tmp_path / 'r.csv', read_geometry=False)['WKT']
+    assert [shapely.from_wkt(line).coords[:] for line in lines] == [
+        pytest.approx(path[:, :2]) for path in paths]
+    assert stat.S_IMODE((tmp_path / 'r.png').stat().st_mode) == 0o600
+    with pytest.raises(InvalidOption, match=r'\.shp.*\.gpkg'):
+        made.save(tmp_path / 'r.shp')

@@ -7,9 +7,10 @@ import argparse
 from dataclasses import replace
 from datetime import datetime, timezone
 
+from ..route_files import Drawn, write_routes
 from . import cli
 from .audit import read_all
-from .geo_files import FORMATS_HELP, Drawn, add_outputs, tell_outputs, write_outputs
+from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
 from .inputs import add_crs, crs_text
 
 EPILOG = f"""\
@@ -40,7 +41,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     risk_map = replace(last.risk_map, crs=crs_text(options) or last.risk_map.crs)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
     drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times)
-    write_outputs(options.output, drawn)
+    write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)
     return cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS

@@ -23,8 +23,8 @@ from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
 from ..planning.route_layers import few_table, strategy_tables
 from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ..route_files import Drawn
 from .cli import Console, count, write_private
-from .geo_files import Drawn
 from .report_words import percent, travel
 
 SHEET = '.json'

@@ -17,9 +17,10 @@ from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
 from ..planning.trip import ORDERS
+from ..route_files import SUFFIXES, draw, write_routes
 from . import cli
 from .few_files import SHEET, FewDrawn, tell_few, write_sheets
-from .geo_files import FORMATS_HELP, SUFFIXES, add_outputs, draw, tell_outputs, write_outputs
+from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -97,7 +98,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     drawn = (draw(plan, arguments.departures, np.random.default_rng(arguments.seed)) if few is None
              else FewDrawn(plan.strategy, risk_map, few.paths, (), few))
     sheets = [path for path in arguments.output if path.suffix == SHEET]
-    write_outputs([path for path in arguments.output if path not in sheets], drawn)
+    write_routes([path for path in arguments.output if path not in sheets], drawn)
     _tell(plan, console)
     if isinstance(drawn, FewDrawn):
         write_sheets(sheets, drawn, arguments.map)

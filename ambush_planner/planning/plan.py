@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -129,6 +130,22 @@ class Plan(Shown):
         if self.few is not None:
             return self.few.drawn(n, rng)
         return departure_paths(self, n, self.spacing, rng)
+
+    def save(self, *files: Path | str, n: int = 1,
+             rng: np.random.Generator | int | None = None) -> list[FloatArray]:
+        """Draw ``n`` routes, write them to files and return their paths, as ``paths`` does.
+
+        All files have the same routes; the suffix of each sets its format: .gpx, .gpkg, .geojson,
+        .kml, .csv (extra ``gis``) or .png (extra ``figures``). They are secret and have mode 0600.
+
+        Raises InvalidOption for any other suffix, or if the plan has no ``risk_map``, and
+        InvalidCoordinates if a format needs a coordinate system and the map has none.
+        """
+        from ..route_files import draw, write_routes
+
+        drawn = draw(self, n, rng)
+        write_routes([Path(file) for file in files], drawn)
+        return list(drawn.paths)
 
     def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
         """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.

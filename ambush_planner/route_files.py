@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files of routes for GIS programs, phones and GPS receivers; the suffix chooses the format."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from .arrays import FloatArray
+from .errors import InvalidOption
+from .figures import WIDTH, as_png, draw_strategy
+from .game.strategy import Strategy
+from .maps.coordinates import WGS84, InvalidCoordinates
+from .maps.risk_map import RiskMap
+from .planning.plan import Plan
+from .planning.route_layers import route_table, strategy_tables
+from .recordings.durable_files import make_private_folders, write_durably
+
+_DEGREES_ONLY = ('.gpx', '.kml')
+SUFFIXES = ('.gpkg', '.geojson', *_DEGREES_ONLY, '.csv', '.png')
+# Points of a GPX route that are nearer to the line through the others are left out [m].
+_STRAIGHT = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``."""
+
+    strategy: Strategy
+    risk_map: RiskMap
+    paths: Sequence[FloatArray]
+    times: Sequence[datetime]
+
+    @cached_property
+    def routes(self) -> Any:
+        """The table of routes."""
+        return route_table(self.paths, self.times, self.risk_map.crs)
+
+    @property
+    def names(self) -> list[str]:
+        """The departures by number."""
+        return [f'Departure {k}' for k in range(1, len(self.paths) + 1)]
+
+    @cached_property
+    def tables(self) -> Mapping[str, Any]:
+        """All tables by name, routes first."""
+        return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map)}
+
+    def picture(self) -> Figure:
+        """Draw map, strategy and routes."""
+        figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
+        draw_strategy(figure.subplots(), self.strategy, self.risk_map,
+                      [path[:, :2] for path in self.paths])
+        return figure
+
+
+def draw(plan: Plan, n: int, rng: np.random.Generator | int | None = None) -> Drawn:
+    """Draw ``n`` departures; without ``rng``, the operating system's entropy makes them fresh.
+
+    Raises InvalidOption if the plan was made in another process, so that its map is missing.
+    """
+    if plan.risk_map is None:
+        raise InvalidOption('the plan has no risk map; make it with plan_trip')
+    times = [datetime.now(timezone.utc)] * n
+    return Drawn(plan.strategy, plan.risk_map, plan.paths(n, rng), times)
+
+
+def write_routes(paths: Sequence[Path], drawn: Drawn) -> None:
+    """Write files with mode 0600; the suffix of each, one of ``SUFFIXES``, is its format.
+
+    Raises InvalidOption if a suffix is none of these, and InvalidCoordinates if a format needs a
+    coordinate system and the map has none; nothing is written then.
+    """
+    contents = {path: _content(path, drawn) for path in paths}
+    for path, data in contents.items():
+        make_private_folders(path.absolute().parent)
+        write_durably(path, data)
+
+
+def _content(path: Path, drawn: Drawn) -> bytes:
+    suffix = path.suffix
+    if suffix not in SUFFIXES:
+        raise InvalidOption(f'{path}: its suffix must be one of {", ".join(SUFFIXES)}')
+    if suffix in _DEGREES_ONLY and not drawn.risk_map.crs:
+        raise InvalidCoordinates(
+            f'{path}: {suffix[1:].upper()} holds latitude and longitude, but the coordinate system '
+            "of the map is unknown; name it (--crs), or the robot's frame (--datum)")
+    if suffix == '.png':
+        return as_png(drawn.picture())
+    if suffix == '.geojson':
+        return _geojson(drawn.tables)
+    if suffix == '.gpx':
+        return _gpx(drawn)
+    # The folder has mode 0700; GDAL makes files that all can read.
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.filterwarnings('ignore', "'crs' was not provided")  # it is unknown
+        file = Path(folder) / path.name
+        if suffix == '.gpkg':
+            for name, table in drawn.tables.items():
+                table.to_file(file, layer=name, driver='GPKG')
+        elif suffix == '.kml':
+            drawn.routes.assign(Name=drawn.names).to_crs(WGS84).to_file(file, driver='KML')
+        else:
+            drawn.routes.to_file(file, driver='CSV', GEOMETRY='AS_WKT')
+        return file.read_bytes()
+
+
+def _geojson(tables: Mapping[str, Any]) -> bytes:
+    features = []
+    for name, table in tables.items():
+        shown = table.assign(layer=name)
+        shown = shown.to_crs(WGS84) if shown.crs else shown
+        features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']
+    return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
+
+
+def _gpx(drawn: Drawn) -> bytes:
+    from gpxpy import gpx
+
+    file = gpx.GPX()
+    file.creator = 'ambush_planner'
+    lines, corners = (each.to_crs(WGS84) for each in (drawn.routes.geometry,
+                                                      drawn.routes.simplify(_STRAIGHT)))
+    for name, line, corner in zip(drawn.names, lines, corners, strict=True):
+        route, track, segment = gpx.GPXRoute(name), gpx.GPXTrack(name), gpx.GPXTrackSegment()
+        route.points = [gpx.GPXRoutePoint(latitude, longitude)
+                        for longitude, latitude in corner.coords]
+        segment.points = [gpx.GPXTrackPoint(latitude, longitude)
+                          for longitude, latitude in line.coords]
+        track.segments.append(segment)
+        file.routes.append(route)
+        file.tracks.append(track)
+    text: str = file.to_xml(version='1.1')
+    return text.encode()
