@@ -83,7 +83,7 @@ def trip(demo: Section) -> Figure:
     ):
         risk = figures.draw_ground(axes, plan.strategy, risk_map, title)
     edges = figures.draw_segments(left, network.points[network.edges],
-                                  plan.strategy.edge_probability)
+                                  plan.strategy.shown_probability)
     figures.draw_sites(left, plan.strategy)
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
     figures.draw_routes(right, [path[:, :2] for path in paths])
