@@ -74,7 +74,7 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
     low, high = result.observer_range
     notes = [
         SENSITIVITY,
-        'An observer who waits where an ambush would have cost the earlier departures most would '
+        'An observer who always waits at the place that was worst for the earlier departures would '
         f'have caused a mean loss of {result.observer_loss:.3g}. Over {result.departures} '
         f'departures drawn as published it is {low:.3g} to {high:.3g} in 9 of 10 cases: the '
         'narrower that range, the more it says about the guarantee, which is a mean over many '

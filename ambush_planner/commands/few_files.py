@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.spatial import cKDTree
 
 from ..colours import AMBUSHER, ROUTES
-from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, risk_bar
+from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, number_badge, risk_bar
 from ..planning.few_routes import FewRoutes
 from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
@@ -98,10 +98,7 @@ class FewDrawn(Drawn):
         others = others or [path[[0, -1]]]
         away, _ = cKDTree(np.concatenate(others)).query(path)
         at = away.argmax() if away.any() else len(path) // 2
-        axes.annotate(str(k + 1), path[at], ha='center', va='center', fontsize=9,
-                      weight='bold', zorder=8, bbox={
-                          'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
-                          'edgecolor': self._style(k)['color'], 'linewidth': 1.8})
+        number_badge(axes, k + 1, path[at], self._style(k)['color'])
 
     def _key(self, axes: Axes) -> None:
         lines = [Line2D([], [], **self._style(k), label=name.removeprefix('Route '))

@@ -24,6 +24,7 @@ from .inputs import (
     add_options,
     add_places,
     options_from,
+    places_on,
     risk_map_from,
 )
 from .table import PLACES_HELP, in_metres, read_places
@@ -64,13 +65,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     given = read_places(arguments.candidates) if arguments.candidates else None
     risk_map = risk_map_from(arguments.map, options.map, console)
-    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
-                         for end in ('start', 'goal'))
+    start, goal, stops = places_on(arguments, risk_map)
     with console.waiting('solving games'):
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, options.planning,
-            stops=[place.xy(risk_map) for place in arguments.via or ()],
-            candidates=in_metres(given, risk_map) if given else None)
+            stops=stops, candidates=in_metres(given, risk_map) if given else None)
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
     contents = {path: cli.as_csv(columns, rows) if path.suffix == '.csv' else

@@ -160,11 +160,23 @@ def crs_text(arguments: argparse.Namespace) -> str:
 def options_from(arguments: argparse.Namespace) -> SolveOptions:
     """The options that ``add_options`` has parsed; raises InvalidOption.
 
-    An option can be given once, by its word of ``WORDS`` or with ``--set``.
+    An option can be given once, by its word of ``WORDS`` or with ``--set``. The arguments of
+    ``add_crs`` take precedence over ``map.crs``.
     """
     words = {word: getattr(arguments, word) for word in WORDS}
-    return options_of([*arguments.set, *(f'{WORDS[word][0]}={value}'
-                                         for word, value in words.items() if value is not None)])
+    options = options_of([*arguments.set, *(f'{WORDS[word][0]}={value}'
+                                            for word, value in words.items() if value is not None)])
+    if 'crs' in arguments and (crs := crs_text(arguments)):
+        options = dataclasses.replace(options, map=dataclasses.replace(options.map, crs=crs))
+    return options
+
+
+def places_on(arguments: argparse.Namespace,
+              risk_map: RiskMap) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    """Start, goal and stops (x, y) [m] of ``add_places``; raises InvalidCoordinates."""
+    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
+                         for end in ('start', 'goal'))
+    return start, goal, [place.xy(risk_map) for place in getattr(arguments, 'via', None) or ()]
 
 
 def options_of(assignments: Sequence[str]) -> SolveOptions:
@@ -208,9 +220,7 @@ def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> Ri
 def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,
             console: Console, **more: Any) -> Plan:
     """The plan between the places of ``add_places``; ``more`` as ``plan_trip`` takes it."""
-    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
-                         for end in ('start', 'goal'))
-    stops = [place.xy(risk_map) for place in arguments.via or ()]
+    start, goal, stops = places_on(arguments, risk_map)
     try:
         with console.waiting('solving the game') as progress, warnings.catch_warnings():
             warnings.simplefilter('ignore')  # the concerns tell more

@@ -7,7 +7,6 @@ import argparse
 import math
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,8 @@ from .inputs import (
     add_crs,
     add_options,
     add_places,
-    crs_text,
     options_from,
+    places_on,
     risk_map_from,
 )
 from .judge_figure import MIN_SHARE, judge_figure
@@ -75,9 +74,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise cli.UsageError('argument --detour: the tracks set the length budget; leave it out')
     if not options.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
-    risk_map = risk_map_from(arguments.map, replace(
-        options.map, crs=crs_text(arguments) or options.map.crs), console)
-    start, goal = (place.xy(risk_map) for place in (*arguments.start, *arguments.goal))
+    risk_map = risk_map_from(arguments.map, options.map, console)
+    start, goal, _ = places_on(arguments, risk_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
     game = solved_game(risk_map, options.planning)
     near = max(game.ambush_radius, game.held_radius, NEAR * math.dist(start, goal))

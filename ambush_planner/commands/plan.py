@@ -28,7 +28,6 @@ from .inputs import (
     add_crs,
     add_options,
     add_places,
-    crs_text,
     options_from,
     planned,
     risk_map_from,
@@ -85,9 +84,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     _check(arguments)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
-    occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
-    risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
-                else risk_map_from(arguments.map, occupancy, console))
+    risk_map = (_map_of_terrain(arguments, options.map, console) if arguments.terrain
+                else risk_map_from(arguments.map, options.map, console))
     plan = planned(arguments, risk_map, options.planning, console, order=arguments.order,
                    routes=arguments.routes, equal=arguments.equal,
                    rng=np.random.default_rng(arguments.seed))

@@ -24,7 +24,7 @@ OPTIMAL = 1e-5
 
 
 def rounded(number: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits and without an exponent."""
+    """Return a number with the given significant digits and no exponent."""
     return f'{float(f"{number:.{digits}g}"):.12g}'
 
 

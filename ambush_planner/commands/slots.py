@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import re
-from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InvalidOption
@@ -21,7 +18,6 @@ from .inputs import (
     add_crs,
     add_options,
     add_places,
-    crs_text,
     options_from,
     planned,
     risk_map_from,
@@ -29,7 +25,7 @@ from .inputs import (
 
 COLUMNS = ('slot', 'share', 'value', 'lower_bound')
 EPILOG = f"""\
-An ambusher who waits in one slot cannot wait in another. Give one map for all slots, or one for
+An ambusher can wait in one slot only. Give one map for all slots, or one for
 each, if darkness or traffic change the risk. A slot is drawn with its share, then a route by that
 slot's plan. value and lower_bound are those of each slot's plan; the joint ones hold for an ambush
 that lasts --window slots in a row.
@@ -39,14 +35,6 @@ that lasts --window slots in a row.
 --json: {{"verdict", "table", "value", "lower_bound", "slots": [{{...}}]}}
 """ + cli.EXIT_CODES
 _TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
-
-
-def add_slots(parser: argparse.ArgumentParser, required: bool) -> None:
-    """Add the arguments ``--slots`` and ``--window``."""
-    parser.add_argument('--slots', nargs='+', required=required, metavar='HH:MM',
-                        help='times of departure to draw from')
-    parser.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
-                        help='number of consecutive slots that an ambush lasts (default: 1)')
 
 
 def checked_slots(slots: list[str]) -> list[str]:
@@ -66,7 +54,10 @@ def parser() -> argparse.ArgumentParser:
     made = cli.new_parser('slots', 'Choose how likely each time of departure is.', EPILOG)
     made.add_argument('maps', type=Path, nargs='+', metavar='MAP',
                       help='the risk map, or one for each slot')
-    add_slots(made, required=True)
+    made.add_argument('--slots', nargs='+', required=True, metavar='HH:MM',
+                      help='times of departure to draw from')
+    made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
+                      help='number of consecutive slots that an ambush lasts (default: 1)')
     made.add_argument('-o', '--output', type=Path, metavar='TABLE.csv', help='the table to write')
     add_places(made)
     add_crs(made)
@@ -79,10 +70,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if len(arguments.maps) not in (1, len(slots)):
         raise InvalidOption(f'give one map, or one for each of the {len(slots)} slots, got '
                             f'{len(arguments.maps)}')
-    occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     plans = []
     for path in arguments.maps:
-        risk_map = risk_map_from(path, occupancy, console)
+        risk_map = risk_map_from(path, options.map, console)
         plans.append(planned(arguments, risk_map, options.planning, console))
         for text in concerns(plans[-1]):
             console.say(f'Warning: {path}: {text}.')
@@ -98,12 +88,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                  'per departure if the ambusher knows all but the draws of slot and route')
     console.result = {'value': joint.value, 'lower_bound': joint.lower_bound, 'slots': rows}
     if arguments.output:
-        content = io.StringIO()
-        writer = csv.DictWriter(content, COLUMNS, lineterminator='\n')
-        writer.writeheader()
-        writer.writerows(rows)
         cli.write_private(arguments.output.parent,
-                          {arguments.output.name: content.getvalue().encode()})
+                          {arguments.output.name: cli.as_csv(COLUMNS, rows)})
         console.result['table'] = cli.place(arguments.output)
         console.line(console.result['table'])
     return cli.Exit.HOLDS

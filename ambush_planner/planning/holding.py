@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..arrays import sums
@@ -36,8 +37,8 @@ class Held:
     """A place to hold, with the strategy if it and all places before it are held.
 
     ``name`` is its candidate's, '' if none were given, and ``xy`` its position [m]. With any other
-    candidate instead, the value is at least ``others``; inf if there was none. Of ``candidates``
-    so many were ``solved``; the bounds rule out the rest.
+    candidate instead, the value is at least ``others``; inf if there was none. ``solved`` of the
+    ``candidates`` were solved; the bounds rule out the others.
     """
 
     name: str
@@ -61,9 +62,9 @@ class Holding:
         return self.before, *(step.strategy for step in self.steps)
 
 
-def places_to_hold(risk_map: RiskMap, start_xy: Position, goal_xy: Position, radius: float,
-                   count: int = 5, options: PlanningOptions | None = None, *,
-                   stops: Iterable[Position] = (),
+def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+                   radius: float, count: int = 5, options: PlanningOptions | None = None, *,
+                   stops: Iterable[npt.ArrayLike] = (),
                    candidates: Mapping[str, Position] | None = None) -> Holding:
     """Find up to ``count`` places to hold on a trip, as ``plan_trip`` takes it.
 

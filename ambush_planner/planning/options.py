@@ -112,7 +112,7 @@ def parts_of_cells(resolution: float, game: GameOptions) -> int:
     """Into how many parts a side of each cell is divided, whose centres are the sites.
 
     The farthest place of a part is within ``WIDENED`` times the reach from its centre, unless that
-    takes more than ``MOST_PARTS``. It is 1 if nobody waits between nodes.
+    takes more than ``MOST_PARTS``. It is 1 if ambushers wait at nodes only.
     """
     if game.ambush_radius == 0.0:
         return 1

@@ -166,8 +166,8 @@ def plan_from_request(request: PlanRequest) -> Plan:
     return replace(made, risk_map=None)  # too large to send to another process
 
 
-def trip_network(risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
-                 visited: Sequence[Position], order: str) -> Network:
+def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+                 options: NetworkOptions, visited: Sequence[npt.ArrayLike], order: str) -> Network:
     """The network of a plan that visits its stops in the sequence ``visited``."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
