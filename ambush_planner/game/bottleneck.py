@@ -19,7 +19,7 @@ NEAR_EDGES = 2.0
 # Sites are decisive from this share of the ambusher's largest probability.
 DECISIVE_SHARE = 1e-6
 # Relative tolerance of the secured value.
-SECURED_TOLERANCE = 0.01
+SECURED_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)

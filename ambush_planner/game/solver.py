@@ -48,7 +48,7 @@ PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 # Distance of places that join a program over routes, where each is a row, as a share of the reach.
 APART = 0.25
 # Rounds in which places join before the first law; more while the value is 0.
-SWEEPS, MOST_SWEEPS = 2, 20
+SWEEPS, MAX_SWEEPS = 2, 20
 # Share of the slack by which a circulation may prove less than the program says.
 UNPROVED = 0.02
 # Relative difference of bounds that is rounding of the program.
@@ -208,12 +208,12 @@ class _Search:
 
     def run(self) -> Solution:
         """Find the value, then the law."""
-        self._solve_program()
         if isinstance(self.program, Routes) and self.game.network.legs > 1:
             self._find_labels(self.program)
             if self.copied:
                 return self._solution()
-        for sweep in range(MOST_SWEEPS):
+        self._solve_program()
+        for sweep in range(MAX_SWEEPS):
             if sweep >= SWEEPS and self.program.bound > 0.0:
                 break
             chain = chain_of(self.game.network, self.program.flow)
@@ -231,6 +231,12 @@ class _Search:
 
     def _add_worst(self, chain: MarkovChain, above: float) -> int:
         """Let the places that cost a strategy more than ``above`` join; return their number."""
+        count = self._join_worst(chain, above)
+        if count:
+            self._solve_program()
+        return count
+
+    def _join_worst(self, chain: MarkovChain, above: float) -> int:
         if self.problem.ground is None:
             return 0
         apart = APART * self.game.reach if isinstance(self.program, Routes) else 0.0
@@ -238,7 +244,6 @@ class _Search:
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
-            self._solve_program()
         return len(found.points)
 
     def _add_sites(self, found: Places) -> None:
@@ -258,15 +263,33 @@ class _Search:
         return level * (most / value)
 
     def _find_labels(self, program: Routes) -> None:
-        """On a trip, a law on labelled copies of the ground."""
+        """On a trip, a law on labelled copies of the ground.
+
+        Places join a mixture of routes first, and prove its value once they have: a proof takes
+        seconds.
+        """
+        for _ in range(MAX_SWEEPS):
+            self._mix(program)
+            if not self._join_worst(program.chain, program.value * (1.0 + self.slack / 2.0)):
+                break
+        self._solve_program()
         for _ in range(ROUNDS):
             copied = law_on_copies(program, self.slack, self.problem.deadline)
             if copied is None:
                 return
             self.copied = copied
             self.best = (True, 0.0), copied.chain, copied.value, copied.worst
-            if not self._add_worst(copied.chain, program.bound * (1.0 + self.slack)):
+            mixed = program.value
+            if self._join_worst(copied.chain, copied.limit):
+                self._mix(program)
+                continue
+            self._solve_program()
+            if program.value > mixed * (1.0 - self.slack / 4.0):
                 return
+
+    def _mix(self, program: Routes) -> None:
+        with contextlib.suppress(TimeLimit, SolverFailed):
+            program.solve(prove=False)
 
     def _find_law(self, step: float) -> None:
         """Rounds of a law around the program's flow; each strategy on the way counts."""

@@ -26,7 +26,7 @@ from ...errors import SolverFailed
 from ..value.faces import Faces
 
 # Flows below this share of the largest are rounding.
-NEGLIGIBLE = 1e-13
+NEGLIGIBLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,6 +55,8 @@ class Copied:
         The trip's node that each copied node stands for, without source and target.
     value : float
         What the best ambush costs on average, each route counted once.
+    limit : float
+        What it may cost.
     worst : int
         The row of the site that costs most.
     evaluations : int
@@ -64,6 +66,7 @@ class Copied:
     chain: MarkovChain
     node: IndexArray
     value: float
+    limit: float
     worst: int
     evaluations: int
 
@@ -166,7 +169,8 @@ class _Laws:
             losses = self._losses(hits, chain)
             value = float(np.sort(losses)[len(losses) - self._ambushers :].sum())
             if best is None or value <= max(self.limit, best.value):
-                best = Copied(chain, self.node, value, int(losses.argmax()), evaluations)
+                best = Copied(chain, self.node, value, self.limit, int(losses.argmax()),
+                              evaluations)
         return best
 
     def _counted(self, hits: csr_matrix) -> csr_matrix:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 LEAST_UNIT = 1e-6
 # Share of the value, per relative gap, that all sites may cause alike.
 EVEN = 0.3
+# Share of the value from which on a site's losses are near it.
+NEAR = 0.9
 
 
 class Mixture(NamedTuple):
@@ -47,7 +49,7 @@ class Mixtures:
 
     def __init__(self, groups: int) -> None:
         self.loss, self.ambushers, self.limit, self._groups = np.zeros(0), 0, 1.0, groups
-        self._unit = 0.0
+        self._unit, self._near = 0.0, np.zeros((groups, 0), dtype=bool)
         self.routes: list[IndexArray] = []
         self._met: list[IndexArray] = []
         self._counts: list[FloatArray] = []  # what each of them counts
@@ -72,6 +74,7 @@ class Mixtures:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         met_by, count = csr_matrix(entering.T), len(self.loss)
         self.loss = np.append(self.loss, loss)
+        self._near = np.pad(self._near, ((0, 0), (0, len(loss))))
         for k, route in enumerate(self.routes):
             some, counts = met_by[route], np.zeros(len(loss))
             np.maximum.at(counts, some.indices, some.data)
@@ -83,6 +86,7 @@ class Mixtures:
         """The program over some of the routes, by their numbers."""
         some = Mixtures(self._groups)
         some.loss, some.ambushers, some.limit = self.loss, self.ambushers, self.limit
+        some._near = self._near
         for k in columns.tolist():
             some.routes.append(self.routes[k])
             some._met.append(self._met[k])
@@ -128,34 +132,50 @@ class Mixtures:
         return float(result.fun), np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
 
     def solve(self, precision: float) -> Mixture:
-        """The mixture of least value, to a relative gap of ``precision``."""
-        group, size = np.array(self._group), list(map(len, self._met))
-        count, sites = len(group), np.concatenate(self._met)
-        column = np.repeat(np.arange(count), size)
+        """The mixture of least value, to a relative gap of ``precision``.
+
+        A site has a row in the program once its losses have come near the value.
+        """
+        group, near, level = np.array(self._group), self._near.ravel(), math.inf
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > LEAST_UNIT * most else most
-        used, row = np.unique(group[column] * len(self.loss) + sites, return_inverse=True)
-        extra = len(used) * (self.ambushers > 1)
-        losses = self.loss[sites] * np.concatenate(self._counts) / unit
-        hit = csr_matrix((losses, (row.ravel(), column)), (len(used), count))
-        limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((len(used), 1))),
-                                    -identity(len(used), format='csr')[:, :extra]]))
+        hit, shares = self._hits(group) / unit, 1.0 / np.bincount(group)[group]
+        while True:
+            losses = hit @ shares
+            largest = np.sort(losses)[-self.ambushers :]
+            near = near | (losses > min(NEAR * largest.min(initial=math.inf), level))
+            result = self._solve_on(hit[near], group, precision)
+            shares, level = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
+            shares /= np.bincount(group, shares)[group]
+            if not (hit @ shares > level * (1.0 + precision))[~near].any():
+                break
+        self._near, self._unit = near.reshape(self._groups, -1), float(result.fun) * unit
+        duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
+        q[near], prices = np.split(duals, [np.count_nonzero(near)])
+        return Mixture(self._unit, shares, q.reshape(self._groups, -1), prices * unit)
+
+    def _hits(self, group: IndexArray) -> csr_matrix:
+        """The loss (groups * S, C) that each route has at each site of its group."""
+        size, sites = list(map(len, self._met)), np.concatenate(self._met)
+        column, count = np.repeat(np.arange(len(size)), size), len(self.loss)
+        losses = self.loss[sites] * np.concatenate(self._counts)
+        return csr_matrix((losses, (group[column] * count + sites, column)),
+                          (self._groups * count, len(size)))
+
+    def _solve_on(self, hit: csr_matrix, group: IndexArray, precision: float) -> OptimizeResult:
+        """Solve the program with the rows (R, C) of some sites."""
+        (rows, count), extra = hit.shape, hit.shape[0] * (self.ambushers > 1)
+        limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
+                                    -identity(rows, format='csr')[:, :extra]]))
         excess = csr_matrix(np.array(self._excess).T)
         excess.resize(excess.shape[0], limits.shape[1])
         each = csr_matrix((np.ones(count), (group, np.arange(count))),
                           (self._groups, limits.shape[1]))
         cost = np.repeat([0.0, self.ambushers, 1.0], [count, 1, extra])
-        bounds = np.repeat([0.0, self.limit], [len(used), excess.shape[0]])
-        result = _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, each,
-                                       np.ones(self._groups)), precision)
-        duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
-        q = np.zeros(self._groups * len(self.loss))
-        q[used] = duals[: len(used)]
-        shares = np.maximum(result.x[:count], 0.0)
-        shares /= np.bincount(group, shares)[group]
-        self._unit = float(result.fun) * unit
-        return Mixture(self._unit, shares, q.reshape(self._groups, -1), duals[len(used) :] * unit)
+        bounds = np.repeat([0.0, self.limit], [rows, excess.shape[0]])
+        return _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, each,
+                                     np.ones(self._groups)), precision)
 
 
 def _solved(program: highs.Program, precision: float) -> OptimizeResult:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -25,6 +26,8 @@ from ..budget import ROUNDING, Budget
 from ..certificate.best_response import Grounds
 from ..game import Game
 from ..law.acyclic import conserved_strategy
+from ..law.chain import MarkovChain
+from ..law.gibbs import AcyclicNetwork
 from .mixtures import Mixture, Mixtures
 
 # Relative gaps of the linear programs: while routes join, and once none does.
@@ -136,10 +139,24 @@ class Routes:
         assert found is not None  # a route has a share of at least one in their number
         return found
 
-    def solve(self) -> None:
+    @property
+    def chain(self) -> MarkovChain:
+        """The mixture as a chain on an acyclic network in which its routes share no node."""
+        used = [self.routes[k] for k in np.flatnonzero(self.shares > 0.0)]
+        inner = np.cumsum([0, *(len(route) - 1 for route in used)])
+        ways = [np.concatenate(([0], np.arange(a + 1, b + 1), [inner[-1] + 1]))
+                for a, b in pairwise(inner.tolist())]
+        tail, head = np.concatenate([way[:-1] for way in ways]), np.concatenate([way[1:] for way in ways])
+        p = np.repeat(self.shares[self.shares > 0.0], list(map(len, used)))
+        order = np.lexsort((head, tail))
+        network = AcyclicNetwork(tail[order], head[order], np.concatenate(used)[order])
+        return MarkovChain(network, p[order])
+
+    def solve(self, prove: bool = True) -> None:
         """Let routes join until the value is within the gap of the bound, or the deadline.
 
-        It also ends when no method finds a route that costs less.
+        It also ends when no method finds a route that costs less. Unless it is to ``prove`` the
+        value, only the fastest method is tried.
         """
         precision, rounds, turn = LOOSE, 0, FIRST_TURN
         tight = min(TIGHT, self.gap / 2.0)
@@ -154,8 +171,9 @@ class Routes:
             if precision == LOOSE:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = self._add_responses(centre, precision)
-            added = added or self._add_responses(mixture, precision)
-            if len(self._legs) > 1 and (not added or rounds == turn):
+            if prove or precision == LOOSE:
+                added = added or self._add_responses(mixture, precision)
+            if prove and len(self._legs) > 1 and (not added or rounds == turn):
                 self._separate_legs()
                 turn *= 2
             if not added and (precision == tight or self._ended()):
