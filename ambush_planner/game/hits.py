@@ -77,7 +77,7 @@ def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None)
     if not hits_can_differ(game):
         return np.asarray(game.hits[rows] @ p)
     chain = chain_of(game.network, p)
-    return chain.hits(chain.network.columns(game.hits[rows]))
+    return chain.meets(game.hits[rows])
 
 
 def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:

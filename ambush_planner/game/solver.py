@@ -39,7 +39,7 @@ from .two_routes import strategy_within_budgets
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
-from .value.routes import Progress, Routes, unseen
+from .value.routes import Progress, RouteMixture, Routes, unseen
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
@@ -47,6 +47,8 @@ LEAST_SLACK = 9e-6
 PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 # Distance of places that join a program over routes, where each is a row, as a share of the reach.
 APART = 0.25
+# Share of the time after which a program over a trip's routes ends: its law takes seconds.
+OF_TIME = 0.8
 # Rounds in which places join before the first law; more while the value is 0.
 SWEEPS, MAX_SWEEPS = 2, 20
 # Share of the slack by which a circulation may prove less than the program says.
@@ -74,8 +76,8 @@ class Places(Protocol):
 class Ground(Protocol):
     """A map on which an ambusher may wait at other places than the network's nodes."""
 
-    def worst(self, chain: MarkovChain, above: float, apart: float) -> Any:
-        """The ``Places`` that cost an acyclic strategy more than ``above``, so far apart [m]."""
+    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> Any:
+        """The ``Places`` that cost drawn routes more than ``above``, so far apart [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +192,9 @@ def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Rout
         if faces and faces.same_both_ways(budget.cost):
             yield Potential(faces, budget, gap, problem.deadline)
             return
-    yield Routes(game, binding, ROUTES_GAP * slack, problem.deadline, problem.progress)
+    now, legs = time.monotonic(), game.network.legs
+    deadline = now + (problem.deadline - now) * (OF_TIME if legs > 1 else 1.0)
+    yield Routes(game, binding, ROUTES_GAP * slack, deadline, problem.progress)
 
 
 class _Search:
@@ -236,11 +240,12 @@ class _Search:
             self._solve_program()
         return count
 
-    def _join_worst(self, chain: MarkovChain, above: float) -> int:
+    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float,
+                    apart: float = APART) -> int:
         if self.problem.ground is None:
             return 0
-        apart = APART * self.game.reach if isinstance(self.program, Routes) else 0.0
-        found = self.problem.ground.worst(chain, above, apart)
+        apart = apart * self.game.reach if isinstance(self.program, Routes) else 0.0
+        found = self.problem.ground.worst(drawn, above, apart)
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
@@ -268,10 +273,14 @@ class _Search:
         Places join a mixture of routes first, and prove its value once they have: a proof takes
         seconds.
         """
+        apart = 1.0
         for _ in range(MAX_SWEEPS):
             self._mix(program)
-            if not self._join_worst(program.chain, program.value * (1.0 + self.slack / 2.0)):
+            above = program.value * (1.0 + self.slack / 2.0)
+            if time.monotonic() > program.deadline or (
+                    not self._join_worst(program.mixture, above, apart) and apart == APART):
                 break
+            apart = max(apart / 2.0, APART)
         self._solve_program()
         for _ in range(ROUNDS):
             copied = law_on_copies(program, self.slack, self.problem.deadline)
@@ -280,6 +289,8 @@ class _Search:
             self.copied = copied
             self.best = (True, 0.0), copied.chain, copied.value, copied.worst
             mixed = program.value
+            if self._late():
+                return
             if self._join_worst(copied.chain, copied.limit):
                 self._mix(program)
                 continue
@@ -344,8 +355,10 @@ class _Search:
             self.problem.progress(law.value, self.program.bound)
 
     def _done(self) -> bool:
-        good = self.best is not None and self.best[0][0]
-        return good or time.monotonic() > self.problem.deadline
+        return self._late() or self.best is not None and self.best[0][0]
+
+    def _late(self) -> bool:
+        return time.monotonic() > self.problem.deadline
 
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""

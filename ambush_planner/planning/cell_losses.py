@@ -22,6 +22,7 @@ from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges
 from ..game.game import Game
 from ..game.law.chain import MarkovChain
+from ..game.value.routes import RouteMixture
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
 from .options import parts_of_cells
@@ -115,25 +116,25 @@ class CellSearch:
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
 
-    def worst(self, chain: MarkovChain, above: float, apart: float = 0.0,
+    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float = 0.0,
               among: IndexArray | None = None) -> Places:
-        """Places that cost an acyclic strategy more than ``above``, the worst first.
+        """Places that cost drawn routes more than ``above``, the worst first.
 
         Of each cell only the worst part is returned that was not returned before, and none within
         ``apart`` [m] of a worse one. Without ``among`` (K, 2) all cells count.
         """
-        side, p = self._first if among is None else 1, chain.uses(len(self._game.playable))
+        side, p = self._first if among is None else 1, drawn.uses(len(self._game.playable))
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
         while True:
-            blocks = self._above(blocks, side, p, chain, above)
+            blocks = self._above(blocks, side, p, drawn, above)
             if side == 1:
                 break
             blocks = self._cells.divided(blocks, side)
             side //= _DIVISION
-        return self._of_parts(blocks, p, chain, above, apart)
+        return self._of_parts(blocks, p, drawn, above, apart)
 
-    def _above(self, blocks: IndexArray, side: int, p: FloatArray, chain: MarkovChain,
-               above: float) -> IndexArray:
+    def _above(self, blocks: IndexArray, side: int, p: FloatArray,
+               drawn: MarkovChain | RouteMixture, above: float) -> IndexArray:
         """The blocks (K, 2) in which a place may cost more than ``above``."""
         loss = self._cells.of_blocks(side)[tuple(blocks.T)]
         blocks, loss = blocks[loss > above], loss[loss > above]
@@ -142,11 +143,11 @@ class CellSearch:
         blocks, loss, row = blocks[most > above], loss[most > above], row[most > above]
         if side > _DIVISION or side == self._parts == 1:
             return blocks
-        hits = chain.hits(chain.network.columns(rows[row]))
+        hits = drawn.meets(rows[row])
         return np.asarray(blocks[loss * hits > above])
 
-    def _of_parts(self, cells: IndexArray, p: FloatArray, chain: MarkovChain, above: float,
-                  apart: float) -> Places:
+    def _of_parts(self, cells: IndexArray, p: FloatArray, drawn: MarkovChain | RouteMixture,
+                  above: float, apart: float) -> Places:
         """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_cells(cells), self._parts
         parts, which = cells, np.arange(len(cells))
@@ -160,7 +161,7 @@ class CellSearch:
         most = loss[which] * np.minimum((rows @ p)[row], 1.0)
         some = np.flatnonzero((most > above) & ~np.isin(row, self._returned))
         which, points, row = which[some], points[some], row[some]
-        losses = loss[which] * chain.hits(chain.network.columns(rows[row]))
+        losses = loss[which] * drawn.meets(rows[row])
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)

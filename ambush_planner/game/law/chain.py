@@ -55,6 +55,10 @@ class MarkovChain:
         """Expected uses of each of the whole network's ``edges``."""
         return sums(self.network.edge, self.p, edges)
 
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """P(hit) (K,) by sites whose discs are entered by the whole network's edges (K, M)."""
+        return self.hits(self.network.columns(rows))
+
     @property
     def entropy(self) -> float:
         """Entropy of a drawn route [nats]."""

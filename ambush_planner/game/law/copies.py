@@ -168,6 +168,8 @@ class _Laws:
             chain = MarkovChain(self.network, found.p)
             losses = self._losses(hits, chain)
             value = float(np.sort(losses)[len(losses) - self._ambushers :].sum())
+            if (self._excess @ chain.p * (1.0 - KEPT_MARGIN) > 1.0).any():  # the time is up
+                break
             if best is None or value <= max(self.limit, best.value):
                 best = Copied(chain, self.node, value, self.limit, int(losses.argmax()),
                               evaluations)

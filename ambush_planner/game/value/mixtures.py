@@ -141,16 +141,19 @@ class Mixtures:
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > LEAST_UNIT * most else most
         hit, shares = self._hits(group) / unit, 1.0 / np.bincount(group)[group]
+        losses = hit @ shares
         while True:
-            losses = hit @ shares
             largest = np.sort(losses)[-self.ambushers :]
-            near = near | (losses > min(NEAR * largest.min(initial=math.inf), level))
+            if level < math.inf or not near.any():
+                near = near | (losses > min(NEAR * largest.min(initial=math.inf), level))
             result = self._solve_on(hit[near], group, precision)
             shares, level = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
             shares /= np.bincount(group, shares)[group]
-            if not (hit @ shares > level * (1.0 + precision))[~near].any():
+            losses = hit @ shares
+            if not (losses > level * (1.0 + precision))[~near].any():
                 break
-        self._near, self._unit = near.reshape(self._groups, -1), float(result.fun) * unit
+        self._near = (losses > NEAR * level).reshape(self._groups, -1)
+        self._unit = float(result.fun) * unit
         duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
         q[near], prices = np.split(duals, [np.count_nonzero(near)])
         return Mixture(self._unit, shares, q.reshape(self._groups, -1), prices * unit)

@@ -14,20 +14,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ...arrays import BoolArray, FloatArray, IndexArray
+from ...arrays import BoolArray, FloatArray, IndexArray, sums
 from ...errors import BudgetInfeasible
 from ..ambusher import capped_at_one
 from ..budget import ROUNDING, Budget
 from ..certificate.best_response import Grounds
 from ..game import Game
 from ..law.acyclic import conserved_strategy
-from ..law.chain import MarkovChain
-from ..law.gibbs import AcyclicNetwork
 from .mixtures import Mixture, Mixtures
 
 # Relative gaps of the linear programs: while routes join, and once none does.
@@ -140,17 +137,10 @@ class Routes:
         return found
 
     @property
-    def chain(self) -> MarkovChain:
-        """The mixture as a chain on an acyclic network in which its routes share no node."""
-        used = [self.routes[k] for k in np.flatnonzero(self.shares > 0.0)]
-        inner = np.cumsum([0, *(len(route) - 1 for route in used)])
-        ways = [np.concatenate(([0], np.arange(a + 1, b + 1), [inner[-1] + 1]))
-                for a, b in pairwise(inner.tolist())]
-        tail, head = np.concatenate([way[:-1] for way in ways]), np.concatenate([way[1:] for way in ways])
-        p = np.repeat(self.shares[self.shares > 0.0], list(map(len, used)))
-        order = np.lexsort((head, tail))
-        network = AcyclicNetwork(tail[order], head[order], np.concatenate(used)[order])
-        return MarkovChain(network, p[order])
+    def mixture(self) -> RouteMixture:
+        """The routes and their shares."""
+        used = np.flatnonzero(self.shares > 0.0)
+        return RouteMixture([self.routes[k] for k in used], self.shares[used])
 
     def solve(self, prove: bool = True) -> None:
         """Let routes join until the value is within the gap of the bound, or the deadline.
@@ -328,6 +318,30 @@ class Routes:
     def _add_way(self, leg: int, way: IndexArray) -> bool:
         excess = self.excess[:, way].sum(axis=1)
         return self._of_legs.add(way, self._whole.met(way), excess, leg)
+
+
+class RouteMixture:
+    """Routes, as edges, that are drawn with given shares (C,)."""
+
+    def __init__(self, routes: list[IndexArray], shares: FloatArray) -> None:
+        self._edge, self._shares = np.concatenate(routes), shares
+        self._route = np.repeat(np.arange(len(routes)), list(map(len, routes)))
+
+    def uses(self, edges: int) -> FloatArray:
+        """Expected uses of each of the network's ``edges``."""
+        return sums(self._edge, self._shares[self._route], edges)
+
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, M).
+
+        An upper bound if entries of one site count differently, as with less aboard on some legs.
+        """
+        one = np.ones(len(self._edge))
+        along = csr_matrix((one, (self._edge, self._route)), (rows.shape[1], len(self._shares)))
+        met = csr_matrix(rows @ along)
+        most = rows.max(axis=1).toarray().ravel() if len(rows.data) else np.zeros(rows.shape[0])
+        met.data = np.minimum(met.data, np.repeat(most, np.diff(met.indptr)))
+        return np.asarray(met @ self._shares)
 
 
 def _between(centre: Mixture, newest: Mixture) -> Mixture:
