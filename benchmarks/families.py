@@ -54,11 +54,14 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
     detour = own or float(rng.choice(DETOURS))
     count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
     options = PlanningOptions(
-        NetworkOptions('uniform_grid8' if kind == 'grid' else 'uniform_delaunay', spacing),
-        GameOptions(reach * spacing, None if held < 0.0 else held * spacing,
-                    ambushers=2 if kind == 'two' else 1),
-        StrategyOptions(max_detour=detour, max_exposure=1.1 if kind == 'budgets' else math.inf,
-                        time_limit=time_limit),
+        network=NetworkOptions(method='uniform_grid8' if kind == 'grid' else 'uniform_delaunay',
+                               spacing=spacing),
+        game=GameOptions(ambush_radius=reach * spacing,
+                         secured_radius=None if held < 0.0 else held * spacing,
+                         ambushers=2 if kind == 'two' else 1),
+        strategy=StrategyOptions(max_detour=detour,
+                                 max_exposure=1.1 if kind == 'budgets' else math.inf,
+                                 time_limit=time_limit),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '

@@ -32,7 +32,7 @@ def measure(name: str, fraction: float, tube: float | None, limit: float) -> Flo
     """The figures of a plan on the problem's map with the spacing reach / ``fraction``."""
     problem = draw(name)
     scenario, reach = problem.scenario, REACH * max(problem.scenario.risk_map.size)
-    options = replace(problem.options, game=GameOptions(reach, reach),
+    options = replace(problem.options, game=GameOptions(ambush_radius=reach, secured_radius=reach),
                       network=replace(problem.options.network, spacing=reach / fraction),
                       strategy=StrategyOptions(max_detour=DETOUR, time_limit=limit))
     options = replace(options, drive=replace(options.drive, tube=tube))
@@ -40,7 +40,8 @@ def measure(name: str, fraction: float, tube: float | None, limit: float) -> Flo
     try:
         plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, options)
         seconds = time.process_time() - begin
-        at_nodes = solve(plan.network, GameOptions(0.0, reach), options.strategy)
+        at_nodes = solve(plan.network, GameOptions(ambush_radius=0.0, secured_radius=reach),
+                         options.strategy)
     except (NoRoute, TimeLimit):
         return NO_PLAN
     found = plan.strategy

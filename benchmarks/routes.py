@@ -33,7 +33,7 @@ def figures(scenario: Scenario, departures: int, nodes: int) -> dict[str, float 
     """The means over the paths of many departures, by name; those without a target as text."""
     risk_map = scenario.risk_map
     plan = plan_trip(risk_map, scenario.start, scenario.goal,
-                     PlanningOptions(NetworkOptions(target_nodes=nodes)))
+                     PlanningOptions(network=NetworkOptions(target_nodes=nodes)))
     network, strategy = plan.network, plan.strategy
     begin = process_time()
     paths = plan.paths(departures, np.random.default_rng(0))
@@ -41,7 +41,7 @@ def figures(scenario: Scenario, departures: int, nodes: int) -> dict[str, float 
     measured = np.array([measure(path, risk_map, plan.spacing) for path in paths])
     length, turning, hairpins, near_itself, near_edge, accepted = measured.mean(axis=0)
     drawn_turning = turning_of(shortest(network))
-    cells = scenario.network(NetworkOptions('uniform_grid8', risk_map.resolution))
+    cells = scenario.network(NetworkOptions(method='uniform_grid8', spacing=risk_map.resolution))
     grid_length = distances(shortest(cells))[-1]
     means = length / grid_length, hairpins, turning / drawn_turning, near_itself, near_edge
     return dict(zip(TARGETS, means, strict=True)) | {

@@ -69,7 +69,7 @@ def make_networks(risk_map: RiskMap) -> dict[str, Network]:
     """Return the four networks of the paper's table II by name."""
     networks = {EXAMPLE: make_example()}
     for name, method in METHODS.items():
-        options = NetworkOptions(method, SPACING, seed=SEED)
+        options = NetworkOptions(method=method, spacing=SPACING, seed=SEED)
         networks[name] = build_network(risk_map, START, GOAL, options)
     return networks
 

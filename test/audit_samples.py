@@ -50,8 +50,9 @@ def parameters(**changes):
 def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
     risk_map = risk_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
-        NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
-        StrategyOptions(solver),
+        network=NetworkOptions(spacing=SPACING),
+        game=GameOptions(ambush_radius=reach, secured_radius=SECURED),
+        strategy=StrategyOptions(solver=solver),
     )
     return plan_trip(risk_map, start, GOAL, options)
 

@@ -31,7 +31,8 @@ from ambush_planner.planning.path_mixtures import MAX_GAP
 CRS = 'EPSG:32616'
 ORIGIN = np.array([740000.0, 4050000.0])
 REACH, NEAR = 2.0, 2.6
-OPTIONS = PlanningOptions(NetworkOptions(spacing=2.5), GameOptions(ambush_radius=REACH))
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.5),
+                          game=GameOptions(ambush_radius=REACH))
 ENDS = np.array(START), np.array(GOAL)
 find = partial(find_trips, start=ENDS[0], goal=ENDS[1], near=NEAR, reach=REACH)
 

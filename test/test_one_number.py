@@ -30,7 +30,8 @@ from ambush_planner.recordings.strategy_file import strategy_file, strategy_from
 
 YARD = Path(__file__).parents[1] / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
-OPTIONS = PlanningOptions(NetworkOptions(target_nodes=120), GameOptions(ambush_radius=2.0))
+OPTIONS = PlanningOptions(network=NetworkOptions(target_nodes=120),
+                          game=GameOptions(ambush_radius=2.0))
 SET = ('--set', 'network.target_nodes=120', 'game.ambush_radius=2')
 
 

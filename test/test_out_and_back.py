@@ -22,8 +22,8 @@ from ambush_planner.ros.markers import ambush_sites
 @pytest.fixture(scope='module')
 def plan():
     """Without a reach, the best ambusher waits at the same places for both legs."""
-    options = PlanningOptions(NetworkOptions(spacing=1.6 * SPACING),
-                              GameOptions(secured_radius=SECURED, ambushers=2))
+    options = PlanningOptions(network=NetworkOptions(spacing=1.6 * SPACING),
+                              game=GameOptions(secured_radius=SECURED, ambushers=2))
     risk_map = risk_from_occupancy(occupancy(), 5.0)
     return plan_trip(risk_map, START, START, options, stops=[GOAL])
 

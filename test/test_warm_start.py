@@ -40,8 +40,8 @@ def solve_on_network(risk_map, options, warm=None):
 )
 def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     options = PlanningOptions(
-        NetworkOptions(spacing=1.0), GameOptions(ambush_radius=reach),
-        StrategyOptions(max_detour=detour),
+        network=NetworkOptions(spacing=1.0), game=GameOptions(ambush_radius=reach),
+        strategy=StrategyOptions(max_detour=detour),
     )
     before = solve_on_network(ground(seed), options)
     newest = ground(seed, changed)
@@ -56,7 +56,7 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
 
 
 def test_multipliers_come_from_the_nearest_node():
-    made = plan_trip(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
+    made = plan_trip(ground(1), *ENDS, PlanningOptions(network=NetworkOptions(spacing=1.0)))
     two_nodes = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     ends = Network(np.array(ENDS), np.zeros(2), [[0, 1]], 0, 1)
     found = WarmStart(ends, two_nodes).on(made.network)

@@ -33,7 +33,7 @@ class OccupancyMap:
     crs: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OccupancyOptions:
     """How values of an occupancy grid are converted to losses.
 

@@ -39,7 +39,7 @@ OBSTACLE, UNKNOWN = 100, -1
 FULL_DEPTH = 0.4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TerrainOptions:
     """How terrain is converted to risk.
 

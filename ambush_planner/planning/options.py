@@ -24,7 +24,7 @@ ROAD_TUBE = 1.0
 LARGEST_TOLERANCE = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DriveOptions:
     """Options that turn a drawn route into the driven path; raises InvalidOption.
 
@@ -60,7 +60,7 @@ class DriveOptions:
         check_at_least('tracking_error', self.tracking_error, 0.0, 'm')
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlanningOptions:
     """All options of a plan.
 

@@ -107,7 +107,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     >>> import numpy as np
     >>> from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
     >>> risk_map = RiskMap(np.ones((12, 24)), np.zeros((12, 24), bool), resolution=1.0)
-    >>> options = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=1.0))
+    >>> options = PlanningOptions(network=NetworkOptions(spacing=2.0),
+    ...                           game=GameOptions(ambush_radius=1.0))
     >>> plan = plan_trip(risk_map, (2.0, 6.0), (22.0, 6.0), options)
     >>> plan.lower_bound <= plan.value <= 1.0101 * plan.lower_bound
     True
