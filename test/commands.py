@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run commands and benchmarks in this process, which is faster than to start Python."""
+"""Run commands in this process, which is faster than to start Python."""
 
 import re
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
-from pathlib import Path
 from types import SimpleNamespace
-
-BENCHMARKS = Path(__file__).resolve().parent.parent / 'benchmarks'
 
 
 def run_here(tool, *arguments):

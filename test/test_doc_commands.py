@@ -62,19 +62,6 @@ def test_options_of_commands_exist():
             assert name not in known or used <= known[name], line
 
 
-def test_launch_arguments_and_enclaves_exist():
-    from xml.etree import ElementTree
-
-    launch = ElementTree.parse(ROOT / 'launch/ambush_planner.launch.xml').getroot()
-    declared = {each.get('name') for each in launch.findall('arg')}
-    assert set(re.findall(r'(\w+):=', blocks('nav2.md')[0])) <= declared
-    policy = ElementTree.parse(ROOT / 'config/ambush_planner.policy.xml').getroot()
-    enclaves = {each.get('path') for each in policy.iter('enclave')}
-    made, started = blocks('security.md')
-    assert set(re.search('in (.*); do', made)[1].split()) == enclaves
-    assert set(re.findall(r'(?:enclave |OVERRIDE=)(\S+)', started)) <= enclaves
-
-
 @pytest.mark.slow
 def test_the_commands_of_the_python_page_work(tmp_path):
     rasterio = pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')

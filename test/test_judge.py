@@ -18,8 +18,7 @@ import shapely
 from audit_samples import departure, drawn, record, sample_plan
 from commands import run_here
 from gpxpy import gpx
-from test_gis_docs import DOCS
-from track_samples import GOAL, HABIT, START, driven, habit, yard_trips
+from track_samples import GOAL, HABIT, START, driven, habit
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap
 from ambush_planner.commands import judge as command
@@ -254,7 +253,3 @@ def test_what_cannot_be_judged_is_said_in_a_sentence(map_file, tmp_path, argumen
     done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *arguments)
     assert (done.code, reason in done.out + done.err) == (code, True), done.err
     assert 'Traceback' not in done.err and not (tmp_path / 'judge.png').exists()
-
-
-def test_the_example_of_the_page_is_made_by_its_sample():
-    assert (DOCS / 'yard_trips.csv').read_text() == yard_trips()

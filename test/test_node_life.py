@@ -21,7 +21,6 @@ from ros_harness import (
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.planning.changed_ground import Assessment
-from ambush_planner.ros import plan_cache
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.worker.solve_errors import SolveCancelled
@@ -98,13 +97,3 @@ def test_clear_routes_that_exceed_the_length_budget_are_a_warning():
     assert reported.level == DiagnosticStatus.WARN
     assert all(word in reported.message for word in ('the map has changed', '150 m', '120 m'))
     assert {each.key: each.value for each in reported.values}['current_length'] == '150'
-
-
-def test_ground_that_changes_too_fast_is_reported(monkeypatch):
-    """A departure gives up if every plan is out of date before it is solved."""
-    monkeypatch.setattr(plan_cache.CachedPlan, 'fit', lambda *_: None)
-    with stage() as running:
-        answer = running.give().call('new_route')
-        assert not answer.success
-        assert 'in a row were out of date' in answer.message
-        running.client.diagnostics(code='OUT_OF_DATE')

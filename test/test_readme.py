@@ -20,10 +20,6 @@ COMMANDS, PYTHON = (re.search(rf'(?ms)^```{kind}\n(.*?)^```$', TEXT)[1]
 ROS = re.search(r'(?ms)^```sh\n(.*?)^```$', (ROOT / 'docs/ros_interface.md').read_text())[1]
 
 
-def test_it_is_short():
-    assert len(TEXT.splitlines()) <= 80
-
-
 def named_value():
     return float(re.search(r'(?m)^value +([\d.]+):', TEXT)[1])
 

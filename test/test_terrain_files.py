@@ -8,7 +8,7 @@ import yaml
 from commands import run_here
 
 from ambush_planner.commands import terrain
-from ambush_planner.maps import InvalidTerrain, elevation_file
+from ambush_planner.maps import InvalidTerrain
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.map_file import read_map, write_map
 from ambush_planner.maps.occupancy import OccupancyMap
@@ -97,12 +97,6 @@ def test_a_geotiff_with_a_system_of_its_own_has_an_unknown_one(tmp_path):
     path = write_geotiff(tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'LOCAL_CS["site"]',
                          (10, 0, 0, 0, -10, 0))
     assert read_raster(path).crs is None
-
-
-def test_rejects_arrays_that_are_too_large_before_loading_them(tmp_path, monkeypatch):
-    monkeypatch.setattr(elevation_file, 'MAX_CELLS', 1000)
-    with pytest.raises(InvalidTerrain, match='limit of 1000 cells; crop'):
-        read_raster(save(tmp_path / 'a.npz', elevation=np.zeros((40, 40)), resolution=1.0))
 
 
 @pytest.mark.parametrize(('crs', 'transform', 'reason'), [

@@ -6,7 +6,6 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from ros_harness import risk_grid, stage
 
 from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
 from ambush_planner.game.solver import Multipliers
@@ -15,7 +14,6 @@ from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.planning.trip import plan_trip
-from ambush_planner.worker.process import WorkerProcess
 
 ENDS = (1.5, 5.0), (10.5, 7.0)
 
@@ -66,20 +64,3 @@ def test_multipliers_come_from_the_nearest_node():
     assert found.budgets == (3.0, 4.0)
     multipliers = made.strategy.multipliers
     assert WarmStart(made.network, multipliers).on(made.network) is multipliers
-
-
-def test_the_node_solves_a_stale_strategy_from_its_multipliers(monkeypatch):
-    given, solve = [], WorkerProcess.solve
-    monkeypatch.setattr(
-        WorkerProcess, 'solve', lambda *asked: (given.append(asked[1]), solve(*asked))[1],
-    )
-    values = np.full((20, 20), 10, dtype=np.int8)
-    with stage() as running:
-        client = running.give(risk_grid(values))
-        assert client.call('new_route').success
-        costly = values.copy()
-        costly[:, 8:12] = 60
-        client.publish('alpha_map', risk_grid(costly))
-        client.last('edge_probabilities', 2)
-        client.diagnostics(stale='no')
-    assert given[0].warm is None and given[-1].warm.multipliers.sites.any()

@@ -21,7 +21,7 @@ from ..worker.solve_errors import forget_frames, unexpected
 from .departure_record import Departure, attachments, metadata_entries, recorded_messages
 
 # Departures that may wait for the disk: few enough to be written when the node shuts down.
-_MOST_WAITING = 4
+_MAX_WAITING = 4
 # Longest time [s] that a departure waits for room in the queue.
 _PATIENCE = 2.0
 
@@ -65,7 +65,7 @@ class Recordings:
                 return written
         self._finish(written, RecordingFailed(
             Path(self._options.directory),
-            f'the disk does not respond, and {_MOST_WAITING} departures wait for it; departure '
+            f'the disk does not respond, and {_MAX_WAITING} departures wait for it; departure '
             f'{departure.number} is not recorded',
         ))
         return written
@@ -86,7 +86,7 @@ class Recordings:
 
     @property
     def _full(self) -> bool:
-        return len(self._unwritten) >= _MOST_WAITING
+        return len(self._unwritten) >= _MAX_WAITING
 
     def _work(self) -> None:
         if self._options.enabled:
