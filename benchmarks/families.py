@@ -7,11 +7,14 @@ places, reach, held ground and detour are drawn. Each layer of a trip has about 
 
 from __future__ import annotations
 
+import argparse
 import math
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from report import new_parser
 from scenarios import Scenario, block, city, maze, nearest_free, terrain
 from scipy.ndimage import gaussian_filter, label
 
@@ -41,8 +44,8 @@ class Problem:
     words: str
 
 
-def draw(name: str, time_limit: float = math.inf) -> Problem:
-    """The problem ``kind:family:nodes:seed``, within a time limit [s]."""
+def draw(name: str) -> Problem:
+    """The problem ``kind:family:nodes:seed``."""
     kind, family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
     fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
@@ -60,8 +63,7 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
                          secured_radius=None if held < 0.0 else held * spacing,
                          ambushers=2 if kind == 'two' else 1),
         strategy=StrategyOptions(max_detour=detour,
-                                 max_exposure=1.1 if kind == 'budgets' else math.inf,
-                                 time_limit=time_limit),
+                                 max_exposure=1.1 if kind == 'budgets' else math.inf),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '
@@ -202,3 +204,14 @@ FAMILIES: dict[str, Family] = {
     'terrain': _between_random_ends(lambda *_: terrain()),
     'block': lambda _, cells: (_across(block(cells).alpha, block(cells).obstacles), None),
 }
+
+
+def problem_parser(description: str | None) -> argparse.ArgumentParser:
+    """A command line with ``--families``, ``--each``, ``--seed`` and ``--limit``."""
+    parser = new_parser(description)
+    parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
+    parser.add_argument('--each', type=int, default=2, help='problems of each family')
+    parser.add_argument('--seed', type=int, default=secrets.randbelow(10**9),
+                        help='the first seed, new in each run')
+    parser.add_argument('--limit', type=float, default=300.0, help='of each problem [s]')
+    return parser

@@ -8,14 +8,13 @@ paths by as much again.
 
 from __future__ import annotations
 
-import secrets
 import time
 from dataclasses import replace
 
 import numpy as np
-from families import FAMILIES, draw
+from families import draw, problem_parser
 from one_run import Answer, run
-from report import conditions, new_parser, publish, quantiles, table
+from report import conditions, publish, quantiles, table
 
 from ambush_planner import AmbushPlannerError, plan_trip
 from ambush_planner.planning.few_routes import CURVE, few_routes
@@ -46,13 +45,9 @@ def compared(name: str) -> Answer:
 
 
 def main() -> None:
-    parser = new_parser(__doc__)
-    parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
-    parser.add_argument('--each', type=int, default=2, help='problems of each family')
-    parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
-    parser.add_argument('--limit', type=float, default=300.0, help='of each problem [s]')
+    parser = problem_parser(__doc__)
     options = parser.parse_args()
-    first = options.seed or secrets.randbelow(10**9)
+    first = options.seed
     nodes = np.random.default_rng(first)
     names = [f'plan:{family}:{nodes.integers(MIN_NODES, MAX_NODES)}:{seed}'
              for family in options.families for seed in range(first, first + options.each)]

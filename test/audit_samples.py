@@ -18,8 +18,8 @@ from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import RecordedMessage, type_name
+from ambush_planner.recordings.attachments import strategy_file
 from ambush_planner.recordings.recording_file import encode
-from ambush_planner.recordings.strategy_file import strategy_file
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
 START_NS = 1_700_000_000_000_000_000

@@ -31,7 +31,7 @@ from ambush_planner.recordings import type_name
 from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
-from ambush_planner.ros.qos import REQUESTS
+from ambush_planner.ros.topics import REQUESTS
 from ambush_planner.worker import solve_queue
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -6,7 +6,7 @@ import pytest
 from games import terrain_network
 
 from ambush_planner import GameOptions, StrategyOptions, solve
-from ambush_planner.recordings.strategy_file import NUMBERS, strategy_file, strategy_from_file
+from ambush_planner.recordings.attachments import NUMBERS, strategy_file, strategy_from_file
 
 
 @pytest.mark.parametrize(('solver', 'radius'), [('max_entropy', 1.0), ('simplex', 0.0)])

@@ -68,8 +68,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         World positions [m].
     order
         'given', or 'best': the order of least value within the budget of ``max_detour`` times the
-        shortest way in any order. For up to ``MAX_COMPARED`` stops, no other order is better by more
-        than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
+        shortest way in any order. For up to ``MAX_COMPARED`` stops, no other order is better by
+        more than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
         'best'). With more stops, or if the time limit passes, the order is a short one or the best
         so far ('heuristic').
     warm

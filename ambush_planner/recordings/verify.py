@@ -31,6 +31,7 @@ from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.plan import Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
+from .attachments import NUMBERS
 from .recorded_departure import (
     RecordedDeparture,
     RecordedTrip,
@@ -41,7 +42,6 @@ from .recorded_departure import (
 from .recorded_departures import MIN_BITS, source_findings
 from .recording_errors import UnreadableRecording
 from .recording_file import read_recording
-from .strategy_file import NUMBERS
 
 # Rounding between releases of numpy and scipy, relative and absolute.
 _TOLERANCE = 1e-9

@@ -41,9 +41,9 @@ from .error_codes import FrameMismatch, GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, Fit, PlanCache
-from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
+from .topics import Publishers
 
 # Time from the start of the shutdown to the end of the last recording [s]; half of the time in
 # which the node has to end.

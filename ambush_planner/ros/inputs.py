@@ -19,7 +19,7 @@ from .conversions import pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
 from .error_codes import FrameMismatch, NoGoal, NoMap, NoStart
 from .parameter_changes import NodeSettings
-from .qos import LATEST
+from .topics import LATEST
 from .transforms import FrameTransforms
 
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.

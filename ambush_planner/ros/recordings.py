@@ -15,8 +15,8 @@ from ..errors import AmbushPlannerError
 from ..planning.node_parameters import RecordingOptions
 from ..planning.plan import Plan
 from ..recordings import Recorder, RecordingFailed
+from ..recordings.attachments import strategy_file
 from ..recordings.recorder import remove_abandoned
-from ..recordings.strategy_file import strategy_file
 from ..worker.solve_errors import forget_frames, unexpected
 from .departure_record import Departure, attachments, metadata_entries, recorded_messages
 

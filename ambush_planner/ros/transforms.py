@@ -25,7 +25,7 @@ from ..maps.tf_buffer import (
 from .conversions import installed_type
 from .error_codes import FrameMismatch
 from .listener import Listener
-from .qos import TF, TF_STATIC
+from .topics import TF, TF_STATIC
 
 # Maximum length of a frame's name in messages [characters].
 _MAX_SHOWN = 80
