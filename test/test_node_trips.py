@@ -3,13 +3,12 @@
 
 import numpy as np
 import pytest
-from commands import run_here
 from forging import Forger
 from geometry_msgs.msg import PoseArray
 from rclpy.parameter import Parameter
 from ros_harness import header, pose, stage, wait_until
 
-from ambush_planner.commands import replay, verify
+from ambush_planner.commands import verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.ros.inputs import MAX_STOPS
@@ -99,16 +98,6 @@ def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
     forger.set_arrays(places=np.arange(len(leg)), leg=0 * leg)
     assert verify.main([str(forger.save(tmp_path / 'forged.mcap'))]) != 0
     assert 'FAILS' in capsys.readouterr().out
-
-
-def test_a_replayed_trip_is_planned_again(runs, monkeypatch):
-    with stage(parameters=SPACING) as running:
-        domain = running.client.node.context.get_domain_id()
-        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-        assert run_here(replay, by_stops(runs[0]), '--inputs-only').code == 0
-        running.client.diagnostics(state='ready')
-        assert running.client.call('new_route').success
-        wait_until(lambda: stops_shown(running.client) == 3, 'the stops')
 
 
 @pytest.mark.parametrize(('stops', 'frame', 'code', 'words'), [

@@ -23,7 +23,7 @@ from ..maps.grid_references import mgrs_references, true_bearings, utm_reference
 from ..maps.risk_map import RiskMap
 from ..routes.legs import bearings, distances_along, held_stretches, way_points
 from .cli import Console, resource
-from .report_words import distance, rounded
+from .console import distance, rounded
 
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
