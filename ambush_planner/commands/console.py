@@ -86,7 +86,7 @@ class Console:
 
     @contextmanager
     def waiting(self, what: str) -> Iterator[Callable[[float, float], None]]:
-        """Say after two seconds, and again whenever the time has doubled, what takes so long.
+        """Print what takes so long after two seconds, then at doubling intervals.
 
         Yields a function that takes the value and the bound so far.
         """

@@ -28,7 +28,7 @@ from .cli import Console, count, write_private
 from .console import percent, travel
 
 SHEET = '.json'
-# Most routes with a panel each, and most in the legend.
+# Maximum number of routes with a panel each, and in the legend.
 MAX_PANELS, MAX_KEYS = 6, 20
 # Line styles, one after another when all colours have been used.
 _STYLES = ('solid', 'dashed', 'dotted', 'dashdot')

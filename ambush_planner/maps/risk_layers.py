@@ -6,9 +6,8 @@ top to bottom:
 
 * ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
   that are too steep or unknown are obstacles.
-* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre, then
-multiplies
-  by its ``factor``.
+* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre,
+  then multiplies by its ``factor``.
 * ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
   with the same value count once.
 * ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of

@@ -26,7 +26,7 @@ from ..routes.driven_path import driven_paths
 from .path_mixtures import PathMixture, PathMixtures, best_shares
 from .plan import DRAWN, Plan
 
-# Most routes; with more, draw from the plan itself.
+# Maximum number of routes; with more, draw from the plan itself.
 MAX_ROUTES = 100
 # Numbers of routes whose values make the curve.
 CURVE = (1, 2, 4, 6, 10, 20)
@@ -39,7 +39,7 @@ MIN_SHARE, MIN_GAIN, MAX_EXCESS = 1e-9, 2e-3, 5e-3
 JOIN, LEAVE = 4, 3
 # Sites with which a linear program begins, those that join at once, and its relative precision.
 FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
-# Most rounds of exchanges and judgements on the map.
+# Maximum number of rounds of exchanges and judgements on the map.
 ROUNDS = 5
 # How much sites below the worst one count in equal shares, from first to last, as a share of the
 # value; and how much a budget's overrun counts, in values: more than any gain.

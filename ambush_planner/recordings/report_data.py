@@ -22,7 +22,7 @@ from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
-# Most cells of a map in each direction; of larger maps blocks of cells show their worst loss.
+# Maximum cells of a map in each direction; of larger maps blocks show their worst loss.
 MAX_CELLS = 2000
 # Number of obstacle cells; smaller numbers are indices into the losses.
 OBSTACLE = 255

@@ -42,7 +42,7 @@ class Recordings:
         # The first one is being written.
         self._unwritten: deque[tuple[Departure, Future[None]]] = deque()
         self._condition = Condition()
-        # Whether the disk has kept a departure waiting in vain since the last write.
+        # True after a departure timed out on the disk, until the next write.
         self._stuck = False
         self._hurry = self._closing = False
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
