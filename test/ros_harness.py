@@ -41,9 +41,17 @@ FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
 # About 100 nodes: a solve takes milliseconds.
 SMALL = {'network.spacing': 1.0}
+# A solve of minutes, which the tests cancel.
+LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
 # Higher ones are the demo's (commands/node_process.py). The graph shows the node of an earlier test
 # until Python has freed it, so tests do not use the same domain one after the other.
 DOMAINS = itertools.cycle(random.sample(range(1, 51), 50))
+
+
+def threads():
+    """Names of the running threads of planner nodes."""
+    names = ('solves', 'departures', 'recordings', '_ambush_planner_tf')
+    return [each.name for each in threading.enumerate() if each.name.startswith(names)]
 
 
 @contextmanager

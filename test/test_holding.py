@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run_here
+from commands import run_here, run_script
 from games import examples, planar_network, routes_of, value_by_routes
 from hypothesis import given
 from hypothesis import strategies as st
-from test_doc_commands import run as run_script
 
 from ambush_planner import (
     GameOptions,

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
-import threading
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -16,6 +15,7 @@ from ros_harness import (
     ros_context,
     spinning,
     stage,
+    threads,
     wait_until,
 )
 
@@ -45,11 +45,6 @@ def test_an_executor_with_several_threads_works():
                 wait_until(lambda: all(each.done() for each in futures), 'the answers')
                 assert client.call('new_route').success
                 assert client.call('replan').success
-
-
-def threads():
-    names = ('solves', 'departures', 'recordings', '_ambush_planner_tf')
-    return [each.name for each in threading.enumerate() if each.name.startswith(names)]
 
 
 def test_a_start_that_fails_leaves_nothing():
