@@ -40,7 +40,7 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -q -n -W --keep-going -c docs/sphinx . out/docs
 	cp out/docs/README.html out/docs/index.html
 
-# Test files run in parallel. test/watchdog.py ends a run that hangs or loses a worker.
+# Test files run in parallel; a run that loses a worker ends.
 PARALLEL := -n auto --dist loadfile --max-worker-restart 0
 
 # pytest fails with exit code 5 if it finds no test.
@@ -53,7 +53,7 @@ lint: $(VENV)/.test
 
 # A missed latency target does not stop the benchmarks that follow.
 benchmark: $(VENV)/.test
-	$(BIN)/python benchmarks/solver.py --early --changes 50 --peers
+	$(BIN)/python benchmarks/solver.py --peers
 	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/few.py
 	$(BIN)/python benchmarks/random_games.py --count 200
@@ -65,8 +65,8 @@ benchmark: $(VENV)/.test
 
 endurance: $(VENV)/.test
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -k kill --kills 100 --timeout 3600 \
-		-o session_limit=3600 test/test_recorder.py
-	HUNT=25 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_limit=7200 \
+		-o session_timeout=3600 test/test_recorder.py
+	HUNT=25 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_timeout=7200 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py
 	$(BIN)/python benchmarks/node_soak.py

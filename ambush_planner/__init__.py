@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
+"""Unpredictable routes on a risk map, with a certified bound on the loss from an ambush."""
 
 from importlib.metadata import version as _version
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How records show themselves in a Python prompt and in a notebook."""
+"""Text and HTML representations of result records."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Shown:
-    """A record that shows itself in one line, without the contents of its arrays."""
+    """Result record with a one-line repr, without the contents of its arrays."""
 
     def _summary(self) -> dict[str, str]:
         """Return what is shown, as text, by its names: by default all fields."""

@@ -7,11 +7,14 @@ places, reach, held ground and detour are drawn. Each layer of a trip has about 
 
 from __future__ import annotations
 
+import argparse
 import math
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from report import new_parser
 from scenarios import Scenario, block, city, maze, nearest_free, terrain
 from scipy.ndimage import gaussian_filter, label
 
@@ -26,7 +29,7 @@ OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
 CELLS_PER_NODE = 1.3, 6.0
 # Largest reach, as a share of the distance from start to goal: held ground leaves some ground.
-MOST_REACH = 0.2
+MAX_REACH = 0.2
 
 Position = tuple[float, float]
 
@@ -41,8 +44,8 @@ class Problem:
     words: str
 
 
-def draw(name: str, time_limit: float = math.inf) -> Problem:
-    """The problem ``kind:family:nodes:seed``, within a time limit [s]."""
+def draw(name: str) -> Problem:
+    """The problem ``kind:family:nodes:seed``."""
     kind, family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
     fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
@@ -54,11 +57,13 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
     detour = own or float(rng.choice(DETOURS))
     count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
     options = PlanningOptions(
-        NetworkOptions('uniform_grid8' if kind == 'grid' else 'uniform_delaunay', spacing),
-        GameOptions(reach * spacing, None if held < 0.0 else held * spacing,
-                    ambushers=2 if kind == 'two' else 1),
-        StrategyOptions(max_detour=detour, max_exposure=1.1 if kind == 'budgets' else math.inf,
-                        time_limit=time_limit),
+        network=NetworkOptions(method='uniform_grid8' if kind == 'grid' else 'uniform_delaunay',
+                               spacing=spacing),
+        game=GameOptions(ambush_radius=reach * spacing,
+                         secured_radius=None if held < 0.0 else held * spacing,
+                         ambushers=2 if kind == 'two' else 1),
+        strategy=StrategyOptions(max_detour=detour,
+                                 max_exposure=1.1 if kind == 'budgets' else math.inf),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '
@@ -78,7 +83,7 @@ def _reach_and_held(kind: str, rng: np.random.Generator, scenario: Scenario,
     if kind == 'nodes':
         return 0.0, 0.03 * max(scenario.risk_map.size) / spacing
     if kind == 'plan':
-        most = MOST_REACH * math.dist(scenario.start, scenario.goal) / spacing
+        most = MAX_REACH * math.dist(scenario.start, scenario.goal) / spacing
         reach = float(rng.uniform(1.0, max(min(6.0, most), 1.0)))
         return reach, float(rng.choice([-1.0, reach, 2.0 * reach]))
     reach = float(rng.integers(1 if kind == 'grid' else 0, 4))
@@ -199,3 +204,14 @@ FAMILIES: dict[str, Family] = {
     'terrain': _between_random_ends(lambda *_: terrain()),
     'block': lambda _, cells: (_across(block(cells).alpha, block(cells).obstacles), None),
 }
+
+
+def problem_parser(description: str | None) -> argparse.ArgumentParser:
+    """A command line with ``--families``, ``--each``, ``--seed`` and ``--limit``."""
+    parser = new_parser(description)
+    parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
+    parser.add_argument('--each', type=int, default=2, help='problems of each family')
+    parser.add_argument('--seed', type=int, default=secrets.randbelow(10**9),
+                        help='the first seed, new in each run')
+    parser.add_argument('--limit', type=float, default=300.0, help='of each problem [s]')
+    return parser

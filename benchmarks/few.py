@@ -8,19 +8,18 @@ paths by as much again.
 
 from __future__ import annotations
 
-import secrets
 import time
 from dataclasses import replace
 
 import numpy as np
-from families import FAMILIES, draw
+from families import draw, problem_parser
 from one_run import Answer, run
-from report import conditions, new_parser, publish, quantiles, table
+from report import conditions, publish, quantiles, table
 
 from ambush_planner import AmbushPlannerError, plan_trip
 from ambush_planner.planning.few_routes import CURVE, few_routes
 
-LEAST_NODES, MOST_NODES = 400, 1000
+MIN_NODES, MAX_NODES = 400, 1000
 
 
 def compared(name: str) -> Answer:
@@ -46,15 +45,11 @@ def compared(name: str) -> Answer:
 
 
 def main() -> None:
-    parser = new_parser(__doc__)
-    parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
-    parser.add_argument('--each', type=int, default=2, help='problems of each family')
-    parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
-    parser.add_argument('--limit', type=float, default=300.0, help='of each problem [s]')
+    parser = problem_parser(__doc__)
     options = parser.parse_args()
-    first = options.seed or secrets.randbelow(10**9)
+    first = options.seed
     nodes = np.random.default_rng(first)
-    names = [f'plan:{family}:{nodes.integers(LEAST_NODES, MOST_NODES)}:{seed}'
+    names = [f'plan:{family}:{nodes.integers(MIN_NODES, MAX_NODES)}:{seed}'
              for family in options.families for seed in range(first, first + options.each)]
     answers = [run('few.compared', name, options.limit) for name in names]
     found = [answer for answer in answers if 'failed' not in answer]
@@ -64,7 +59,7 @@ def main() -> None:
                           for ratio in ratios.values())] for k, size in enumerate(CURVE)]
     head = ('routes, median / worst', *ratios)
     publish(options.results, 'few', (
-        f'{len(found)} of {len(names)} problems of {LEAST_NODES} to {MOST_NODES} nodes, seeds '
+        f'{len(found)} of {len(names)} problems of {MIN_NODES} to {MAX_NODES} nodes, seeds '
         f'{first} to {first + options.each - 1}. {conditions()}.\n\n{table(head, rows)}\n\n'
         'Processor seconds, median / 95 % / worst: plan '
         f'{quantiles([each["seconds"] for each in found])}; all {len(CURVE)} mixtures '

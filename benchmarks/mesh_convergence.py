@@ -2,19 +2,18 @@
 """Plans for one reach on coarser and coarser networks: how fine is fine enough?
 
 Map, reach, held ground and detour stay the same, and the spacing is a share of the reach. Values
-include the tube, which grows with the spacing; ``--tube 0`` keeps it out. Without a reach the value
-depends on the mesh and tends to 0 on finer ones. Seeds are new in each run and printed.
+include the tube, which grows with the spacing. Without a reach the value depends on the mesh and
+tends to 0 on finer ones. Seeds are new in each run and printed.
 """
 
 from __future__ import annotations
 
-import secrets
 import time
 from dataclasses import replace
 
 import numpy as np
-from families import draw
-from report import conditions, new_parser, publish, table
+from families import draw, problem_parser
+from report import conditions, publish, table
 
 from ambush_planner import GameOptions, NoRoute, StrategyOptions, TimeLimit, plan_trip, solve
 from ambush_planner.arrays import FloatArray
@@ -28,19 +27,19 @@ DETOUR = 1.5  # a budget that seldom raises the value
 NO_PLAN = np.full(6, np.nan)
 
 
-def measure(name: str, fraction: float, tube: float | None, limit: float) -> FloatArray:
+def measure(name: str, fraction: float, limit: float) -> FloatArray:
     """The figures of a plan on the problem's map with the spacing reach / ``fraction``."""
     problem = draw(name)
     scenario, reach = problem.scenario, REACH * max(problem.scenario.risk_map.size)
-    options = replace(problem.options, game=GameOptions(reach, reach),
+    options = replace(problem.options, game=GameOptions(ambush_radius=reach, secured_radius=reach),
                       network=replace(problem.options.network, spacing=reach / fraction),
                       strategy=StrategyOptions(max_detour=DETOUR, time_limit=limit))
-    options = replace(options, drive=replace(options.drive, tube=tube))
     begin = time.process_time()
     try:
         plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, options)
         seconds = time.process_time() - begin
-        at_nodes = solve(plan.network, GameOptions(0.0, reach), options.strategy)
+        at_nodes = solve(plan.network, GameOptions(ambush_radius=0.0, secured_radius=reach),
+                         options.strategy)
     except (NoRoute, TimeLimit):
         return NO_PLAN
     found = plan.strategy
@@ -49,18 +48,14 @@ def measure(name: str, fraction: float, tube: float | None, limit: float) -> Flo
 
 
 def main() -> None:
-    parser = new_parser(__doc__)
-    parser.add_argument('--families', nargs='+', default=list(FAMILIES))
+    parser = problem_parser(__doc__)
+    parser.set_defaults(families=FAMILIES)
     parser.add_argument('--fractions', type=float, nargs='+', default=list(FRACTIONS),
                         help='reach over spacing, the finest first')
-    parser.add_argument('--each', type=int, default=2, help='maps of each family')
-    parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
-    parser.add_argument('--tube', type=float, help='of the path [m], in place of the default')
-    parser.add_argument('--limit', type=float, default=300.0, help='of each solve [s]')
     options = parser.parse_args()
-    first = options.seed or secrets.randbelow(10**9)
+    first = options.seed
     names = [f'plan:{f}:{NODES}:{first + k}' for f in options.families for k in range(options.each)]
-    found = np.array([[measure(name, fraction, options.tube, options.limit)
+    found = np.array([[measure(name, fraction, options.limit)
                        for fraction in options.fractions] for name in names])
     ratios = found / found[:, :1]
     rows = [[f'`{name}`', f'reach / {fraction:g}', f'**{ratio[0]:.2f}** ({value:.4g})',

@@ -13,10 +13,8 @@ from collections.abc import Callable, Mapping
 
 from nav_msgs.msg import OccupancyGrid
 from node_rig import (
-    EMPTY,
     Caller,
     NodeSilent,
-    empty_service,
     percentiles,
     pose,
     rough_map,
@@ -49,6 +47,7 @@ QUICK = {
 SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5, 'max_planning_time': 3600.0}
 
 Samples = dict[str, list[float]]
+Calls = Mapping[str, Callable[[], object]]
 
 
 def during_a_solve(samples: int) -> tuple[str, bool]:
@@ -57,13 +56,14 @@ def during_a_solve(samples: int) -> tuple[str, bool]:
         caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
         caller.trigger('new_route')
         say('calls to an idle node')
-        idle = alternate(caller, samples)
+        calls = cheap_calls(caller)
+        idle = alternate(caller, samples, calls)
         caller.set_parameters(SLOW)
         answer = caller.send(Trigger, 'new_route')
         caller.wait(lambda: caller.status['state'] == 'solving', 'the solve to begin')
         caller.set_parameters(QUICK)
         say('the same calls during a solve')
-        during = alternate(caller, samples)
+        during = alternate(caller, samples, calls)
         if answer.done() or caller.status['state'] != 'solving':
             raise NodeSilent('the solve ended before the calls; use fewer --samples')
         cancel = stopwatch(lambda: caller.call(Trigger, 'cancel'))
@@ -84,9 +84,9 @@ def during_a_solve(samples: int) -> tuple[str, bool]:
     return text, all(met.values())
 
 
-def alternate(caller: Caller, samples: int) -> Samples:
-    """Times of several kinds of calls, which alternate."""
-    calls: Mapping[str, Callable[[], object]] = {
+def cheap_calls(caller: Caller) -> Calls:
+    """Calls that need no solve."""
+    return {
         'service `get_parameters`': caller.get_parameter,
         'service `describe_parameters`': lambda: caller.call(
             DescribeParameters, 'describe_parameters',
@@ -94,6 +94,10 @@ def alternate(caller: Caller, samples: int) -> Samples:
         'service `get_plan`, strategy known': lambda: caller.get_plan(START, GOAL),
         'bad map to its diagnostics': bad_maps(caller),
     }
+
+
+def alternate(caller: Caller, samples: int, calls: Calls) -> Samples:
+    """Times of several kinds of calls, which alternate at regular intervals."""
     times: Samples = {name: [] for name in calls}
     begin = time.monotonic()
     for k in range(samples * len(calls)):
@@ -124,15 +128,14 @@ def departures(calls: int, nodes: int) -> tuple[str, bool]:
     for recording in (True, False):
         settings = {'network.target_nodes': nodes, 'recording.enabled': recording, **PATH}
         say(f'{calls} departures of each kind, recording {recording}')
-        with (running_node(settings) as rig, empty_service(rig.domain), Caller(rig) as caller):
+        with running_node(settings) as rig, Caller(rig) as caller:
             caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
-            caller.connect_empty()
             for name, call in (
-                ('a service that does nothing', lambda: caller.call(Trigger, EMPTY)),
                 ('`new_route`', lambda: caller.trigger('new_route')),
                 ('`get_plan`, with its path', lambda: caller.get_plan(START, GOAL)),
             ):
-                times = paced(caller, calls, call)
+                call()  # which may solve the game
+                times = alternate(caller, calls, {name: call})[name]
                 median, seldom, _ = percentiles(times)
                 if judged := name == '`new_route`' and recording:
                     every.append(median < MEDIAN and seldom < SELDOM)
@@ -147,16 +150,6 @@ def departures(calls: int, nodes: int) -> tuple[str, bool]:
         f'every {1e3 * PERIOD:g} ms.\n\n{table(head, rows)}'
     )
     return text, all(every)
-
-
-def paced(caller: Caller, calls: int, call: Callable[[], object]) -> list[float]:
-    """Times of calls at regular intervals, after a first one that may solve the game."""
-    call()
-    begin, times = time.monotonic(), []
-    for k in range(calls):
-        caller.idle_until(begin + k * PERIOD)
-        times.append(stopwatch(call))
-    return times
 
 
 def main() -> int:

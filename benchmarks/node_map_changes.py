@@ -15,10 +15,8 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from node_rig import (
-    EMPTY,
     Caller,
     Rig,
-    empty_service,
     grid_of,
     percentiles,
     pose,
@@ -31,7 +29,6 @@ from node_rig import (
     stopwatch,
 )
 from report import conditions, new_parser, table
-from std_srvs.srv import Trigger
 
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 
@@ -48,17 +45,16 @@ def depart_during(
     """Depart every ``PERIOD``; ``change`` is called before with the elapsed time [s]."""
     solved = {caller.status['solve_seconds']}
     begin, before = time.monotonic(), resident(rig.process.pid)
-    times, nothing = [], []
+    times = []
     for k in range(int(seconds / PERIOD)):
         caller.idle_until(begin + k * PERIOD)
         change(time.monotonic() - begin)
         times.append(stopwatch(lambda: caller.trigger('new_route')))
-        nothing.append(stopwatch(lambda: caller.call(Trigger, EMPTY)))
         solved.add(caller.status['solve_seconds'])
     median, seldom, _ = percentiles(times)
     met = median < MEDIAN and seldom < SELDOM
     return [
-        str(len(times)), spread(times), spread(nothing), f'< {MEDIAN:g} / {SELDOM:g}',
+        str(len(times)), spread(times), f'< {MEDIAN:g} / {SELDOM:g}',
         'yes' if met else '**no**', str(len(solved) - 1),
         f'{before:.0f} -> {resident(rig.process.pid):.0f}',
     ], met
@@ -101,13 +97,11 @@ def measure(seconds: float, cells: int, nodes: int) -> tuple[str, bool]:
     start, goal = pose(size / 20, size / 2), pose(size * 19 / 20, size / 2)
     with (
         running_node({'network.target_nodes': nodes, 'recording.enabled': False}) as rig,
-        empty_service(rig.domain),
         Caller(rig) as caller,
     ):
         caller.give(grid, start, goal)
         say('the first solve')
         caller.trigger('new_route')
-        caller.connect_empty()
         rows, every = [], []
         for name, change in (
             (f'the goal moves within the tolerance, every {PERIOD:g} s', moving_goal(caller, goal)),
@@ -119,7 +113,7 @@ def measure(seconds: float, cells: int, nodes: int) -> tuple[str, bool]:
             rows.append([name, *cells_of_row])
             every.append(met)
     head = ('meanwhile', 'departures', '`new_route` answered: median / 99 % / largest [ms]',
-            'a service that does nothing', 'target', 'met', 'solves', 'memory [MB]')
+            'target', 'met', 'solves', 'memory [MB]')
     text = (
         f"{conditions('ros-jazzy-rclpy')}.\n\nA map of {cells} x {cells} cells, published whole "
         f'each time, {nodes} nodes; a departure every {PERIOD:g} s.\n\n{table(head, rows)}'

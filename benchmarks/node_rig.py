@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -42,20 +41,6 @@ TIMEOUT = 30.0
 # The node's own time limit for a solve is 60 s.
 ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# A service that does nothing, in another process: what ROS itself takes.
-EMPTY = 'empty'
-EMPTY_SERVICE = f"""
-import rclpy
-from rclpy.executors import ExternalShutdownException
-from std_srvs.srv import Trigger
-rclpy.init()
-node = rclpy.create_node("empty")
-node.create_service(Trigger, "{PLANNER}/{EMPTY}", lambda _, answer: answer)
-try:
-    rclpy.spin(node)
-except ExternalShutdownException:
-    pass
-"""
 
 
 class NodeSilent(Exception):
@@ -97,22 +82,6 @@ def running_node(
         settings = {'recording.directory': str(folder / 'recordings'), **parameters}
         with NodeProcess(settings, domain, folder / 'node.log') as process:
             yield Rig(process, domain, folder)
-
-
-@contextmanager
-def empty_service(domain: int) -> Iterator[None]:
-    """Run the service that does nothing."""
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
-    process = subprocess.Popen([sys.executable, '-c', EMPTY_SERVICE], env=environment)
-    try:
-        yield
-    finally:
-        process.terminate()  # SIGKILL could affect the node: they share memory
-        try:
-            process.wait(TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 class Caller:
@@ -179,10 +148,6 @@ class Caller:
                 if time.monotonic() > deadline:
                     raise
 
-    def connect_empty(self) -> None:
-        """Connect to the service that does nothing, which runs in another process."""
-        self._call_until_answered(self.client(Trigger, EMPTY))
-
     def send(self, kind: type, name: str, request: Any = None) -> Future:
         """Call a service of the planner; return the future of the answer."""
         return self.client(kind, name).call_async(request or kind.Request())
@@ -245,9 +210,9 @@ class Caller:
             self.status = {value.key: value.value for value in status.values}
 
 
-def rough_map(cells: int, resolution: float, seed: int = 1) -> OccupancyGrid:
+def rough_map(cells: int, resolution: float) -> OccupancyGrid:
     """A square map without obstacles, rough enough that its game has many routes."""
-    values = np.random.default_rng(seed).integers(0, 60, (cells, cells), dtype=np.int8)
+    values = np.random.default_rng(1).integers(0, 60, (cells, cells), dtype=np.int8)
     return grid_of(values, resolution)
 
 

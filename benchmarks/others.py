@@ -8,7 +8,6 @@ alternatives are the largest whose mean length is at most ours.
 
 from __future__ import annotations
 
-import secrets
 import sys
 from collections.abc import Callable, Iterator
 from itertools import islice, pairwise
@@ -16,10 +15,10 @@ from pathlib import Path
 
 import networkx
 import numpy as np
-from families import FAMILIES, draw
+from families import draw, problem_parser
 from one_run import Answer, run
 from peers import best_route
-from report import conditions, new_parser, publish, table
+from report import conditions, publish, table
 from scipy.ndimage import gaussian_filter
 
 from ambush_planner import AmbushPlannerError, Network, RiskMap, plan_trip
@@ -139,14 +138,11 @@ def compared(name: str) -> Answer:
 
 
 def main() -> None:
-    parser = new_parser(__doc__)
+    parser = problem_parser(__doc__)
+    parser.set_defaults(limit=600.0)
     parser.add_argument('--nodes', type=int, default=1500)
-    parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
-    parser.add_argument('--each', type=int, default=2, help='problems of each family')
-    parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
-    parser.add_argument('--limit', type=float, default=600.0, help='of each problem [s]')
     options = parser.parse_args()
-    first = options.seed or secrets.randbelow(10**9)
+    first = options.seed
     names = [f'plan:{family}:{options.nodes}:{seed}' for family in options.families
              for seed in range(first, first + options.each)]
     answers = [run('others.compared', name, options.limit) for name in names]

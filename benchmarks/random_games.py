@@ -143,14 +143,14 @@ def drawn_options(rng: np.random.Generator, network: Network,
     held = float(rng.choice([0.0, -1.0, 2.0 * reach, spacing * rng.uniform(0.0, 6.0), 1e9],
                             p=[0.25, 0.25, 0.25, 0.22, 0.03]))
     above = float(np.quantile(network.alpha, rng.uniform(0.7, 0.99)))
-    game = GameOptions(reach, None if held < 0.0 else held,
-                       float(rng.choice([math.inf] * 3 + [above])),
-                       int(rng.choice([1] * 6 + [2, 4])))
+    game = GameOptions(ambush_radius=reach, secured_radius=None if held < 0.0 else held,
+                       alpha_threshold=float(rng.choice([math.inf] * 3 + [above])),
+                       ambushers=int(rng.choice([1] * 6 + [2, 4])))
     strategy = StrategyOptions(
         max_detour=float(rng.choice([*DETOURS, 1.0 + rng.exponential(0.1)])),
         max_exposure=float(rng.choice([math.inf] * 7 + [1.0, 1.1, 1.3])),
         risk_slack=float(rng.choice([0.0, 0.001, 0.01, 0.01, 0.01, 0.05, 0.3])))
-    options = PlanningOptions(network_options, game, strategy)
+    options = PlanningOptions(network=network_options, game=game, strategy=strategy)
     return replace(options, drive=replace(options.drive, tube=0.0))
 
 

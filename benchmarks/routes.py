@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Would you drive it? Paths of many departures on four maps, next to A* on the map's cells."""
+"""Would you drive it? Paths of many departures on three maps, next to A* on the map's cells."""
 
 from __future__ import annotations
 
-import sys
 from time import process_time
 
 import numpy as np
@@ -33,7 +32,7 @@ def figures(scenario: Scenario, departures: int, nodes: int) -> dict[str, float 
     """The means over the paths of many departures, by name; those without a target as text."""
     risk_map = scenario.risk_map
     plan = plan_trip(risk_map, scenario.start, scenario.goal,
-                     PlanningOptions(NetworkOptions(target_nodes=nodes)))
+                     PlanningOptions(network=NetworkOptions(target_nodes=nodes)))
     network, strategy = plan.network, plan.strategy
     begin = process_time()
     paths = plan.paths(departures, np.random.default_rng(0))
@@ -41,7 +40,7 @@ def figures(scenario: Scenario, departures: int, nodes: int) -> dict[str, float 
     measured = np.array([measure(path, risk_map, plan.spacing) for path in paths])
     length, turning, hairpins, near_itself, near_edge, accepted = measured.mean(axis=0)
     drawn_turning = turning_of(shortest(network))
-    cells = scenario.network(NetworkOptions('uniform_grid8', risk_map.resolution))
+    cells = scenario.network(NetworkOptions(method='uniform_grid8', spacing=risk_map.resolution))
     grid_length = distances(shortest(cells))[-1]
     means = length / grid_length, hairpins, turning / drawn_turning, near_itself, near_edge
     return dict(zip(TARGETS, means, strict=True)) | {
@@ -143,12 +142,8 @@ def main() -> None:
         '--nodes', type=int, default=NetworkOptions.target_nodes, metavar='N', help='of a network'
     )
     options = parser.parse_args()
-    trials = {}
-    for name in options.maps:
-        try:
-            trials[name] = figures(SCENARIOS[name](), options.departures, options.nodes)
-        except FileNotFoundError as error:
-            print(f'`{name}` is left out: {error.filename} does not exist', file=sys.stderr)
+    trials = {name: figures(SCENARIOS[name](), options.departures, options.nodes)
+              for name in options.maps}
     publish(options.results, 'routes', (
         f'{options.departures} departures on each map. {conditions()}.\n\n{routes_table(trials)}'
     ))

@@ -1,24 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps with start and goal for the benchmarks: terrain, depot, city, maze, and two formulas."""
+"""Maps with start and goal for the benchmarks: terrain, a city, a maze, and a formula."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from ambush_planner import Network, NetworkOptions, RiskMap, build_network
-from ambush_planner.arrays import BoolArray, FloatArray
+from ambush_planner.arrays import BoolArray
 from ambush_planner.commands import demo_ground
 from ambush_planner.maps.occupancy import risk_from_occupancy
 
-# Maps of the Nav2 project, optional, in a folder next to the checkout.
-DEPOT = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'nav2_depot'
-# Side length of the maps ``block`` and ``hills`` [m].
+# Side length of the map ``block`` [m].
 SIDE = 100.0
 
 
@@ -43,42 +39,18 @@ def nearest_free(risk_map: RiskMap, xy: tuple[float, float]) -> tuple[float, flo
 
 def block(cells: int) -> RiskMap:
     """Two smooth rises of risk and a square obstacle in the centre, ``cells`` x ``cells``."""
-    u, v = _unit_square(cells)
+    centre = (np.arange(cells) + 0.5) / cells
+    u, v = np.meshgrid(centre, centre)
     south_east = np.exp(-((u - 0.7) ** 2 + (v - 0.25) ** 2) / 0.08)
     north_west = np.exp(-((u - 0.3) ** 2 + (v - 0.8) ** 2) / 0.05)
     obstacles = (np.abs(u - 0.5) < 0.12) & (np.abs(v - 0.5) < 0.12)
     return RiskMap(1.0 + 4.0 * south_east + 2.0 * north_west, obstacles, SIDE / cells)
 
 
-def hills(cells: int) -> RiskMap:
-    """Terrain of six waves: losses 1..10 by height, the highest tenth is an obstacle."""
-    u, v = _unit_square(cells)
-    waves = np.random.default_rng(1).normal(size=(6, 3))
-    height = sum(np.sin(6.0 * a * u + 6.0 * b * v + 3.0 * c) for a, b, c in waves)
-    share = (height - height.min()) / np.ptp(height)
-    return RiskMap(1.0 + 9.0 * share, share > np.quantile(share, 0.9), SIDE / cells)
-
-
-def _unit_square(cells: int) -> tuple[FloatArray, FloatArray]:
-    centre = (np.arange(cells) + 0.5) / cells
-    u, v = np.meshgrid(centre, centre)
-    return u, v
-
-
 def terrain() -> Scenario:
     """The demo's terrain: 30 km by 32 km with ridges between start and goal."""
     risk_map = risk_from_occupancy(demo_ground.load_ground().values, demo_ground.RESOLUTION)
     return Scenario(risk_map, demo_ground.START, demo_ground.GOAL)
-
-
-def depot() -> Scenario:
-    """Nav2's depot, 30 m by 15 m, with losses 1..10 by its speed mask; or FileNotFoundError."""
-    occupied, mask = (
-        255 - np.asarray(Image.open(DEPOT / name))[::-1].astype(int)
-        for name in ('depot.pgm', 'depot_speed.pgm')
-    )
-    risk_map = RiskMap(1.0 + 9.0 * mask / 255.0, occupied > 0.19 * 255, 0.05)
-    return Scenario(risk_map, (2.0, 7.0), (28.0, 7.0))
 
 
 def city(seed: int = 7) -> Scenario:
@@ -136,6 +108,4 @@ def _remove_wall(free: BoolArray, a: tuple[int, int], b: tuple[int, int], side: 
         free[b[0] * side, a[1] * side :][inside] = True
 
 
-SCENARIOS: dict[str, Callable[[], Scenario]] = {
-    'terrain': terrain, 'depot': depot, 'city': city, 'maze': maze
-}
+SCENARIOS: dict[str, Callable[[], Scenario]] = {'terrain': terrain, 'city': city, 'maze': maze}

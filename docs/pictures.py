@@ -37,7 +37,8 @@ from ambush_planner.recordings.report_data import Section, sections_of
 DOCS = Path(__file__).resolve().parent
 # The trip of docs/python.md [m].
 STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
-TRIP = PlanningOptions(NetworkOptions(spacing=600.0), GameOptions(secured_radius=2000.0))
+TRIP = PlanningOptions(network=NetworkOptions(spacing=600.0),
+                       game=GameOptions(secured_radius=2000.0))
 TRIPS_SHOWN = 6
 # The moving picture: pixels across, steps of a day, and times that they are shown [ms].
 PIXELS, STEPS, STEP_TIME, NIGHT, LAST = 1200, 4, 130, 500, 4000

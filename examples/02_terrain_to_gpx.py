@@ -21,7 +21,8 @@ ground = terrain_map(elevation)
 risk_map = risk_from_occupancy(ground.values, ground.resolution, (west, south, 0.0),
                                    OccupancyOptions(crs=elevation.crs))
 
-options = PlanningOptions(NetworkOptions(spacing=200.0), GameOptions(ambush_radius=300.0))
+options = PlanningOptions(network=NetworkOptions(spacing=200.0),
+                          game=GameOptions(ambush_radius=300.0))
 plan = plan_trip(risk_map, (west + 300.0, south + 2200.0), (west + 5700.0, south + 2300.0), options)
 print(f'value {plan.strategy.value:.2f}, lower bound {plan.strategy.lower_bound:.2f}')
 

@@ -22,8 +22,8 @@ alpha = 1.0 + 4.0 * np.exp(-20.0 * ((u - 0.5) ** 2 + (v - 0.5) ** 2))  # the cen
 risk_map = RiskMap(alpha, np.zeros((90, 90), bool), resolution=10.0)
 
 roads = RoadGraph(points, pairs, speeds, timed=True)
-options = PlanningOptions(NetworkOptions(method='graph', graph=roads, spacing=50.0),
-                          GameOptions(ambush_radius=30.0, secured_radius=120.0))
+options = PlanningOptions(network=NetworkOptions(method='graph', graph=roads, spacing=50.0),
+                          game=GameOptions(ambush_radius=30.0, secured_radius=120.0))
 plan = plan_trip(risk_map, (50.0, 250.0), (850.0, 650.0), options)
 strategy = plan.strategy
 print(f'value {strategy.value:.2f}, lower bound {strategy.lower_bound:.2f}')

@@ -199,7 +199,7 @@ def _our_options(max_detour: float = DETOURS[0]) -> StrategyOptions:
 
 def _paper_options(solver: str, length_weight: float = 0.0) -> StrategyOptions:
     """The paper's linear programs, without a length budget."""
-    return StrategyOptions(solver, max_detour=np.inf, length_weight=length_weight)
+    return StrategyOptions(solver=solver, max_detour=np.inf, length_weight=length_weight)
 
 
 def _spread(network: str, solver: str, strategy: Strategy) -> Spread:

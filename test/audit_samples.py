@@ -18,8 +18,8 @@ from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import RecordedMessage, type_name
+from ambush_planner.recordings.attachments import strategy_file
 from ambush_planner.recordings.recording_file import encode
-from ambush_planner.recordings.strategy_file import strategy_file
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
 START_NS = 1_700_000_000_000_000_000
@@ -50,8 +50,9 @@ def parameters(**changes):
 def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
     risk_map = risk_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
-        NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
-        StrategyOptions(solver),
+        network=NetworkOptions(spacing=SPACING),
+        game=GameOptions(ambush_radius=reach, secured_radius=SECURED),
+        strategy=StrategyOptions(solver=solver),
     )
     return plan_trip(risk_map, start, GOAL, options)
 

@@ -1,13 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run commands and benchmarks in this process, which is faster than to start Python."""
+"""Run commands in this process, which is faster than to start Python; and scripts in another."""
 
+import os
 import re
+import subprocess
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / 'benchmarks'
+# Begins a script that has to run without ROS.
+NO_ROS = """
+import sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        ros = ("rclpy", "builtin_interfaces", "ament_index_python")
+        if top in ros or top.endswith(("_msgs", "_srvs", "_interfaces")):
+            raise ImportError(name + " is blocked")
+
+sys.meta_path.insert(0, NoRos())
+"""
 
 
 def run_here(tool, *arguments):
@@ -26,3 +41,11 @@ def documented_keys(tool):
     documented = re.search(r'--json: (\{.*?\})\n(?!")', tool.EPILOG, re.DOTALL)[1]
     inner = re.sub(r'[\[{][^\[\]{}]*[\]}]', '', re.sub(r'\{[^{}]*\}', '', documented[1:-1]))
     return set(re.findall(r'"(\w+)"', inner))
+
+
+def run_script(script, folder):
+    """Run a script with this environment's commands on the path; return the process."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
+    return subprocess.run(['bash', '-ec', script], cwd=folder, capture_output=True, text=True,
+                          env={**os.environ, 'PATH': path, 'HOME': str(folder)}, timeout=240,
+                          check=False)

@@ -3,11 +3,11 @@
 
 import gc
 import os
+import signal
 import sys
 from pathlib import Path
 
 import pytest
-import watchdog
 from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,12 +26,12 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 def pytest_addoption(parser):
-    watchdog.pytest_addoption(parser)
     parser.addoption('--kills', type=int, default=2, help='nodes to kill while they record')
 
 
 def pytest_configure(config):
-    watchdog.pytest_configure(config)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in `make test &`
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     # xdist would start with the files that have most tests; slow tests come first here.
     config.option.loadscopereorder = False
 

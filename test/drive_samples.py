@@ -29,7 +29,8 @@ def drive(seed):
         risk_map = random_map(int(rng.integers(10**6)), cells, 0.1, rng.uniform(-4, 4))
         clearance, clear_of_edge = rng.choice((0.0, 0.25)), bool(rng.integers(2))
         options = NetworkOptions(
-            str(rng.choice(METHODS[:4])), rng.choice((0.7, 1.0, 1.6)), clearance,
+            method=str(rng.choice(METHODS[:4])), spacing=rng.choice((0.7, 1.0, 1.6)),
+            clearance=clearance,
             clear_of_edge=clear_of_edge,
         )
         ends = risk_map.to_world(rng.uniform(0.4, cells - 0.4, (2, 2)))

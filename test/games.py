@@ -70,7 +70,8 @@ def terrain_network(seed: int, method: str = 'uniform_delaunay', cells: int = 12
         start, goal = free[np.argmin(column)], free[np.argmax(column)]
         ends = risk_map.to_world(np.array([start, goal])[:, ::-1] + 0.5)
         try:
-            return build_network(risk_map, *ends, NetworkOptions(method, 1.3, seed=seed))
+            return build_network(risk_map, *ends,
+                                 NetworkOptions(method=method, spacing=1.3, seed=seed))
         except NoRoute:
             seed += 1_000_003
 
@@ -79,7 +80,7 @@ def ground_network(seed: int, kind: str) -> Network:
     """A network of 500 to 900 nodes over terrain, a city, a maze, or a depot of rooms."""
     if kind == 'terrain':
         return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
-    return build_network(*ground(seed, kind), NetworkOptions(METHODS[seed % 2], 1.3))
+    return build_network(*ground(seed, kind), NetworkOptions(method=METHODS[seed % 2], spacing=1.3))
 
 
 def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple]:

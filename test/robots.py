@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ambush_planner.planning.node_parameters import RobotOptions
 from ambush_planner.ros.error_codes import FrameMismatch
-from ambush_planner.ros.qos import TF
+from ambush_planner.ros.topics import TF
 
 interfaces.install('tf2_msgs')
 from tf2_msgs.msg import TFMessage  # noqa: E402

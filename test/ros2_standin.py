@@ -21,7 +21,7 @@ def serve_map(node, arguments):
 
     from ambush_planner.maps.map_file import read_map
     from ambush_planner.ros.conversions import occupancy_to_ros
-    from ambush_planner.ros.qos import LATCHED
+    from ambush_planner.ros.topics import LATCHED
 
     options = dict(each.split(':=') for each in arguments if ':=' in each)
     grid = read_map(Path(options['yaml_filename']))
@@ -64,7 +64,7 @@ def echo(node, topic):
     from ros_yaml import type_of
     from waiting import wait_until
 
-    from ambush_planner.ros.qos import LATCHED
+    from ambush_planner.ros.topics import LATCHED
 
     wait_until(lambda: node.get_publishers_info_by_topic(topic), f'a publisher of {topic}')
     (info,) = node.get_publishers_info_by_topic(topic)

@@ -31,7 +31,7 @@ from ambush_planner.recordings import type_name
 from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
-from ambush_planner.ros.qos import REQUESTS
+from ambush_planner.ros.topics import REQUESTS
 from ambush_planner.worker import solve_queue
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -41,9 +41,17 @@ FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
 # About 100 nodes: a solve takes milliseconds.
 SMALL = {'network.spacing': 1.0}
+# A solve of minutes, which the tests cancel.
+LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
 # Higher ones are the demo's (commands/node_process.py). The graph shows the node of an earlier test
 # until Python has freed it, so tests do not use the same domain one after the other.
 DOMAINS = itertools.cycle(random.sample(range(1, 51), 50))
+
+
+def threads():
+    """Names of the running threads of planner nodes."""
+    names = ('solves', 'departures', 'recordings', '_ambush_planner_tf')
+    return [each.name for each in threading.enumerate() if each.name.startswith(names)]
 
 
 @contextmanager

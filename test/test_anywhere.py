@@ -80,8 +80,10 @@ class Case(NamedTuple):
 
 
 def solved(risk_map, start, goal, reach, secured, detour, tube):
-    options = PlanningOptions(NetworkOptions(spacing=SPACING), GameOptions(reach, secured),
-                              StrategyOptions(max_detour=detour), DriveOptions(tube))
+    options = PlanningOptions(network=NetworkOptions(spacing=SPACING),
+                              game=GameOptions(ambush_radius=reach, secured_radius=secured),
+                              strategy=StrategyOptions(max_detour=detour),
+                              drive=DriveOptions(tube=tube))
     held = reach + tube if secured == -1.0 else secured
     return Case(risk_map, plan_trip(risk_map, start, goal, options), reach, held, tube)
 
@@ -154,8 +156,9 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
     values = rng.integers(0, 60, (20, 26), dtype=np.int8)
     values[rng.random(values.shape) < 0.06] = 100
     values[8:13, [1, 2, 3, 4, -5, -4, -3, -2]] = 0
-    game = GameOptions(2.0, ambush_in_obstacles=hides)
-    options = PlanningOptions(NetworkOptions(spacing=SPACING), game, drive=DriveOptions(tube=0.0))
+    game = GameOptions(ambush_radius=2.0, ambush_in_obstacles=hides)
+    options = PlanningOptions(network=NetworkOptions(spacing=SPACING), game=game,
+                              drive=DriveOptions(tube=0.0))
     plan = plan_trip(risk_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5), options)
     changed, raised = ChangedGround(plan, OccupancyMap(values, 1.0), occupancy), 0
     for where in (None, *rng.integers((0, 6), (20, 20), (5, 2, 2)).transpose(0, 2, 1)):
@@ -179,7 +182,8 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
 def test_a_flow_whose_chain_costs_too_much_is_led_within_the_slack():
     """Cells as large as the reach: no law near the program's flow was within its limits."""
     alpha = np.random.default_rng(1).uniform(1.0, 5.0, (20, 30))
-    options = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=2.0))
+    options = PlanningOptions(network=NetworkOptions(spacing=2.0),
+                              game=GameOptions(ambush_radius=2.0))
     ground = RiskMap(alpha, np.zeros((20, 30), bool), 2.0)
     found = plan_trip(ground, (4.0, 20.0), (56.0, 20.0), options)
     assert found.value <= found.lower_bound * 1.0101

@@ -31,7 +31,8 @@ class Case:
     def __init__(self, seed: int, reach: float) -> None:
         self.rng = np.random.default_rng(seed)
         network = small_grid(seed) if seed % 3 == 0 else planar_network(seed)
-        self.game = make_game(network, GameOptions(reach, [0.0, -1.0][seed % 2]))
+        held = [0.0, -1.0][seed % 2]
+        self.game = make_game(network, GameOptions(ambush_radius=reach, secured_radius=held))
         ahead, part = self.game.distances_ahead(network.lengths), None
         while part is None:
             order = ahead + self.rng.uniform(0.0, 2.0, len(ahead)) * self.rng.integers(0, 2)

@@ -34,7 +34,8 @@ def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
     """A plan, its map, and the plan on other maps."""
     risk_map = risk_from_occupancy(values, RESOLUTION, origin, OCCUPANCY)
     game = game or GameOptions()
-    options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
+    options = PlanningOptions(network=NetworkOptions(spacing=spacing, clearance=clearance),
+                              game=game)
     made = plan_trip(risk_map, *risk_map.to_world([START, GOAL]), options)
     on = grid(values, origin)
     return made, on, ChangedGround(made, on, OCCUPANCY)

@@ -11,13 +11,13 @@ from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
-from ros_harness import pose, risk_grid, stage, wait_until
+from ros_harness import LONG, pose, risk_grid, stage, wait_until
 from waiting import answer_of
 
 pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
-# A solve of minutes, which the tests cancel.
-LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
+
+
 @pytest.fixture(scope='module')
 def action():
     """The action's type."""

@@ -18,7 +18,8 @@ def plan(radius, held, alpha=1.0, tolerance=0.0, obstacles=None):
     """A plan across open ground of 30 m x 20 m."""
     cells = np.full((20, 30), alpha)
     risk_map = RiskMap(cells, np.zeros(cells.shape, bool) if obstacles is None else obstacles, 1.0)
-    options = PlanningOptions(NetworkOptions(spacing=1.5), GameOptions(radius, held),
+    options = PlanningOptions(network=NetworkOptions(spacing=1.5),
+                              game=GameOptions(ambush_radius=radius, secured_radius=held),
                               drive=DriveOptions(start_tolerance=tolerance))
     return plan_trip(risk_map, START, GOAL, options)
 

@@ -46,14 +46,6 @@ def test_the_file_holds_every_default_in_its_type():
     assert exact(flat(node[1]['ros__parameters'])) == exact(DEFAULTS)
 
 
-def test_every_parameter_is_explained_in_the_file():
-    text = ' '.join(FILE.read_text().replace('#', ' ').split())
-    for name, each in PARAMETERS.items():
-        explained = text.partition(each.description)[2].partition(f"{name.rpartition('.')[2]}:")[0]
-        assert all(choice in explained for choice in each.choices or ()), name
-        assert ('Only read at the start.' in explained) == each.fixed, name
-
-
 def test_the_documented_table_has_every_default():
     table = documented_table()
     assert sorted(table) == sorted(DEFAULTS)

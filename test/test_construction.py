@@ -33,7 +33,7 @@ def open_map(rows=6, columns=8, origin=(0.0, 0.0, 0.0)) -> RiskMap:
 def build(risk_map, start, goal, method='uniform_delaunay', **options):
     """Start and goal in map axes."""
     ends = risk_map.to_world(np.array([start, goal], float))
-    return build_network(risk_map, *ends, NetworkOptions(method, **options))
+    return build_network(risk_map, *ends, NetworkOptions(method=method, **options))
 
 
 def joined(network) -> set[tuple[int, int]]:
@@ -53,8 +53,8 @@ def random_networks(draw):
     risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.12, draw(st.floats(-4, 4)))
     place = st.tuples(*[st.floats(0.35, cells - 0.35)] * 2)
     options = NetworkOptions(
-        draw(st.sampled_from(METHODS)), draw(st.sampled_from((0.7, 1.0, 1.3, 1.7))),
-        draw(st.sampled_from((0.0, 0.3))), draw(st.integers(0, 9)),
+        method=draw(st.sampled_from(METHODS)), spacing=draw(st.sampled_from((0.7, 1.0, 1.3, 1.7))),
+        clearance=draw(st.sampled_from((0.0, 0.3))), seed=draw(st.integers(0, 9)),
     )
     ends = risk_map.to_world(np.array(draw(st.tuples(place, place))))
     try:
@@ -245,7 +245,8 @@ def blocked_map() -> RiskMap:
 @pytest.mark.parametrize('method', METHODS[1:3])
 def test_no_route_names_both_ends_and_the_spacing(method):
     with pytest.raises(NoRoute, match=r'\(101\.000, 51\.000\) to \(109\.000, 51\.000\).* 2 m'):
-        build_network(blocked_map(), (101, 51), (109, 51), NetworkOptions(method, 2.0))
+        build_network(blocked_map(), (101, 51), (109, 51),
+                      NetworkOptions(method=method, spacing=2.0))
 
 
 @pytest.mark.parametrize('start, goal, error, words', [

@@ -50,7 +50,7 @@ class Case:
         self.ambusher = None
         if not 0 < len(routes) <= 1000:
             return
-        self.game = make_game(network, GameOptions(reach))
+        self.game = make_game(network, GameOptions(ambush_radius=reach))
         self.near = reached(network, reach, self.game.options.held_radius)
         self.ambusher, self.budgets, self.bound = proof(self.game, detour)
         self.met = np.array([self.near[:, route].any(axis=1) for route in routes])
@@ -132,7 +132,7 @@ def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, se
 
 @pytest.mark.parametrize(('seed', 'detour'), [(1, 1.05), (3, 1.2), (4, np.inf)])
 def test_on_terrain_the_curves_and_the_best_response_agree(seed, detour):
-    game = make_game(terrain_network(seed, cells=14), GameOptions(2.0))
+    game = make_game(terrain_network(seed, cells=14), GameOptions(ambush_radius=2.0))
     ambusher, budgets, bound = proof(game, detour)
     assert ambusher.circulation is not None
     assert lower_bound(game, ambusher, budgets) == pytest.approx(bound, rel=1e-9)
@@ -141,14 +141,14 @@ def test_on_terrain_the_curves_and_the_best_response_agree(seed, detour):
 
 
 def test_the_circulation_of_another_network_is_refused():
-    game = make_game(terrain_network(3, cells=14), GameOptions(2.0))
+    game = make_game(terrain_network(3, cells=14), GameOptions(ambush_radius=2.0))
     ambusher, budgets, _ = proof(game, 1.2)
     curves = ambusher.circulation
     for wrong in (replace(curves, through=curves.through[:-1]),
                   replace(curves, site=curves.site + len(game.loss))):
         with pytest.raises(SolverFailed, match='another network'):
             lower_bound(game, replace(ambusher, circulation=wrong), budgets)
-    crossing = make_game(terrain_network(5, 'uniform_grid8', 14), GameOptions(2.0))
+    crossing = make_game(terrain_network(5, 'uniform_grid8', 14), GameOptions(ambush_radius=2.0))
     q = np.zeros(crossing.node_count)
     q[crossing.sites[0]] = 1.0
     with pytest.raises(SolverFailed, match='links cross'):
@@ -172,7 +172,8 @@ def nearly_two_held_radii_apart(seed):
     with pytest.warns(UserWarning, match='dropped'):
         network = Network(points, alpha, np.vstack((links, links[:, ::-1])), 0, 1)
     held = half / rng.uniform(0.88, 0.99)
-    game = make_game(network, GameOptions(held * rng.uniform(0.9, 1.2), held))
+    game = make_game(network,
+                     GameOptions(ambush_radius=held * rng.uniform(0.9, 1.2), secured_radius=held))
     return game, rng.choice([1.05, 1.2, 1.5, 3.0])
 
 

@@ -3,10 +3,8 @@
 
 import os
 import signal
-import stat
 import subprocess
 import sys
-import tempfile
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -23,7 +21,7 @@ from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli, demo
 from ambush_planner.commands.demo_client import DemoClient
 from ambush_planner.commands.demo_ground import GOAL, START
-from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain, lock_domain
+from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import risk_from_occupancy
 
@@ -120,23 +118,6 @@ def test_error_of_a_node_that_cannot_start_has_its_last_lines(tmp_path):
         with pytest.raises(NodeFailed, match=r'(?s)exit code 1.*network\.spacing'):
             with node, DemoClient(domain, node.check) as client:
                 client.publish_inputs(np.zeros((2, 2), np.int8), 1.0, START, GOAL)
-
-
-def test_locks_of_domains_follow_no_link_and_are_this_users_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path))
-    with lock_domain(60) as lock:
-        assert lock_domain(60) is None
-        (folder,) = tmp_path.iterdir()
-        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-        assert stat.S_IMODE(os.fstat(lock.fileno()).st_mode) == 0o600
-    (tmp_path / 'target').write_text('mine')
-    (folder / 'domain_61.lock').symlink_to(tmp_path / 'target')
-    with pytest.raises(OSError):
-        lock_domain(61)
-    folder.chmod(0o755)
-    with pytest.raises(NodeFailed, match='is not a folder of mode 0700 of this user'):
-        lock_domain(62)
-    assert (tmp_path / 'target').read_text() == 'mine'
 
 
 def test_interrupted_demo_stops_its_node(tmp_path):

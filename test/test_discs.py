@@ -108,4 +108,5 @@ def test_a_node_on_the_rim_of_held_ground_hides_no_hit():
     site = row[2][0] + 0.1 * step, row[2][1] + 0.9 * cells * step
     edges = np.stack((np.arange(4), np.arange(1, 5)), axis=1)
     network = Network(np.array([*row, site]), np.array([0, 0, 0, 0, 0, 1.0]), edges, 0, 4)
-    assert solve(network, GameOptions(cells * step, cells * step)).value == pytest.approx(1.0)
+    assert solve(network, GameOptions(ambush_radius=cells * step,
+                                      secured_radius=cells * step)).value == pytest.approx(1.0)

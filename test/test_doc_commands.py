@@ -4,16 +4,15 @@
 `ros2 launch`, `ros2 bag`, `ros2 security`, RViz and Nav2 are not on the package index.
 """
 
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
+from commands import run_script
 from test_package import setup_arguments
 
 from ambush_planner.commands import cli
@@ -24,22 +23,15 @@ DOCUMENTS = {path.name: path.read_text() for path in (ROOT / 'README.md', *ROOT.
 BLOCKS = [(name, kind, text) for name, document in DOCUMENTS.items()
           for kind, text in re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', document)]
 
+
 def blocks(document, kind='sh'):
     return [text for name, fence, text in BLOCKS if (name, fence) == (document, kind)]
-
-
-def run(script, folder):
-    """Run a script with this environment's commands on the path; return the process."""
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
-    return subprocess.run(['bash', '-ec', script], cwd=folder, capture_output=True, text=True,
-                          env={**os.environ, 'PATH': path, 'HOME': str(folder)}, timeout=240,
-                          check=False)
 
 
 def test_shell_blocks_parse_and_name_what_exists():
     scripts = [text for _, kind, text in BLOCKS if kind == 'sh']
     quoted = '\n'.join(f"bash -n <<'END_OF_BLOCK'\n{text}END_OF_BLOCK" for text in scripts)
-    assert not run(quoted, ROOT).stderr
+    assert not run_script(quoted, ROOT).stderr
     text = '\n'.join(DOCUMENTS.values())
     files = [*re.findall(r'--share ambush_planner\)/([\w./]+)', text),
              *(f'launch/{name}' for name in re.findall(r'ros2 launch ambush_planner (\S+)', text))]
@@ -62,19 +54,6 @@ def test_options_of_commands_exist():
             assert name not in known or used <= known[name], line
 
 
-def test_launch_arguments_and_enclaves_exist():
-    from xml.etree import ElementTree
-
-    launch = ElementTree.parse(ROOT / 'launch/ambush_planner.launch.xml').getroot()
-    declared = {each.get('name') for each in launch.findall('arg')}
-    assert set(re.findall(r'(\w+):=', blocks('nav2.md')[0])) <= declared
-    policy = ElementTree.parse(ROOT / 'config/ambush_planner.policy.xml').getroot()
-    enclaves = {each.get('path') for each in policy.iter('enclave')}
-    made, started = blocks('security.md')
-    assert set(re.search('in (.*); do', made)[1].split()) == enclaves
-    assert set(re.findall(r'(?:enclave |OVERRIDE=)(\S+)', started)) <= enclaves
-
-
 @pytest.mark.slow
 def test_the_commands_of_the_python_page_work(tmp_path):
     rasterio = pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
@@ -91,7 +70,7 @@ def test_the_commands_of_the_python_page_work(tmp_path):
     # On coarser networks, and for one budget, the commands take a tenth of the time.
     table = table.replace('--set ', '--set network.spacing=900 ')
     frontier = frontier.replace('spacing=360', 'spacing=900').rstrip()
-    done = run(f'{terrain}{table}{frontier} --detours 1.1 --slacks 0.01', tmp_path)
+    done = run_script(f'{terrain}{table}{frontier} --detours 1.1 --slacks 0.01', tmp_path)
     assert done.returncode == 0, done.stderr
     for name in ('map.yaml', 'map.pgm', 'map.png', 'map.tif', 'table.csv', 'frontier.csv',
                  'frontier.png'):
@@ -108,9 +87,9 @@ def test_signed_recordings_verify_until_one_changes(tmp_path):
     subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)
     (tmp_path / 'signers').write_text(f'NAME {key.with_suffix(".pub").read_text()}')
     (signing,) = blocks('recordings.md')
-    done = run(signing, tmp_path)
+    done = run_script(signing, tmp_path)
     assert done.returncode == 0 and done.stdout.count(': OK') == 2, done.stderr
     changed = next(tmp_path.glob('RUNS/**/*.mcap'))
     changed.write_bytes(changed.read_bytes()[:-1])
     verify = signing.splitlines()[-1]
-    assert 'FAILED' in run(verify, tmp_path).stdout
+    assert 'FAILED' in run_script(verify, tmp_path).stdout

@@ -49,9 +49,10 @@ def planned(ground, reach, tube, tracking_error=0.0):
     return plan_trip(
         RiskMap(alpha, obstacles, SIDE / 50), (3.0, 50.0), (97.0, 50.0),
         PlanningOptions(
-            NetworkOptions(spacing=SPACING),
-            GameOptions(ambush_radius=reach, secured_radius=SECURED),
-            StrategyOptions(max_detour=1.3), DriveOptions(tube, tracking_error=tracking_error),
+            network=NetworkOptions(spacing=SPACING),
+            game=GameOptions(ambush_radius=reach, secured_radius=SECURED),
+            strategy=StrategyOptions(max_detour=1.3),
+            drive=DriveOptions(tube=tube, tracking_error=tracking_error),
         ),
     )
 

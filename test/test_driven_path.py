@@ -83,7 +83,8 @@ def open_map(cells=20, yaw=0.0):
 
 def corridors_on(risk_map, start, goal, spacing=1.0, **options):
     ends = risk_map.to_world(np.array([start, goal], float))
-    network = build_network(risk_map, *ends, NetworkOptions('uniform_delaunay', spacing))
+    network = build_network(risk_map, *ends,
+                            NetworkOptions(method='uniform_delaunay', spacing=spacing))
     return make_corridors(network, risk_map, **options)
 
 

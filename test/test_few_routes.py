@@ -24,8 +24,8 @@ from ambush_planner.planning.random_draws import OUTCOMES, nearest_counts, rando
 from ambush_planner.routes.driven_path import driven_paths
 
 # 16 different routes, so that all sets of two can be tried.
-COARSE = PlanningOptions(NetworkOptions(spacing=5.0), GameOptions(ambush_radius=2.5),
-                         StrategyOptions(max_detour=1.1))
+COARSE = PlanningOptions(network=NetworkOptions(spacing=5.0), game=GameOptions(ambush_radius=2.5),
+                         strategy=StrategyOptions(max_detour=1.1))
 
 
 @pytest.fixture(scope='module')
@@ -92,7 +92,8 @@ def test_a_plan_draws_from_its_few_routes():
     (3, {'ambush_radius': 0.0}, '--reach'), (3, {'ambushers': 2}, 'ambushers'),
 ])
 def test_requests_without_an_answer_are_refused(routes, game, words):
-    options = PlanningOptions(OPTIONS.network, GameOptions(**{'ambush_radius': 2.0, **game}))
+    options = PlanningOptions(network=OPTIONS.network,
+                              game=GameOptions(**{'ambush_radius': 2.0, **game}))
     with pytest.raises(InvalidOption, match=words):
         plan_trip(ground(), START, GOAL, options, routes=routes)
 

@@ -15,7 +15,7 @@ pytest.importorskip('gpxpy', reason='GPX takes the extra "gis"')
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from audit_samples import departure, drawn, parameters, record, sample_plan
-from test_rooms import NO_ROS
+from commands import NO_ROS
 
 DOCS = Path(__file__).resolve().parent.parent / 'docs'
 PAGES = ''.join((DOCS / name).read_text() for name in ('gis.md', 'operations.md'))

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run_here
+from commands import run_here, run_script
 from games import examples, planar_network, routes_of, value_by_routes
 from hypothesis import given
 from hypothesis import strategies as st
-from test_doc_commands import run as run_script
 
 from ambush_planner import (
     GameOptions,
@@ -32,8 +31,9 @@ from ambush_planner.maps.occupancy import OccupancyMap
 
 DOCS = Path(__file__).resolve().parent.parent / 'docs'
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
-OPTIONS = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(2.0, 6.0),
-                          StrategyOptions(risk_slack=SLACK))
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.0),
+                          game=GameOptions(ambush_radius=2.0, secured_radius=6.0),
+                          strategy=StrategyOptions(risk_slack=SLACK))
 CANDIDATES = {'corner': (3.0, 18.0), 'north gate': (15.5, 15.0), 'south gate': (15.5, 5.0),
               'before it': (11.0, 5.0), 'mill': (22.0, 9.0)}
 
@@ -75,8 +75,10 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour, 
         return
     places = tuple((*rng.uniform(0.5, 3.5, 2), rng.uniform(0.3, 1.2)) for _ in range(2))
     options = StrategyOptions(max_detour=detour)
-    before = solve(network, GameOptions(reach, 0.5, ambushers=ambushers), options)
-    strategy = solve(network, GameOptions(reach, 0.5, ambushers=ambushers, held_places=places),
+    before = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5,
+                                        ambushers=ambushers), options)
+    strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5,
+                                          ambushers=ambushers, held_places=places),
                      options)
     ends = [(*network.points[end], 0.5) for end in network.ends]
     near = exposed_hits(network, reach, [*ends, *places])
@@ -92,8 +94,8 @@ def test_the_ambusher_of_a_trip_bounds_it_with_more_held_ground(yard):
     strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).strategy
     assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
     for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none
-        held = GameOptions(2.0, 6.0, held_places=(place,))
-        planned = plan_trip(yard, START, GOAL, PlanningOptions(OPTIONS.network, held),
+        held = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=(place,))
+        planned = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=held),
                             stops=[(22.0, 16.0)]).strategy
         assert bound_if_held(strategy, (place,)) <= planned.value
 
@@ -104,8 +106,8 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
     assert values[2] <= values[1] * (1.0 + SLACK)
     for number, strategy in enumerate(found.strategies):
         places = tuple((*step.xy, RADIUS) for step in found.steps[:number])
-        game = GameOptions(2.0, 6.0, held_places=places)
-        plan = plan_trip(yard, START, GOAL, PlanningOptions(OPTIONS.network, game))
+        game = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=places)
+        plan = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=game))
         assert (strategy.value, strategy.lower_bound) == pytest.approx(
             (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
 
@@ -114,8 +116,9 @@ def test_no_candidate_that_the_bounds_rule_out_is_better(yard):
     (step,) = places_to_hold(yard, START, GOAL, RADIUS, 1, OPTIONS, candidates=CANDIDATES).steps
     assert step.candidates == len(CANDIDATES) > step.solved
     held = {name: plan_trip(yard, START, GOAL, PlanningOptions(
-        OPTIONS.network, GameOptions(2.0, 6.0, held_places=((*xy, RADIUS),)))).strategy.value
-        for name, xy in CANDIDATES.items()}
+        network=OPTIONS.network, game=GameOptions(ambush_radius=2.0, secured_radius=6.0,
+                                                  held_places=((*xy, RADIUS),)))).strategy.value
+            for name, xy in CANDIDATES.items()}
     assert held[step.name] <= min(held.values()) * (1.0 + SLACK + 1e-5)
     assert step.others <= min(value for name, value in held.items() if name != step.name)
 

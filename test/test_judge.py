@@ -18,8 +18,7 @@ import shapely
 from audit_samples import departure, drawn, record, sample_plan
 from commands import run_here
 from gpxpy import gpx
-from test_gis_docs import DOCS
-from track_samples import GOAL, HABIT, START, driven, habit, yard_trips
+from track_samples import GOAL, HABIT, START, driven, habit
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap
 from ambush_planner.commands import judge as command
@@ -31,7 +30,8 @@ from ambush_planner.planning.path_mixtures import MAX_GAP
 CRS = 'EPSG:32616'
 ORIGIN = np.array([740000.0, 4050000.0])
 REACH, NEAR = 2.0, 2.6
-OPTIONS = PlanningOptions(NetworkOptions(spacing=2.5), GameOptions(ambush_radius=REACH))
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.5),
+                          game=GameOptions(ambush_radius=REACH))
 ENDS = np.array(START), np.array(GOAL)
 find = partial(find_trips, start=ENDS[0], goal=ENDS[1], near=NEAR, reach=REACH)
 
@@ -253,7 +253,3 @@ def test_what_cannot_be_judged_is_said_in_a_sentence(map_file, tmp_path, argumen
     done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *arguments)
     assert (done.code, reason in done.out + done.err) == (code, True), done.err
     assert 'Traceback' not in done.err and not (tmp_path / 'judge.png').exists()
-
-
-def test_the_example_of_the_page_is_made_by_its_sample():
-    assert (DOCS / 'yard_trips.csv').read_text() == yard_trips()

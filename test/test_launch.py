@@ -19,8 +19,6 @@ from rclpy.node import Node
 from ros_harness import Client, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, answer_of, wait_until
 
-from ambush_planner.planning.parameters import PARAMETERS
-
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'
 NAV2 = ROOT / 'config' / 'nav2.yaml'
@@ -99,19 +97,6 @@ def parameters(node, planner, *names):
     """Values of parameters of a node."""
     client = node.create_client(GetParameters, f'{planner}/get_parameters')
     return answer_of(client, GetParameters.Request(names=names)).values
-
-
-def test_every_name_in_the_file_and_in_the_documents_table_exists():
-    names = {each.get('name') for each in TREE.findall('arg')}
-    declared = names | {each.get('name') for each in TREE.findall('let')}
-    assert set(re.findall(r'\$\(var (\w+)\)', FILE.read_text())) == declared
-    values = arguments()
-    assert Path(values['params_file']).is_file() and Path(values['rviz_config']).is_file()
-    named = {each.get('name') for each in node_of('ambush_planner').findall('param')} - {None}
-    assert named <= {*PARAMETERS, 'use_sim_time'}
-    table = DOCUMENT.split('| argument | default | |')[1].split('\n\n')[0]
-    cells = [row.split('|')[1] for row in table.splitlines()[2:]]
-    assert set(re.findall(r'`(\w+)`', ' '.join(cells))) == names
 
 
 def test_start_and_goal_are_not_nav2s_and_all_topics_of_rviz_are_remapped():

@@ -88,7 +88,7 @@ def test_on_any_network(network, detour):
 def test_with_a_reach_it_is_the_greatest_within_its_own_rows(reach, seed, detour, slack):
     """Rounds end when the entropy grows by less than a thousandth: up to 1 % may be missing."""
     network = terrain_network(seed, cells=12)
-    strategy = solve(network, GameOptions(reach), StrategyOptions(
+    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
         max_detour=detour, risk_slack=slack))
     check_entropy(strategy, 1e-2)
 
@@ -105,9 +105,9 @@ def test_the_papers_example():
 def test_more_slack_buys_more_entropy(reach, detour):
     """Also much of it: a law may not exceed the budget by a share of the slack."""
     network = terrain_network(5, cells=14)
-    entropies = [solve(network, GameOptions(reach), StrategyOptions(
+    entropies = [solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
         max_detour=detour, risk_slack=slack)).route_entropy
-        for slack in (0.0, 0.01, 0.1, 0.3)]
+                 for slack in (0.0, 0.01, 0.1, 0.3)]
     assert all(b > a for a, b in zip(entropies[:-1], entropies[1:], strict=True))
 
 

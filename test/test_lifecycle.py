@@ -7,9 +7,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
-from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
-from test_compute_path import LONG
-from test_node_life import threads
+from ros_harness import LATCHED, LONG, pose, risk_grid, stage, threads, wait_until
 from waiting import answer_of
 
 from ambush_planner.errors import AmbushPlannerError

@@ -24,7 +24,8 @@ LINEAR = ('interior_point', 'simplex')
 
 
 def solved(network, solver, length_weight=0.0, max_detour=ANY):
-    return solve(network, options=StrategyOptions(solver, max_detour, length_weight=length_weight))
+    return solve(network, options=StrategyOptions(solver=solver, max_detour=max_detour,
+                                                  length_weight=length_weight))
 
 
 def test_the_papers_example_simplex_uses_three_routes():

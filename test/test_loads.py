@@ -49,13 +49,15 @@ def value_of_all_trips(game, loads):
 def test_the_value_agrees_with_a_program_over_all_trips(seed, stops, reach):
     roads, loads = roads_of(seed, stops, 4), LOADS[: stops + 1]
     network = roads.network(roads.visits)
-    found = solve(network, GameOptions(reach, 0.5, loads=loads), StrategyOptions(max_detour=np.inf))
+    found = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5, loads=loads),
+                  StrategyOptions(max_detour=np.inf))
     least = value_of_all_trips(found.game, loads)
     assert found.lower_bound <= least * (1.0 + 1e-6) + 1e-9
     assert found.value >= least * (1.0 - 1e-6) - 1e-9
     if not found.counting_gap:
         assert found.value <= found.lower_bound * 1.0101
-    full = solve(network, GameOptions(reach, 0.5), StrategyOptions(max_detour=np.inf))
+    full = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5),
+                 StrategyOptions(max_detour=np.inf))
     assert found.lower_bound <= full.value * (1.0 + 1e-9)
 
 
@@ -63,7 +65,8 @@ def test_the_value_agrees_with_a_program_over_all_trips(seed, stops, reach):
 @given(seed=st.integers(0, 10**6))
 def test_the_derivative_of_hits_counts_the_load(seed):
     roads = roads_of(seed, 1, 5)
-    strategy = solve(roads.network(roads.visits), GameOptions(1.0, 0.5, loads=(1.0, 0.3)),
+    strategy = solve(roads.network(roads.visits),
+                     GameOptions(ambush_radius=1.0, secured_radius=0.5, loads=(1.0, 0.3)),
                      StrategyOptions(max_detour=np.inf))
     chain = chain_of(strategy.network, strategy.edge_probability)
     rows = chain.network.columns(strategy.game.hits)

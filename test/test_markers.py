@@ -27,7 +27,7 @@ ALL = (edge_probabilities, mean_direction, ambush_sites)
 @pytest.fixture(scope='module')
 def strategy():
     risk_map = risk_from_occupancy(*occupancy_from_ros(risk_grid()))
-    options = PlanningOptions(NetworkOptions(spacing=1.0))
+    options = PlanningOptions(network=NetworkOptions(spacing=1.0))
     return plan_trip(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
 
 

@@ -28,8 +28,9 @@ START, GOAL = (1.0, 3.0), (9.0, 3.0)
 def ground_on(values, radius=0.0, stops=(), spacing=1.1, **strategy):
     """A plan across a map of 10 m x 6 m, in which -1 and 100 are obstacles."""
     grid = OccupancyMap(values, 0.25)
-    options = PlanningOptions(NetworkOptions(spacing=spacing), GameOptions(ambush_radius=radius),
-                              StrategyOptions(**strategy))
+    options = PlanningOptions(network=NetworkOptions(spacing=spacing),
+                              game=GameOptions(ambush_radius=radius),
+                              strategy=StrategyOptions(**strategy))
     plan = plan_trip(risk_from_occupancy(values, 0.25), START, GOAL, options, stops=stops)
     return ChangedGround(plan, grid, OccupancyOptions()), grid
 

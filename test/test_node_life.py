@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
-import threading
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -16,12 +15,12 @@ from ros_harness import (
     ros_context,
     spinning,
     stage,
+    threads,
     wait_until,
 )
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.planning.changed_ground import Assessment
-from ambush_planner.ros import plan_cache
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.worker.solve_errors import SolveCancelled
@@ -46,11 +45,6 @@ def test_an_executor_with_several_threads_works():
                 wait_until(lambda: all(each.done() for each in futures), 'the answers')
                 assert client.call('new_route').success
                 assert client.call('replan').success
-
-
-def threads():
-    names = ('solves', 'departures', 'recordings', '_ambush_planner_tf')
-    return [each.name for each in threading.enumerate() if each.name.startswith(names)]
 
 
 def test_a_start_that_fails_leaves_nothing():
@@ -98,13 +92,3 @@ def test_clear_routes_that_exceed_the_length_budget_are_a_warning():
     assert reported.level == DiagnosticStatus.WARN
     assert all(word in reported.message for word in ('the map has changed', '150 m', '120 m'))
     assert {each.key: each.value for each in reported.values}['current_length'] == '150'
-
-
-def test_ground_that_changes_too_fast_is_reported(monkeypatch):
-    """A departure gives up if every plan is out of date before it is solved."""
-    monkeypatch.setattr(plan_cache.CachedPlan, 'fit', lambda *_: None)
-    with stage() as running:
-        answer = running.give().call('new_route')
-        assert not answer.success
-        assert 'in a row were out of date' in answer.message
-        running.client.diagnostics(code='OUT_OF_DATE')

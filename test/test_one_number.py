@@ -26,11 +26,12 @@ from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.maps.risk_map_file import read_risk_map
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
-from ambush_planner.recordings.strategy_file import strategy_file, strategy_from_file
+from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
 
 YARD = Path(__file__).parents[1] / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
-OPTIONS = PlanningOptions(NetworkOptions(target_nodes=120), GameOptions(ambush_radius=2.0))
+OPTIONS = PlanningOptions(network=NetworkOptions(target_nodes=120),
+                          game=GameOptions(ambush_radius=2.0))
 SET = ('--set', 'network.target_nodes=120', 'game.ambush_radius=2')
 
 

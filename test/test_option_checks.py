@@ -6,7 +6,6 @@ import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
 from ambush_planner.maps import OccupancyOptions
-from ambush_planner.option_checks import check_at_least
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
 WRONG = (None, '2', [1.0], True, 1j, np.nan, -2)
@@ -53,14 +52,3 @@ def test_values_out_of_range_are_named(record, name, values):
         with pytest.raises(InvalidOption, match=name) as caught:
             record(**{name: value})
         assert str(value) in str(caught.value)
-
-
-def test_at_least():
-    check_at_least('size', 0.0, 0.0)
-    check_at_least('size', np.inf, 0.0, finite=False)
-    with pytest.raises(InvalidOption, match=r'size must be finite and >= 0 \[m\], got inf'):
-        check_at_least('size', np.inf, 0.0, 'm')
-    with pytest.raises(InvalidOption, match=r'size must be >= 1, got 0\.5'):
-        check_at_least('size', 0.5, 1.0, finite=False)
-    with pytest.raises(InvalidOption, match='size is too large'):
-        check_at_least('size', 10**400, 0.0)

@@ -13,7 +13,6 @@ from ambush_planner.game.game import GameOptions
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.options import PlanningOptions
-from ambush_planner.planning.route_layers import strategy_tables
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import report_data
 from ambush_planner.ros.markers import ambush_sites
@@ -22,8 +21,8 @@ from ambush_planner.ros.markers import ambush_sites
 @pytest.fixture(scope='module')
 def plan():
     """Without a reach, the best ambusher waits at the same places for both legs."""
-    options = PlanningOptions(NetworkOptions(spacing=1.6 * SPACING),
-                              GameOptions(secured_radius=SECURED, ambushers=2))
+    options = PlanningOptions(network=NetworkOptions(spacing=1.6 * SPACING),
+                              game=GameOptions(secured_radius=SECURED, ambushers=2))
     risk_map = risk_from_occupancy(occupancy(), 5.0)
     return plan_trip(risk_map, START, START, options, stops=[GOAL])
 
@@ -56,22 +55,3 @@ def test_markers_and_report_show_each_site_once(plan, total):
     words = dict(quantities(strategy))['sites of the best ambusher']
     assert int(words) == len(plan.bottleneck.sites) == (
         total > 1e-6 * total.max()).sum()
-
-
-def test_the_layer_of_sites_has_each_once(plan, total):
-    pytest.importorskip('geopandas', reason='routes in files take the extra "gis"')
-    sites = strategy_tables(plan.strategy, plan.risk_map)['sites']
-    assert sites['probability'].sum() == pytest.approx(plan.strategy.game.ambushers, rel=1e-3)
-    assert len(sites) == (total > 1e-6).sum() and sites.geometry.is_unique
-
-
-def test_pictures_show_each_site_once(plan, total):
-    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
-    from matplotlib.figure import Figure
-
-    from ambush_planner.figures import draw_sites
-
-    axes = Figure().subplots()
-    draw_sites(axes, plan.strategy)
-    places = np.asarray(axes.collections[0].get_offsets())
-    assert len(np.unique(places, axis=0)) == len(places) > 5

@@ -3,7 +3,6 @@
 
 import ast
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from functools import cache
@@ -82,16 +81,6 @@ def imported_packages(folder=NAME, walk=ast.walk):
     return names - set(sys.stdlib_module_names) - ours
 
 
-def tracked_files():
-    listing = subprocess.run(
-        ['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
-        cwd=ROOT, capture_output=True, check=False)
-    if listing.returncode or not (ROOT / '.git').exists():
-        pytest.skip('not a git checkout, so the list of files is unknown')
-    paths = (ROOT / name.decode() for name in listing.stdout.split(b'\0') if name)
-    return [path for path in paths if path.is_file()]
-
-
 def test_manifest_and_setup_agree():
     arguments = setup_arguments()
     assert manifest().get('format') == '3'
@@ -147,9 +136,3 @@ def test_all_package_folders_and_data_files_are_installed():
     for folder in ('config', 'launch', 'msg_examples'):
         files = sorted(f'{folder}/{path.name}' for path in (ROOT / folder).iterdir())
         assert files and targets[f'share/{NAME}/{folder}'] == files
-
-
-def test_no_file_holds_a_path_of_one_machine():
-    machine_path = re.compile(rb'(?<![\w.])/(?:home|root|work|farm|Users)/')
-    found = [path.name for path in tracked_files() if machine_path.search(path.read_bytes())]
-    assert not found

@@ -3,8 +3,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,6 @@ from commands import run_here
 from games import paper_example
 
 from ambush_planner import solve
-from ambush_planner.errors import InvalidOption
 from paper import command as paper
 from paper import environment
 from paper.report import NAMES
@@ -48,29 +45,6 @@ def test_the_example_is_the_papers():
     np.testing.assert_array_equal(ours.edges, theirs.edges)
     np.testing.assert_array_equal(ours.alpha, theirs.alpha)
     assert distinct_routes(solve(ours), 500) == 7
-
-
-def test_tables_replace_the_text_between_the_marks():
-    text = f'a\n{paper.BEGIN}\nold\n{paper.END}\nb'
-    renewed = paper.with_tables(text, 'new')
-    assert renewed == f'a\n{paper.BEGIN}\n\nnew\n{paper.END}\nb'
-    with pytest.raises(InvalidOption, match='paper: begin'):
-        paper.with_tables(paper.END, 'new')
-
-
-def test_only_the_help_works_without_matplotlib(tmp_path):
-    for argument, code, words in (('--help', 0, '--output'), ('-oout', 3, 'try: make paper')):
-        program = (
-            f"import sys; sys.modules['matplotlib'] = None; sys.path.insert(0, {str(ROOT)!r})\n"
-            f"from paper.command import main; sys.exit(main(['{argument}']))"
-        )
-        process = subprocess.run(
-            [sys.executable, '-c', program], cwd=tmp_path,
-            capture_output=True, text=True, timeout=60, check=False,
-        )
-        assert process.returncode == code
-        assert words in process.stdout + process.stderr
-        assert 'Traceback' not in process.stderr
 
 
 def test_unusable_files_are_refused_before_the_computation(tmp_path, capsys):

@@ -25,7 +25,8 @@ def walled(row: int, column: int, thickness: int, door: int = 1) -> RiskMap:
 def crossing(risk_map, method='uniform_delaunay', **options):
     """A network from left to right, and that it leads through on free ground."""
     ends = (1.3, 12.2), (22.4, 11.7)
-    network = build_network(risk_map, *ends, NetworkOptions(method, SPACING, **options))
+    network = build_network(risk_map, *ends,
+                            NetworkOptions(method=method, spacing=SPACING, **options))
     reached = reachable_from(network.edges, len(network.points), network.source)
     assert reached[network.target]
     a, b = network.points[network.tails], network.points[network.heads]
@@ -62,8 +63,10 @@ def test_adds_no_nodes_if_the_lattice_connects_the_ends():
 def test_a_grid_suggests_a_spacing_for_the_door():
     risk_map = walled(7, 9, 1)
     with pytest.raises(NoRoute, match=r'at a spacing of 6 m; the map has one, .* of 0\.5 m'):
-        build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions('uniform_grid8', 6.0))
-    build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions('uniform_grid8', 0.5))
+        build_network(risk_map, (1.3, 12.2), (22.4, 11.7),
+                      NetworkOptions(method='uniform_grid8', spacing=6.0))
+    build_network(risk_map, (1.3, 12.2), (22.4, 11.7),
+                  NetworkOptions(method='uniform_grid8', spacing=0.5))
 
 
 @pytest.mark.parametrize('method', [*DELAUNAY, 'uniform_grid8'])

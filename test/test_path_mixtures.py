@@ -22,7 +22,7 @@ from ambush_planner.errors import BudgetInfeasible
 from ambush_planner.planning.path_mixtures import PathMixtures
 
 START, GOAL = (3.0, 10.0), (37.0, 10.0)
-OPTIONS = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=2.0))
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.0), game=GameOptions(ambush_radius=2.0))
 
 
 def ground(seed=0, walls=True):

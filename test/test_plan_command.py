@@ -273,7 +273,7 @@ def test_recorded_departures_are_exported(tmp_path):
 
 def test_a_plan_saves_the_routes_that_it_returns(tmp_path):
     ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0)
-    options = PlanningOptions(NetworkOptions(spacing=40.0))
+    options = PlanningOptions(network=NetworkOptions(spacing=40.0))
     made = plan_trip(ground, (25.0, 95.0), (275.0, 95.0), options)
     paths = made.save(tmp_path / 'r.csv', str(tmp_path / 'r.png'), n=3)
     lines = pyogrio.read_dataframe(tmp_path / 'r.csv', read_geometry=False)['WKT']

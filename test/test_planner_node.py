@@ -168,14 +168,6 @@ def test_an_unexpected_error_is_answered_without_its_message(client, monkeypatch
     client.diagnostics(code='NONE')
 
 
-def test_a_patrol_of_five_legs_is_solved_once(client, submitted):
-    places = [(1.5, 5.5), (3.0, 8.5), (8.5, 8.5), (8.5, 1.5), (2.5, 1.5)]
-    for _ in range(2):
-        for start, goal in zip(places, places[1:] + places[:1], strict=True):
-            assert client.get_plan(pose(*start), pose(*goal)).poses
-    assert len(submitted) == 5
-
-
 def test_help_is_printed_and_a_stray_argument_is_an_error(capsys):
     check_arguments(['--ros-args', '-p', 'seed:=1', '-r', '__node:=planner'])
     with pytest.raises(SystemExit) as ended:

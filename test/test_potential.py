@@ -71,7 +71,7 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
 @given(st.integers(0, 10**6), st.floats(0.8, 3.0), st.sampled_from((1.05, 1.2, np.inf)),
        st.integers(2, 4))
 def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
-    game = make_game(terrain_network(seed, cells=12), GameOptions(reach))
+    game = make_game(terrain_network(seed, cells=12), GameOptions(ambush_radius=reach))
     once, (later, q) = program_of(game, detour), program_in_parts(game, detour, parts)
     assert later.bound == pytest.approx(once.bound, rel=PRECISION)
     assert len(later.q) == len(later.level) == len(game.sites)
@@ -80,7 +80,8 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
 
 
 def test_with_no_site_to_limit_the_value_is_0():
-    game = make_game(terrain_network(3, cells=10), GameOptions(1.0, 99.0))
+    game = make_game(terrain_network(3, cells=10),
+                     GameOptions(ambush_radius=1.0, secured_radius=99.0))
     assert len(game.sites) == 0
     for detour in (1.0, np.inf):
         program = program_of(game, detour)
@@ -101,7 +102,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     alpha = np.zeros(27)
     alpha[21:26] = 1.0
     network = Network(points, alpha, edges, 0, 26)
-    game = make_game(network, GameOptions(2.5, 0.4))
+    game = make_game(network, GameOptions(ambush_radius=2.5, secured_radius=0.4))
     near = reached(network, 2.5, 0.4)
     assert value_by_routes(alpha, near, routes_of(network)) == pytest.approx(2 / 5)
     assert program_of(game).bound == pytest.approx(2 / 5, rel=PRECISION)
@@ -110,7 +111,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():
-    game = make_game(terrain_network(3, cells=12), GameOptions(2.0))
+    game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
     program = Potential(make_faces(game), Budget.length(game, 1.2), 1e-3, time.monotonic() - 1.0)
     with pytest.raises(TimeLimit, match='before the program in potentials'):
         program.solve()

@@ -4,11 +4,9 @@
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from ros_harness import pose, risk_grid, stage
+from ros_harness import pose, stage
 
-from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.maps.occupancy import risk_from_occupancy
-from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros
+from ambush_planner.maps.ros_messages import path_from_ros
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 
@@ -48,11 +46,3 @@ def test_a_path_of_too_many_poses_is_refused(running, spacing):
     assert 'route.path_spacing' in report['message']
     assert len(rows_with(running, route__path_spacing=0.0))
     running.client.diagnostics(code='NONE')
-
-
-@pytest.mark.parametrize('clearance', [0.0, 0.9])
-def test_every_segment_keeps_its_clearance(running, clearance):
-    field = ObstacleField(risk_from_occupancy(*occupancy_from_ros(risk_grid())))
-    for _ in range(3):
-        rows = rows_with(running, network__clearance=clearance, route__path_spacing=0.2)
-        assert field.clear_segments(rows[:-1, :2], rows[1:, :2], clearance).all()

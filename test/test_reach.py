@@ -41,7 +41,7 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
     routes = routes_of(network)
     if not 0 < len(routes) <= 1000:
         return
-    game = GameOptions(reach, held, ambushers=ambushers)
+    game = GameOptions(ambush_radius=reach, secured_radius=held, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
     near = reached(network, reach, game.held_radius)
     limits = [(network.lengths, strategy.length_budget)]
@@ -60,7 +60,7 @@ def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
     options = StrategyOptions(max_detour=detour)
     bound = 0.0
     for reach in (0.0, 0.7, 1.5, 3.0, 6.0):
-        strategy = solve(network, GameOptions(reach, held), options)
+        strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=held), options)
         assert strategy.value >= bound * (1.0 - 1e-6)
         bound = max(bound, strategy.lower_bound)
 

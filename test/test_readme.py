@@ -20,10 +20,6 @@ COMMANDS, PYTHON = (re.search(rf'(?ms)^```{kind}\n(.*?)^```$', TEXT)[1]
 ROS = re.search(r'(?ms)^```sh\n(.*?)^```$', (ROOT / 'docs/ros_interface.md').read_text())[1]
 
 
-def test_it_is_short():
-    assert len(TEXT.splitlines()) <= 80
-
-
 def named_value():
     return float(re.search(r'(?m)^value +([\d.]+):', TEXT)[1])
 
@@ -61,7 +57,7 @@ def test_the_python_of_its_page_runs(tmp_path):
     record(tmp_path / 'runs', [departure(a_plan, each, number=k) for k, each in routes])
     text = (ROOT / 'docs/python.md').read_text()
     page = '\n'.join(re.findall(r'(?ms)^```python\n(.*?)^```$', text))
-    coarse = 'PlanningOptions(NetworkOptions(spacing=40.0))'  # as the page, but sooner
+    coarse = 'PlanningOptions(network=NetworkOptions(spacing=40.0))'  # as the page, but sooner
     page = page.replace('PlanningOptions()', coarse)
     page = page.replace('start, goal)', f'start, goal, {coarse})')
     given = 'pairs = [((15.0, 150.0), (385.0, 150.0)), ((385.0, 150.0), (15.0, 150.0))]\n'

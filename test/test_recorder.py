@@ -97,7 +97,7 @@ def test_a_session_is_one_bag_with_one_file_per_departure(tmp_path):
     assert [t['message_count'] for t in information['topics_with_message_count']] == [2] * 6
 
 
-def test_a_directory_that_is_a_file(tmp_path):
+def test_a_file_in_place_of_the_directory_is_an_error(tmp_path):
     occupied = tmp_path / 'runs'
     occupied.write_text('mine')
     for directory in (occupied, occupied / 'below'):
@@ -119,7 +119,7 @@ def test_a_full_disk_leaves_no_partial_file_and_recording_resumes(tmp_path):
     assert len(listed(session)) == 2 == len(read_with_rosbags(session)) // 4
 
 
-def test_files_and_folders_that_are_taken_away(tmp_path):
+def test_recording_goes_on_after_files_and_folders_are_deleted(tmp_path):
     recorder = Recorder(tmp_path / 'runs')
     record(recorder, departure()).unlink()
     path = record(recorder, departure())

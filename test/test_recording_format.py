@@ -2,7 +2,6 @@
 """What is in a recorded file: read back equal by independent readers, complete for rosbag2."""
 
 import json
-import sys
 
 import pytest
 import yaml
@@ -40,18 +39,6 @@ def test_a_file_reads_back_equal_in_independent_readers(tmp_path, compression):
         assert_departure(sent, read_with_rosbags(bag))
     chunks = summary_of(path).chunk_indexes
     assert {chunk.compression for chunk in chunks} == {compression.replace('none', '')}
-
-
-@pytest.mark.parametrize('suffix', ['', '.bag'])
-def test_rosbags_converts_whole_files(tmp_path, suffix, monkeypatch):
-    """To another bag of ROS 2, and to one of ROS 1."""
-    convert = pytest.importorskip('rosbags.convert.cli').main
-    path = record(Recorder(tmp_path / 'runs'), departure())
-    copy = tmp_path / f'copy{suffix}'
-    monkeypatch.setattr(sys, 'argv', ['rosbags-convert', '--src', str(path), '--dst', str(copy)])
-    with pytest.raises(SystemExit) as ended:
-        convert()
-    assert not ended.value.code and copy.exists()
 
 
 def test_header_metadata_record_and_attachments(tmp_path):

@@ -8,12 +8,12 @@ import sys
 import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
+from commands import NO_ROS
 from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, recorded, small_departure
 from std_msgs.msg import Header
-from test_rooms import NO_ROS
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import (

@@ -84,7 +84,8 @@ def test_terrain_alone_is_the_terrain_map(folder):
     risk_map = joined(folder, {'terrain': 'dem.tif', 'weapon_range': 200}).risk_map
     with rasterio.open(folder / 'dem.tif') as file:
         heights = file.read(1)[::-1]
-    made = terrain_map(Elevation(heights, STEP), TerrainOptions(ViewOptions(200.0)))
+    made = terrain_map(Elevation(heights, STEP),
+                       TerrainOptions(view=ViewOptions(weapon_range=200.0)))
     expected = risk_from_occupancy(made.values, STEP)
     free = ~expected.obstacles
     assert free.any() and np.array_equal(risk_map.obstacles, expected.obstacles)

@@ -98,7 +98,8 @@ def test_occupancy_values_by_hand():
 
 
 def test_unknown_cells_can_have_a_loss_and_thresholds_move():
-    options = OccupancyOptions(2.0, 4.0, 50, 7.0)
+    options = OccupancyOptions(alpha_min=2.0, alpha_max=4.0, obstacle_threshold=50,
+                               unknown_alpha=7.0)
     risk_map = risk_from_occupancy([[0, 49, 50, -1]], 1.0, options=options)
     assert risk_map.alpha[0, [0, 1, 3]] == pytest.approx([2.0, 2.98, 7.0])
     assert risk_map.obstacles.tolist() == [[False, False, True, False]]

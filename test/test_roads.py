@@ -105,8 +105,8 @@ def test_a_town_against_networkx(streets, name, detour):
     timed, graph = name != 'untimed.gpkg', as_networkx(name != 'untimed.gpkg')
     lines = town().geometry
     ends = lines[2].coords[2], lines[8].coords[20]
-    options = PlanningOptions(roads(streets, name), GameOptions(),
-                              replace(EXACT, max_detour=detour))
+    options = PlanningOptions(network=roads(streets, name), game=GameOptions(),
+                              strategy=replace(EXACT, max_detour=detour))
     plan = plan_trip(ground(), *map(on_map, ends), options)
     strategy, network = plan.strategy, plan.network
     least = networkx.shortest_path_length(graph, *(tuple(np.round(each, 6)) for each in ends),
@@ -144,9 +144,10 @@ def test_nodes_and_edges_are_those_of_the_file(streets):
 
 
 @pytest.mark.parametrize(('game', 'tube'), [
-    (GameOptions(45.0, 150.0), None), (GameOptions(secured_radius=150.0), 3.0)])
+    (GameOptions(ambush_radius=45.0, secured_radius=150.0), None),
+    (GameOptions(secured_radius=150.0), 3.0)])
 def test_paths_keep_to_the_roads(streets, game, tube):
-    options = PlanningOptions(roads(streets, 'town.gpkg|layername=streets'), game)
+    options = PlanningOptions(network=roads(streets, 'town.gpkg|layername=streets'), game=game)
     options = replace(options, drive=replace(options.drive, tube=tube))
     plan = plan_trip(ground(), on_map(START), on_map(GOAL), options)
     near = MultiLineString([*town().geometry, LineString([START, (50.0, 50.0)])])
@@ -167,7 +168,8 @@ def test_paths_keep_to_the_roads(streets, game, tube):
 
 def test_the_best_order_of_a_trip_on_one_way_roads(streets):
     stops = [on_map((900.0, 160.0)), on_map((160.0, 930.0))]
-    options = PlanningOptions(roads(streets, 'town.gpkg'), GameOptions(secured_radius=100.0))
+    options = PlanningOptions(network=roads(streets, 'town.gpkg'),
+                              game=GameOptions(secured_radius=100.0))
     best = plan_trip(ground(), on_map(START), on_map(GOAL), options, stops=stops, order='best')
     both = [plan_trip(ground(), on_map(START), on_map(GOAL), options, stops=each)
             for each in (stops, stops[::-1])]
@@ -198,7 +200,7 @@ def test_a_graph_of_nav2_route(tmp_path):
     file.write_text(nav2_graph([(0, 1), (1, 2), (0, 3), (3, 2, [6.0, 12.0])],
                                metadata={'abs_speed_limit': 0.5}))
     risk_map = RiskMap(np.ones((30, 30)), np.zeros((30, 30), bool), 0.5)
-    options = NetworkOptions('graph', 20.0, graph=str(file))
+    options = NetworkOptions(method='graph', spacing=20.0, graph=str(file))
     network = build_network(risk_map, (1.0, 1.0), (11.0, 11.0), options)
     ways = {tuple(map(tuple, each)) for each in network.points[network.edges].tolist()}
     assert ways == {((1, 1), (11, 1)), ((11, 1), (11, 11)), ((1, 1), (1, 11)), ((1, 11), (6, 12)),

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from commands import NO_ROS
 
 import ambush_planner
 
@@ -21,18 +22,6 @@ MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas'
                   'pyogrio', 'shapely', 'mgrs'}
 NEEDED_ALSO = {'route_layers.py': {'geopandas', 'shapely', 'rasterio'}}
 
-NO_ROS = """
-import sys
-
-class NoRos:
-    def find_spec(self, name, path=None, target=None):
-        top = name.partition(".")[0]
-        ros = ("rclpy", "builtin_interfaces", "ament_index_python")
-        if top in ros or top.endswith(("_msgs", "_srvs", "_interfaces")):
-            raise ImportError(name + " is blocked")
-
-sys.meta_path.insert(0, NoRos())
-"""
 SOLVES = NO_ROS + """
 sys.modules.update(dict.fromkeys(('mcap', 'mcap_ros2', 'matplotlib', 'yaml')))  # not needed
 import ambush_planner

@@ -29,7 +29,7 @@ def check_route(network, route) -> None:
 @examples(25)
 @given(networks(), st.sampled_from(SOLVERS), st.integers(0, 9))
 def test_routes_of_any_network_are_simple_and_use_its_edges(network, solver, seed):
-    strategy = solve(network, options=StrategyOptions(solver))
+    strategy = solve(network, options=StrategyOptions(solver=solver))
     route = strategy.sample_route(np.random.default_rng(seed))
     check_route(network, route)
     assert (strategy.edge_probability[route_edges(network, route)] > 0.0).all()
@@ -88,7 +88,7 @@ def test_whole_routes_have_the_probability_of_their_steps(draw):
 
 def test_routes_at_once_have_the_distribution_of_single_routes_of_strategies_with_cycles():
     network, draws = terrain_network(5, 'uniform_delaunay', 14), 4_000
-    strategy = solve(network, options=StrategyOptions('interior_point', np.inf))
+    strategy = solve(network, options=StrategyOptions(solver='interior_point', max_detour=np.inf))
     assert not is_acyclic(network, strategy.edge_probability)
     single = edge_counts(network, one_by_one(strategy, draws, 3))
     many = edge_counts(network, at_once(strategy, draws, 4))

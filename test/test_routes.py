@@ -46,7 +46,8 @@ def games(seed, stops, reach, detour, exposure, ambushers):
 
 
 def game_on(roads, reach, detour, exposure, ambushers):
-    game = make_game(roads.network(roads.visits), GameOptions(reach, 0.5, ambushers=ambushers))
+    game = make_game(roads.network(roads.visits),
+                     GameOptions(ambush_radius=reach, secured_radius=0.5, ambushers=ambushers))
     return game, make_budgets(game, StrategyOptions(max_detour=detour, max_exposure=exposure))
 
 

@@ -28,7 +28,8 @@ def request(goal=(18.5, 10.5), values=None, **strategy):
     """A small game, solved in about ten milliseconds."""
     if values is None:
         values = np.random.default_rng(1).integers(0, 60, (20, 20), dtype=np.int8)
-    options = PlanningOptions(NetworkOptions(spacing=1.0), strategy=StrategyOptions(**strategy))
+    options = PlanningOptions(network=NetworkOptions(spacing=1.0),
+                              strategy=StrategyOptions(**strategy))
     return PlanRequest(
         values, 1.0, (0.0, 0.0, 0.0), OccupancyOptions(), (1.5, 10.5), goal, 0.0, options
     )

@@ -18,7 +18,7 @@ def test_the_worst_place_is_that_of_all_routes(seed, reach, detour, ambushers):
     network = planar_network(seed)
     if len(routes := routes_of(network)) > 1000:
         return
-    game = GameOptions(reach, ambushers=ambushers)
+    game = GameOptions(ambush_radius=reach, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
     near = (reached(network, reach, game.held_radius) if reach else
             np.arange(len(network.points))[:, None] == network.heads)

@@ -101,7 +101,8 @@ def check_value(strategy, max_detour: float, slack: float = 0.0) -> None:
 @given(st.one_of(networks(), networks(), terrain_networks), st.sampled_from(DETOURS),
        st.sampled_from((0.0, SLACK)), st.sampled_from((*SOLVERS, 'max_entropy')))
 def test_any_solver_on_any_network(network, max_detour, slack, solver):
-    strategy = solve(network, options=StrategyOptions(solver, max_detour, risk_slack=slack))
+    strategy = solve(network, options=StrategyOptions(solver=solver, max_detour=max_detour,
+                                                      risk_slack=slack))
     check_laws(strategy, max_detour, solver)
     slack *= solver == 'max_entropy'
     check_value(strategy, max_detour, slack)
@@ -162,7 +163,8 @@ def test_a_budget_that_binds_by_hand():
     network = quiet_network([[0, 0], [1, 0], [1, height], [2, 0]], [0, 4, 4, 0],
                             [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     for solver in SOLVERS:
-        values = [solve(network, options=StrategyOptions(solver, detour, risk_slack=0.0)).value
+        values = [solve(network, options=StrategyOptions(solver=solver, max_detour=detour,
+                                                         risk_slack=0.0)).value
                   for detour in (1.0, 1.25, 1.5, np.inf)]
         assert values == pytest.approx([4.0, 3.0, 2.0, 2.0], rel=1e-5)
 
@@ -170,7 +172,7 @@ def test_a_budget_that_binds_by_hand():
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_no_time_at_all_raises_time_limit(solver):
     network = terrain_network(1, cells=40)
-    tight = StrategyOptions(solver, max_detour=1.05, time_limit=1e-6)
+    tight = StrategyOptions(solver=solver, max_detour=1.05, time_limit=1e-6)
     with pytest.raises(TimeLimit, match=r'time limit passed|allow more time'):
         solve(network, options=tight)
 
@@ -259,7 +261,7 @@ def test_losses_of_obstacle_cells_are_ignored_even_nan():
     obstacles[8:12, 8:12] = True
     values = [
         solve(build_network(RiskMap(np.where(obstacles, hidden, 2.0), obstacles, 1.0), (1, 10),
-                            (19, 10), NetworkOptions(method, 1.5))).value
+                            (19, 10), NetworkOptions(method=method, spacing=1.5))).value
         for method in ('uniform_delaunay', 'gradient_delaunay') for hidden in (2.0, np.nan)
     ]
     assert values[0] == values[1]
@@ -270,23 +272,25 @@ def test_losses_of_obstacle_cells_are_ignored_even_nan():
 def test_no_route_or_none_within_the_budget(solver):
     network = quiet_network([[0, 0], [1, 0], [2, 0]], [0, 1, 0], [(0, 1)], 0, 2)
     with pytest.raises(NoRoute, match=r'from \(0.000, 0.000\) to \(2.000, 0.000\)'):
-        solve(network, options=StrategyOptions(solver))
+        solve(network, options=StrategyOptions(solver=solver))
     with pytest.raises(NoRoute):
-        solve(quiet_network([[0, 0], [1, 0]], [0, 0], [], 0, 1), options=StrategyOptions(solver))
+        solve(quiet_network([[0, 0], [1, 0]], [0, 0], [], 0, 1),
+              options=StrategyOptions(solver=solver))
     # The threshold forbids the shortest route.
     network = quiet_network([[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0],
                             [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     with pytest.raises(BudgetInfeasible, match=r'budget of 2\.4 m'):
-        solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
+        solve(network, GameOptions(alpha_threshold=5.0),
+              StrategyOptions(solver=solver, max_detour=1.2))
 
 
 def test_contradicting_options_are_named():
     with pytest.raises(InvalidOption, match=r'length_weight 0\.1 .* max_detour'):
         StrategyOptions(length_weight=0.1)
     with pytest.raises(InvalidOption, match=r'max_exposure 2.* max_entropy, got simplex'):
-        StrategyOptions('simplex', max_exposure=2.0)
+        StrategyOptions(solver='simplex', max_exposure=2.0)
     with pytest.raises(InvalidOption, match='simplex takes one ambusher'):
-        solve(paper_example(), GameOptions(ambushers=2), StrategyOptions('simplex'))
+        solve(paper_example(), GameOptions(ambushers=2), StrategyOptions(solver='simplex'))
 
 
 def test_budgets_of_zero_are_feasible():

@@ -6,14 +6,14 @@ import pytest
 from games import terrain_network
 
 from ambush_planner import GameOptions, StrategyOptions, solve
-from ambush_planner.recordings.strategy_file import NUMBERS, strategy_file, strategy_from_file
+from ambush_planner.recordings.attachments import NUMBERS, strategy_file, strategy_from_file
 
 
 @pytest.mark.parametrize(('solver', 'radius'), [('max_entropy', 1.0), ('simplex', 0.0)])
 def test_a_strategy_comes_back_whole(solver, radius):
     network = terrain_network(3)
-    theirs = solve(network, GameOptions(radius), StrategyOptions(solver))
-    ours, stated = strategy_from_file(strategy_file(theirs), GameOptions(radius))
+    theirs = solve(network, GameOptions(ambush_radius=radius), StrategyOptions(solver=solver))
+    ours, stated = strategy_from_file(strategy_file(theirs), GameOptions(ambush_radius=radius))
     for name in ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg'):
         assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):

@@ -20,7 +20,7 @@ from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.error_codes import FrameMismatch
-from ambush_planner.ros.qos import TF, TF_STATIC
+from ambush_planner.ros.topics import TF, TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
 

@@ -37,7 +37,8 @@ from ambush_planner.routes.driven_path import driven_paths
 # The tolerance of a certificate, and as much again.
 NEAR = 2e-5
 FREE = StrategyOptions(max_detour=math.inf, risk_slack=0.0)
-OPTIONS = PlanningOptions(NetworkOptions(spacing=30.0), GameOptions(secured_radius=20.0))
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=30.0),
+                          game=GameOptions(secured_radius=20.0))
 START, GOAL = (15.0, 15.0), (285.0, 150.0)
 STOPS = ((45.0, 250.0), (240.0, 255.0), (255.0, 45.0))
 
@@ -114,7 +115,8 @@ def as_given(risk_map):
 
 
 def test_the_best_order_is_the_best_of_all(risk_map):
-    asked = PlanningOptions(NetworkOptions(spacing=40.0), GameOptions(15.0, 20.0))
+    asked = PlanningOptions(network=NetworkOptions(spacing=40.0),
+                            game=GameOptions(ambush_radius=15.0, secured_radius=20.0))
     best = plan_trip(risk_map, START, GOAL, asked, stops=STOPS, order='best')
     assert best.order_found == 'best'
     assert best.stops_xy == tuple(STOPS[k] for k in best.order)
@@ -126,8 +128,8 @@ def test_the_best_order_is_the_best_of_all(risk_map):
     budget = asked.strategy.max_detour * min(lengths.values())
     values = {
         order: solve_on_network(risk_map, network, PlanningOptions(
-            asked.network, asked.game,
-            StrategyOptions(max_detour=max(1.0, budget / lengths[order])))).value
+            network=asked.network, game=asked.game,
+            strategy=StrategyOptions(max_detour=max(1.0, budget / lengths[order])))).value
         for order, network in networks.items() if lengths[order] <= budget
     }
     assert best.order in values
@@ -264,7 +266,8 @@ def legs_of(game):
 def test_bound_and_value_enclose_that_of_all_mixtures_of_trips(seed, reach, detour, ambushers):
     """And no leg alone costs more."""
     roads = roads_of(seed, 1, 4)
-    network, options = roads.network(roads.visits), GameOptions(reach, 0.5, ambushers=ambushers)
+    network = roads.network(roads.visits)
+    options = GameOptions(ambush_radius=reach, secured_radius=0.5, ambushers=ambushers)
     strategy = solve(network, options, StrategyOptions(max_detour=detour, risk_slack=0.001))
     check_laws(strategy, roads.visits)
     all_trips = value_of_all_routes(strategy.game, network, strategy.length_budget)
@@ -298,7 +301,8 @@ def test_one_more_ambusher_never_lowers_the_value(seed, reach, detour):
     roads = roads_of(seed, seed % 2)
     network, bound = roads.network(roads.visits), 0.0
     for ambushers in (1, 2, 3, 5):
-        strategy = solve(network, GameOptions(reach, 0.5, ambushers=ambushers),
+        strategy = solve(network,
+                         GameOptions(ambush_radius=reach, secured_radius=0.5, ambushers=ambushers),
                          StrategyOptions(max_detour=detour))
         assert strategy.value >= bound * (1.0 - 1e-6)
         bound = max(bound, strategy.lower_bound)

@@ -62,7 +62,8 @@ def test_views_match_a_cell_by_cell_computation(seed, reach, rays):
     heights = hills((11, 14), seed, 6.0, 1.0).astype(np.float32)
     heights[np.random.default_rng(seed).random(heights.shape) < 0.05] = np.nan
     heights[0, 0] = 0.0
-    options = ViewOptions(reach * 5.0, 2.5, 1.7, rays)
+    options = ViewOptions(weapon_range=reach * 5.0, vehicle_height=2.5, person_height=1.7,
+                          rays=rays)
     views = viewshed(Elevation(heights, 5.0), options)
     exposure, approach = along_the_rays(heights.astype(float), 5.0, options)
     np.testing.assert_allclose(views.exposure, exposure, atol=1e-5)
@@ -96,7 +97,7 @@ def by_brute_force(heights, resolution, here, options):
 
 def test_exposure_approximates_all_lines_of_sight():
     heights = hills((61, 61), 1, 12.0, 5.0).astype(np.float32).astype(float)
-    options = ViewOptions(200.0)
+    options = ViewOptions(weapon_range=200.0)
     views = viewshed(Elevation(heights, 10.0), options)
     cells = np.random.default_rng(1).integers(20, 41, (20, 2))
     exact = [by_brute_force(heights, 10.0, tuple(cell), options) for cell in cells]
@@ -109,7 +110,7 @@ def test_exposure_approximates_all_lines_of_sight():
 
 def test_a_plane_is_fully_visible():
     row, column = np.mgrid[:40, :40]
-    views = viewshed(Elevation(3.0 * row - 2.0 * column, 10.0), ViewOptions(100.0))
+    views = viewshed(Elevation(3.0 * row - 2.0 * column, 10.0), ViewOptions(weapon_range=100.0))
     assert (views.exposure == 1.0).all()
     np.testing.assert_allclose(views.approach, 100.0)
 
@@ -118,10 +119,10 @@ def test_tiles_do_not_change_results(monkeypatch):
     heights = hills((30, 40), 1, 10.0, 3.0)
     heights[10:20, 20:25] = np.nan
     elevation = Elevation(heights, 10.0)
-    whole = viewshed(elevation, ViewOptions(150.0))
+    whole = viewshed(elevation, ViewOptions(weapon_range=150.0))
     monkeypatch.setattr(visibility, 'TILE', (7, 13))
     shares = []
-    parts = viewshed(elevation, ViewOptions(150.0), shares.append)
+    parts = viewshed(elevation, ViewOptions(weapon_range=150.0), shares.append)
     np.testing.assert_array_equal(whole.exposure, parts.exposure)
     np.testing.assert_array_equal(whole.approach, parts.approach)
     assert shares == sorted(shares) and shares[-1] == 1.0 and len(shares) == 20
@@ -129,7 +130,7 @@ def test_tiles_do_not_change_results(monkeypatch):
 
 def test_rejects_a_range_below_one_cell():
     with pytest.raises(InvalidTerrain, match='at least'):
-        viewshed(Elevation(np.zeros((5, 5)), 30.0), ViewOptions(20.0))
+        viewshed(Elevation(np.zeros((5, 5)), 30.0), ViewOptions(weapon_range=20.0))
 
 
 @pytest.mark.parametrize('values', [

@@ -6,7 +6,6 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from ros_harness import risk_grid, stage
 
 from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
 from ambush_planner.game.solver import Multipliers
@@ -15,7 +14,6 @@ from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.planning.trip import plan_trip
-from ambush_planner.worker.process import WorkerProcess
 
 ENDS = (1.5, 5.0), (10.5, 7.0)
 
@@ -40,8 +38,8 @@ def solve_on_network(risk_map, options, warm=None):
 )
 def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     options = PlanningOptions(
-        NetworkOptions(spacing=1.0), GameOptions(ambush_radius=reach),
-        StrategyOptions(max_detour=detour),
+        network=NetworkOptions(spacing=1.0), game=GameOptions(ambush_radius=reach),
+        strategy=StrategyOptions(max_detour=detour),
     )
     before = solve_on_network(ground(seed), options)
     newest = ground(seed, changed)
@@ -56,7 +54,7 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
 
 
 def test_multipliers_come_from_the_nearest_node():
-    made = plan_trip(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
+    made = plan_trip(ground(1), *ENDS, PlanningOptions(network=NetworkOptions(spacing=1.0)))
     two_nodes = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     ends = Network(np.array(ENDS), np.zeros(2), [[0, 1]], 0, 1)
     found = WarmStart(ends, two_nodes).on(made.network)
@@ -66,20 +64,3 @@ def test_multipliers_come_from_the_nearest_node():
     assert found.budgets == (3.0, 4.0)
     multipliers = made.strategy.multipliers
     assert WarmStart(made.network, multipliers).on(made.network) is multipliers
-
-
-def test_the_node_solves_a_stale_strategy_from_its_multipliers(monkeypatch):
-    given, solve = [], WorkerProcess.solve
-    monkeypatch.setattr(
-        WorkerProcess, 'solve', lambda *asked: (given.append(asked[1]), solve(*asked))[1],
-    )
-    values = np.full((20, 20), 10, dtype=np.int8)
-    with stage() as running:
-        client = running.give(risk_grid(values))
-        assert client.call('new_route').success
-        costly = values.copy()
-        costly[:, 8:12] = 60
-        client.publish('alpha_map', risk_grid(costly))
-        client.last('edge_probabilities', 2)
-        client.diagnostics(stale='no')
-    assert given[0].warm is None and given[-1].warm.multipliers.sites.any()

@@ -28,20 +28,3 @@ def habit(weeks, seed=0):
     """Tracks of trips on ``HABIT``, week by week, the last one by the south gate."""
     rng = np.random.default_rng(seed)
     return [driven(name, rng) for name in (*HABIT * weeks, 'south')]
-
-
-def yard_trips():
-    """The text of docs/yard_trips.csv: three weeks, and four tracks that cannot be judged."""
-    tracks = habit(3)
-    tracks[4] = np.insert(tracks[4], 9, (300.0, -40.0), axis=0)  # an outlier
-    tracks += [tracks[0][::-1], tracks[1][:12], np.delete(tracks[3], np.s_[5:13], axis=0)]
-    times = [np.datetime64('2026-03-02T07:30') + np.timedelta64(day, 'D')
-             + 2 * np.arange(len(track)).astype('timedelta64[s]')
-             for day, track in enumerate(tracks)]
-    times[-3] += np.timedelta64(9, 'h')
-    tracks.append(tracks[6] + 0.2)  # the second vehicle of a convoy
-    times.append(times[6] + np.timedelta64(4, 's'))
-    rows = [f'{number},{time},{x:.2f},{y:.2f}\n'
-            for number, (track, when) in enumerate(zip(tracks, times, strict=True), start=1)
-            for time, (x, y) in zip(when, track, strict=True)]
-    return 'track,time,x,y\n' + ''.join(rows)

@@ -4,18 +4,11 @@
 from __future__ import annotations
 
 import argparse
-from datetime import datetime, timezone
-from pathlib import Path
 
-from ..recordings import (
-    RecordedDeparture,
-    UnreadableRecording,
-    read_departures,
-    recordings_in,
-    source_findings,
-)
+from ..recordings import RecordedDeparture, source_findings
 from ..recordings.audit import Audit, NotAuditable, audit
 from . import cli
+from .console import when
 
 PICTURE = 'audit.png'
 SENSITIVITY = (
@@ -46,13 +39,6 @@ def parser() -> argparse.ArgumentParser:
     )
     cli.add_output(made, PICTURE)
     return made
-
-
-def read_all(place: Path,
-             console: cli.Console) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
-    """Return the departures below ``place`` in order of time, and errors of unreadable files."""
-    errors: list[UnreadableRecording] = []
-    return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
 
 
 def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
@@ -89,15 +75,10 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
     return result, findings, notes
 
 
-def when(stamp_ns: int) -> str:
-    """Return a time as date and second, UTC."""
-    return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M:%S UTC}'
-
-
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if options.output:
         cli.refuse_existing(options.output, [PICTURE], options.replace)
-    departures, unreadable = read_all(options.recordings, console)
+    departures, unreadable = cli.read_all(options.recordings, console)
     result, findings, notes = audited(departures)
     if departures:
         ends = dict.fromkeys(when(departures[k].stamp_ns) for k in (0, -1))

@@ -16,8 +16,8 @@ from ..planning.route_sheet import read_route_sheet
 from ..recordings import read_departure
 from . import cli
 from .card_page import Card, card_page
+from .console import distance
 from .inputs import add_crs, crs_text
-from .report_words import distance
 
 EPILOG = """\
 FILE is a recorded departure (.mcap), or a file of ambush plan --routes (.json) with --route.

@@ -20,7 +20,7 @@ from enum import IntEnum
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .. import __version__
 from ..errors import (
@@ -36,6 +36,9 @@ from ..errors import (
 from .console import Console as Console
 from .console import count as count
 from .console import place as place
+
+if TYPE_CHECKING:
+    from ..recordings import RecordedDeparture, UnreadableRecording
 
 COMMANDS = {
     'audit': 'test whether departures follow their strategies',
@@ -113,6 +116,15 @@ def reader_parser(command: str, description: str, epilog: str) -> argparse.Argum
     parser.add_argument('recordings', type=Path, metavar='FILE_OR_FOLDER', help='a recording, a '
                         'session folder, or the recording.directory with all sessions')
     return parser
+
+
+def read_all(place: Path,
+             console: Console) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
+    """Return the departures below ``place`` in order of time, and errors of unreadable files."""
+    from ..recordings import read_departures, recordings_in
+
+    errors: list[UnreadableRecording] = []
+    return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
 
 
 def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:

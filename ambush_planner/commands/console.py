@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The output of a command: results, progress and errors."""
+"""The output of a command: results, progress, errors, and numbers in words."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import datetime, timezone
 from pathlib import Path
 from textwrap import fill
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..errors import shown
+
+if TYPE_CHECKING:
+    from ..game.strategy import Strategy
 
 WIDTH = 99  # columns of wrapped text
 _Item = TypeVar('_Item')
@@ -82,7 +86,7 @@ class Console:
 
     @contextmanager
     def waiting(self, what: str) -> Iterator[Callable[[float, float], None]]:
-        """Say after two seconds, and again whenever the time has doubled, what takes so long.
+        """Print what takes so long after two seconds, then at doubling intervals.
 
         Yields a function that takes the value and the bound so far.
         """
@@ -123,3 +127,28 @@ def place(path: Path) -> str:
 def count(number: int, what: str) -> str:
     """Return a number and its noun, such as ``3 recordings``."""
     return f'{number} {what}{"s" * (number != 1)}'
+
+
+def when(stamp_ns: int) -> str:
+    """Return a time as date and second, UTC."""
+    return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M:%S UTC}'
+
+
+def rounded(number: float, digits: int = 3) -> str:
+    """Return a number with the given significant digits and no exponent."""
+    return f'{float(f"{number:.{digits}g}"):.12g}'
+
+
+def distance(metres: float) -> str:
+    """Return a length in m, from 1000 m in km."""
+    return f'{rounded(metres / 1000.0)} km' if metres >= 1000.0 else f'{rounded(metres)} m'
+
+
+def percent(share: float) -> str:
+    """Return a share, 0..1, with two significant digits."""
+    return f'{rounded(100.0 * share, 2)} %'
+
+
+def travel(strategy: Strategy, value: float) -> str:
+    """A length, or a time where budgets are of time."""
+    return distance(value) if strategy.network.travel_unit == 'm' else f'{rounded(value)} s'

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from ..errors import AmbushPlannerError
 from ..ros.conversions import occupancy_to_ros, pose_to_ros
-from ..ros.qos import LATCHED
+from ..ros.topics import LATCHED
 
 # Time limits [s]; discovery alone can take more than 3 s.
 DISCOVERY_TIMEOUT, PLANNING_TIMEOUT, MESSAGE_TIMEOUT = 30.0, 90.0, 15.0

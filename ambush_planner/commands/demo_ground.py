@@ -27,7 +27,7 @@ from ..maps import (
 RESOLUTION = 90.0
 # Length of one degree of latitude on a sphere with the Earth's mean radius [m].
 METRES_PER_DEGREE = 111_195.0
-OPTIONS = TerrainOptions(ViewOptions(weapon_range=500.0))
+OPTIONS = TerrainOptions(view=ViewOptions(weapon_range=500.0))
 # Centres of free cells, (x, y) [m] from the map's south-west corner.
 START = (2025.0, 12015.0)
 GOAL = (26055.0, 27945.0)

@@ -9,7 +9,6 @@ from datetime import datetime, timezone
 
 from ..route_files import Drawn, write_routes
 from . import cli
-from .audit import read_all
 from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
 from .inputs import add_crs, crs_text
 
@@ -31,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    departures, unreadable = read_all(options.recordings, console)
+    departures, unreadable = cli.read_all(options.recordings, console)
     for error in unreadable:
         console.error(error)
     if not departures:

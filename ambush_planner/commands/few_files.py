@@ -25,10 +25,10 @@ from ..planning.route_layers import few_table, strategy_tables
 from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
 from ..route_files import Drawn
 from .cli import Console, count, write_private
-from .report_words import percent, travel
+from .console import percent, travel
 
 SHEET = '.json'
-# Most routes with a panel each, and most in the legend.
+# Maximum number of routes with a panel each, and in the legend.
 MAX_PANELS, MAX_KEYS = 6, 20
 # Line styles, one after another when all colours have been used.
 _STYLES = ('solid', 'dashed', 'dotted', 'dashdot')

@@ -74,7 +74,8 @@ class SolveOptions:
 
         At the time limit, commands use the best strategy so far, and say what its gap is.
         """
-        return PlanningOptions(self.network, self.game, self.strategy, self.route, math.inf)
+        return PlanningOptions(network=self.network, game=self.game, strategy=self.strategy,
+                               drive=self.route, max_gap=math.inf)
 
 
 @dataclass(frozen=True)

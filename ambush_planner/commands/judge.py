@@ -22,7 +22,7 @@ from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
 from . import cli
-from .audit import read_all
+from .console import distance, percent
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -35,7 +35,6 @@ from .inputs import (
     risk_map_from,
 )
 from .judge_figure import MIN_SHARE, judge_figure
-from .report_words import distance, percent
 
 EPILOG = f"""\
 {MAP_HELP}
@@ -105,7 +104,7 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
     if not path.is_dir() and path.suffix != '.mcap':
         yield from read_tracks(source, risk_map.crs)
         return
-    departures, unreadable = read_all(path, console)
+    departures, unreadable = cli.read_all(path, console)
     if unreadable:
         raise unreadable[0]
     for each in departures:

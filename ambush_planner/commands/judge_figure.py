@@ -15,7 +15,7 @@ from ..arrays import BoolArray, FloatArray
 from ..colours import AMBUSHER
 from ..maps.risk_map import RiskMap
 from ..planning.habits import Habits
-from .report_words import distance
+from .console import distance
 
 # Trips and edges with smaller shares are not shown.
 MIN_SHARE = 0.001

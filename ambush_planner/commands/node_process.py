@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import random
 import signal
 import socket
-import stat
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
 
 from ..errors import AmbushPlannerError
 
@@ -44,27 +40,15 @@ def free_domain() -> Iterator[int]:
     raise NodeFailed('no ROS domain id is free on this machine')
 
 
-def lock_domain(domain: int) -> TextIO | None:
-    """Lock a domain until the returned file is closed; None if another process has locked it.
-
-    Raises NodeFailed if the folder for locks is not this user's alone.
-    """
-    folder = Path(tempfile.gettempdir(), f'ambush_planner_{os.getuid()}')
-    with suppress(FileExistsError):
-        folder.mkdir(mode=0o700)
-    found = folder.lstat()  # not what a link leads to
-    if (found.st_mode, found.st_uid) != (stat.S_IFDIR | 0o700, os.getuid()):
-        raise NodeFailed(f'{folder} is not a folder of mode 0700 of this user: remove it, or set '
-                         'TMPDIR to a folder of your own')
-    # Never through a planted link, and nothing is truncated.
-    flags = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW
-    file = os.fdopen(os.open(folder / f'domain_{domain}.lock', flags, 0o600), 'w')
+def lock_domain(domain: int) -> socket.socket | None:
+    """Lock a domain until the returned socket is closed; None if another process has locked it."""
+    lock = socket.socket(socket.AF_UNIX)
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        file.close()
+        lock.bind(f'\0ambush_planner_domain_{domain}')  # an abstract name of Linux, without a file
+    except OSError:
+        lock.close()
         return None
-    return file
+    return lock
 
 
 def is_free(domain: int) -> bool:

@@ -19,6 +19,7 @@ from ..planning.plan import Plan
 from ..planning.trip import ORDERS
 from ..route_files import SUFFIXES, draw, write_routes
 from . import cli
+from .console import travel
 from .few_files import SHEET, FewDrawn, tell_few, write_sheets
 from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
 from .inputs import (
@@ -32,7 +33,6 @@ from .inputs import (
     planned,
     risk_map_from,
 )
-from .report_words import travel
 from .terrain import add_terrain, terrain_from
 
 EPILOG = f"""\

@@ -52,12 +52,8 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument('-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',
                       help='time from one departure to the next (default: %(default)s)')
-    made.add_argument('-d', '--departure', type=int, metavar='N', help='only this '
-                      'departure: 1 is the first; negative numbers count from the end')
     made.add_argument('-r', '--rate', type=cli.number(1e-6, 1e9), default=1.0,
                       help='how many times as fast as recorded (default: %(default)s)')
-    made.add_argument('-l', '--loop', action='store_true',
-                      help='start again at the end, until Ctrl-C')
     made.add_argument('-k', '--keep', action='store_true',
                       help='keep latched messages until Ctrl-C')
     made.add_argument('--inputs-only', action='store_true',
@@ -113,10 +109,7 @@ class _Replay:
         self._console.say(cli.count(len(files), 'departure'))
         if unheard := self._wait_for_listeners():
             self._console.say(f'nobody listens to {", ".join(unheard)}')
-        self._round(files)
-        while self._options.loop:
-            self._console.say('starting again from the first departure')
-            self._round(files)
+        self._publish(files)
         if missing := self._wait_for_receipts():
             self._console.say(f'some listeners have not received all of {", ".join(missing)}')
         if self._options.keep:
@@ -127,10 +120,6 @@ class _Replay:
     def _files(self) -> Mapping[Path, set[Channel]]:
         """Return the readable files with their channels."""
         paths = recordings_in(self._options.recordings)
-        if (number := self._options.departure) is not None:
-            if not 0 < abs(number) <= len(paths):
-                raise NothingToPublish(f'there are {cli.count(len(paths), "departure")}')
-            paths = [paths[number - (number > 0)]]
         found = {}
         for path in self._console.progress(paths, 'read'):
             try:
@@ -158,8 +147,8 @@ class _Replay:
         if not self._publishers:
             raise NothingToPublish('none of these topics is an input')
 
-    def _round(self, files: Iterable[Path]) -> None:
-        """Publish everything once."""
+    def _publish(self, files: Iterable[Path]) -> None:
+        """Publish everything in time."""
         for path in files:
             messages = [each for each in read_recording(path).messages
                         if each.channel in self._publishers]

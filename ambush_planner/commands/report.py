@@ -10,7 +10,7 @@ from ..recordings import recordings_in
 from ..recordings.report_data import Section, sections_of
 from ..recordings.verify import Verifier
 from . import cli
-from .audit import audited, read_all
+from .audit import audited
 from .report_page import Checks, page
 
 PAGE = 'report.html'
@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
 def write_report(place: Path, output: Path, verify: bool,
                  console: cli.Console) -> tuple[cli.Exit, list[Section]]:
     """Write the page of the recordings in a file or folder; return the exit code and sections."""
-    departures, unreadable = read_all(place, console)
+    departures, unreadable = cli.read_all(place, console)
     for error in unreadable:
         console.error(error)
     sections, checks = sections_of(departures), None

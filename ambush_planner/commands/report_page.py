@@ -22,8 +22,8 @@ from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
 from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
-from .audit import when
 from .cli import count, resource
+from .console import distance, percent, rounded, when
 
 # The colours of the page by their names in CSS and in the script.
 COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
@@ -125,10 +125,10 @@ def _section(section: Section, folder: Path, name: str) -> str:
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
         tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
                       for number, text in words.tiles(section)),
-        least=words.rounded(min(data['levels'])), most=words.rounded(max(data['levels'])),
-        likeliest=words.percent(float(strategy.shown_probability.max(initial=0.0))),
+        least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
+        likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
         waits='' if strategy.value > 0.0 else 'hidden',
-        held=words.distance(data['held']), ends=words.ends(strategy),
+        held=distance(data['held']), ends=words.ends(strategy),
         holds='' if data['held'] > 0.0 else 'hidden',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),

@@ -12,7 +12,7 @@ from ..game.strategy import Strategy
 from ..planning.evaluation import evaluate
 from ..planning.parameters import PARAMETERS
 from ..recordings.report_data import Section
-from .audit import when
+from .console import distance, percent, rounded, travel, when
 
 PLANNERS = {
     'stochastic': 'these random routes',
@@ -21,21 +21,6 @@ PLANNERS = {
 }
 # Relative gap below which a strategy counts as optimal.
 OPTIMAL = 1e-5
-
-
-def rounded(number: float, digits: int = 3) -> str:
-    """Return a number with the given significant digits and no exponent."""
-    return f'{float(f"{number:.{digits}g}"):.12g}'
-
-
-def distance(metres: float) -> str:
-    """Return a length in m, from 1000 m in km."""
-    return f'{rounded(metres / 1000.0)} km' if metres >= 1000.0 else f'{rounded(metres)} m'
-
-
-def percent(share: float) -> str:
-    """Return a share, 0..1, with two significant digits."""
-    return f'{rounded(100.0 * share, 2)} %'
 
 
 def certificate(section: Section) -> list[str]:
@@ -168,11 +153,6 @@ def settings(section: Section) -> list[tuple[str, str, str]]:
         default = str(PARAMETERS[name].default) or 'empty' if name in PARAMETERS else value
         rows.append((name, value, default if default != value else ''))
     return sorted(rows, key=lambda row: not row[2])
-
-
-def travel(strategy: Strategy, value: float) -> str:
-    """A length, or a time where budgets are of time."""
-    return distance(value) if strategy.network.travel_unit == 'm' else f'{rounded(value)} s'
 
 
 def ends(strategy: Strategy) -> str:

@@ -93,9 +93,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def terrain_from(arguments: argparse.Namespace, path: Path,
                  console: cli.Console) -> tuple[Elevation, TerrainMap]:
     """Make the risk map of an elevation model with the options of ``add_terrain``."""
-    views = ViewOptions(arguments.weapon_range, arguments.vehicle_height, arguments.person_height)
-    options = TerrainOptions(views, arguments.slope_limit, tuple(arguments.weights),
-                             arguments.road_factor)
+    views = ViewOptions(weapon_range=arguments.weapon_range,
+                        vehicle_height=arguments.vehicle_height,
+                        person_height=arguments.person_height)
+    options = TerrainOptions(view=views, slope_limit=arguments.slope_limit,
+                             weights=tuple(arguments.weights),
+                             road_factor=arguments.road_factor)
     raster = read_raster(path)
     if raster.note:
         console.say(raster.note)

@@ -28,7 +28,7 @@ from .discs import ExposedEdges, HeldGround, held_ground
 HeldPlace = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GameOptions:
     """The ambusher's abilities, and where the convoy may drive.
 

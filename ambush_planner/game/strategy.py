@@ -33,7 +33,7 @@ SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 CERTIFICATE_TOLERANCE = 1e-5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StrategyOptions:
     """Options of the solver, and the strategy to choose among the optimal ones.
 

@@ -10,11 +10,13 @@ from files of several kinds, and ``coordinates`` converts to latitude and longit
 from .elevation import Elevation, InvalidTerrain, Raster, elevation_from_raster, mask_from_raster
 from .occupancy import OccupancyMap, OccupancyOptions
 from .relief import relative_depth, slope
+from .risk_map import RiskMap
+from .risk_map_file import read_risk_map
 from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
 from .visibility import ViewOptions, Views, viewshed
 
 __all__ = [
-    'Elevation', 'InvalidTerrain', 'OccupancyMap', 'OccupancyOptions', 'Raster', 'TerrainMap',
-    'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster', 'mask_from_raster',
-    'relative_depth', 'slope', 'terrain_map', 'viewshed',
+    'Elevation', 'InvalidTerrain', 'OccupancyMap', 'OccupancyOptions', 'Raster', 'RiskMap',
+    'TerrainMap', 'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster',
+    'mask_from_raster', 'read_risk_map', 'relative_depth', 'slope', 'terrain_map', 'viewshed',
 ]

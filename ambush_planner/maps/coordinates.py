@@ -22,7 +22,7 @@ from ..errors import AmbushPlannerError
 from .risk_map import to_map_axes, to_world
 
 # Projections that stretch lengths by more, such as Web Mercator, are not used for maps.
-MOST_STRETCH = 0.01
+MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
 _TERMS = 8  # of a polynomial, in each direction
 
@@ -47,7 +47,7 @@ class Coordinates:
         words = text.split()
         if words[:1] != ['datum']:
             self.crs = _system(text)
-            if not (self.crs.is_projected and _is_metre(self.crs)):
+            if not (self.crs.is_projected and in_metres(self.crs)):
                 raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
                                          'metre; reproject the map, for example to its UTM zone')
             return
@@ -141,10 +141,10 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
 
     crs = _system(wkt)
     longitude, latitude = Transformer.from_crs(crs, WGS84, always_xy=True).transform(x, y)
-    if crs.is_projected and _is_metre(crs):
+    if crs.is_projected and in_metres(crs):
         factors = _proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale
-        if max(abs(scale - 1.0) for scale in scales) <= MOST_STRETCH:
+        if max(abs(scale - 1.0) for scale in scales) <= MAX_STRETCH:
             return crs, False
     return utm_zone(latitude, longitude), True
 
@@ -169,7 +169,8 @@ def _import_pyproj() -> None:
             "coordinate systems need pyproj: pip install 'ambush_planner[gis]'") from None
 
 
-def _is_metre(crs: Any) -> bool:
+def in_metres(crs: Any) -> bool:
+    """Whether the axes of a coordinate system (pyproj) are in metres."""
     return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
 
 

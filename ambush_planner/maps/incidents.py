@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
 # Bandwidths that cross-validation compares, and the number of incidents that it uses.
-BANDWIDTHS, MOST_VALIDATED = 24, 3000
+BANDWIDTHS, MAX_VALIDATED = 24, 3000
 
 
 def weighted_incidents(features: GeoDataFrame,
@@ -74,7 +74,7 @@ def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
 
     Also returns whether it is the largest of those compared: then there is no visible pattern.
     """
-    heaviest = np.argsort(-weights, kind='stable')[:MOST_VALIDATED]
+    heaviest = np.argsort(-weights, kind='stable')[:MAX_VALIDATED]
     places, weights = places[heaviest], weights[heaviest]
     squared = cdist(places, places, 'sqeuclidean')
     np.fill_diagonal(squared, np.inf)

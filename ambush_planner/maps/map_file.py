@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray
-from .elevation import MAX_CELLS, InvalidTerrain
+from ..errors import InvalidOption, InvalidRiskMap
+from .elevation import MAX_CELLS
 from .occupancy import OccupancyMap
 
 _MODES = ('trinary', 'scale', 'raw')
@@ -32,10 +33,10 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
     The image is written first, so that an existing YAML file implies both. ``remark`` becomes a
     comment.
 
-    Raises InvalidTerrain if ``path`` does not end with .yaml or .yml; OSError.
+    Raises InvalidOption if ``path`` does not end with .yaml or .yml; OSError.
     """
     if path.suffix not in ('.yaml', '.yml'):
-        raise InvalidTerrain(f'{path}: the name of a map must end with .yaml')
+        raise InvalidOption(f'{path}: the name of a map must end with .yaml')
     picture = path.with_suffix('.pgm')
     rows, columns = occupancy.values.shape
     values = occupancy.values.astype(np.int16)[::-1]
@@ -57,28 +58,28 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
 def read_map(path: Path) -> OccupancyMap:
     """Read a map_server YAML file and its image; formats other than PGM need Pillow.
 
-    Raises InvalidTerrain if either file is malformed, OSError if it cannot be opened.
+    Raises InvalidRiskMap if either file is malformed, OSError if it cannot be opened.
     """
     import yaml
 
     try:
         fields = yaml.safe_load(path.read_text(encoding='utf-8'))
     except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
-        raise InvalidTerrain(f'{path}: not a YAML file: {error}') from error
+        raise InvalidRiskMap(f'{path}: not a YAML file: {error}') from error
     if not isinstance(fields, dict):
-        raise InvalidTerrain(f'{path}: not the YAML file of a map')
+        raise InvalidRiskMap(f'{path}: not the YAML file of a map')
     for name in ('image', 'resolution', 'origin'):
         if name not in fields:
-            raise InvalidTerrain(f'{path}: {name!r} is missing')
+            raise InvalidRiskMap(f'{path}: {name!r} is missing')
     mode = str(fields.get('mode', 'trinary')).lower()
     if mode not in _MODES:
-        raise InvalidTerrain(f'{path}: mode must be one of {", ".join(_MODES)}, got {mode!r}')
+        raise InvalidRiskMap(f'{path}: mode must be one of {", ".join(_MODES)}, got {mode!r}')
     light, opaque = _pixels(path.parent / str(fields['image']), mode)
     values = _cells(path, light, opaque, mode, fields)
     origin = _numbers(path, fields, 'origin', 3)
     resolution = _numbers(path, fields, 'resolution', 1)[0]
     if resolution <= 0.0:
-        raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution}')
+        raise InvalidRiskMap(f'{path}: resolution must be positive [m], got {resolution}')
     crs = fields.get('crs')
     return OccupancyMap(values[::-1], resolution, (origin[0], origin[1], origin[2]),
                         str(crs) if crs else None)
@@ -91,7 +92,7 @@ def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise InvalidTerrain(f'{path}: {name} must be {count} finite numbers, got {fields[name]!r}')
+        raise InvalidRiskMap(f'{path}: {name} must be {count} finite numbers, got {fields[name]!r}')
     return numbers
 
 
@@ -121,11 +122,11 @@ def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
         return _other_pixels(path, mode)
     columns, rows, largest = map(int, header.groups())
     if not (0 < rows * columns <= MAX_CELLS and 0 < largest < 65536):
-        raise InvalidTerrain(f'{path}: {columns} x {rows} pixels up to {largest}; 1 to '
+        raise InvalidRiskMap(f'{path}: {columns} x {rows} pixels up to {largest}; 1 to '
                              f'{MAX_CELLS} pixels up to 1..65535 can be read')
     kind = np.dtype(np.uint8 if largest < 256 else '>u2')
     if len(data) - header.end() < rows * columns * kind.itemsize:
-        raise InvalidTerrain(f'{path}: too short for {columns} x {rows} pixels')
+        raise InvalidRiskMap(f'{path}: too short for {columns} x {rows} pixels')
     pixels = np.frombuffer(data, kind, rows * columns, header.end()).reshape(rows, columns)
     return pixels.astype(np.float64) / largest, np.ones((rows, columns), bool)
 
@@ -134,7 +135,7 @@ def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
     try:
         from PIL import Image
     except ModuleNotFoundError:
-        raise InvalidTerrain(
+        raise InvalidRiskMap(
             f"{path}: not a binary PGM; other images need: pip install 'ambush_planner[figures]'"
         ) from None
     try:
@@ -142,7 +143,7 @@ def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info
             pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InvalidTerrain(f'{path}: not a readable image: {error}') from error
+        raise InvalidRiskMap(f'{path}: not a readable image: {error}') from error
     # Only in trinary mode does map_server average opacity together with the colours.
     channels = 4 if has_alpha and mode == 'trinary' else 3
     return pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0

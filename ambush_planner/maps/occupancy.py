@@ -15,6 +15,8 @@ from ..errors import InvalidOption, InvalidRiskMap
 from ..option_checks import none_for
 from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
 
+# Values of an obstacle's cells and of unknown ones.
+OBSTACLE, UNKNOWN = 100, -1
 NO_RISK = ('every free cell of the map has the same loss, so the map carries no risk: only '
            'obstacles and lengths decide the routes. In mode trinary a map has no grades of risk; '
            'use mode scale or raw, or make a risk map with ambush risk')
@@ -33,7 +35,7 @@ class OccupancyMap:
     crs: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OccupancyOptions:
     """How values of an occupancy grid are converted to losses.
 

@@ -10,11 +10,8 @@ from itertools import product
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from .occupancy import OccupancyMap
+from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap
 from .risk_map import TOUCH, to_map_axes
-
-# Cell value of an obstacle in every map, and of an unknown cell.
-OBSTACLE, UNKNOWN = 100, -1
 
 
 def with_obstacles_of(risk: OccupancyMap, other: OccupancyMap, threshold: int,

@@ -6,9 +6,8 @@ top to bottom:
 
 * ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
   that are too steep or unknown are obstacles.
-* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre, then
-multiplies
-  by its ``factor``.
+* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre,
+  then multiplies by its ``factor``.
 * ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
   with the same value count once.
 * ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of
@@ -172,8 +171,9 @@ def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
     given = {key: each for key, each in values.items() if each is not None}
     view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
-    made = terrain_map(elevation, TerrainOptions(view, **options), None, progress)
-    scale = OccupancyOptions(0.0, _number('loss', values['loss']), crs=elevation.crs)
+    made = terrain_map(elevation, TerrainOptions(view=view, **options), None, progress)
+    scale = OccupancyOptions(alpha_min=0.0, alpha_max=_number('loss', values['loss']),
+                             crs=elevation.crs)
     ground = risk_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
     shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.

@@ -41,21 +41,22 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
     path, options = Path(path), options or OccupancyOptions()
     if path.suffix == '.npz':
         return _read_npz(path, options.crs)
+    grid = _read_geotiff(path) if path.suffix in ('.tif', '.tiff') else read_map(path)
     try:
-        if path.suffix in ('.tif', '.tiff'):
-            raster = read_raster(path, nearest=True)
-            grid = OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
-                                (*raster.corner, 0.0), raster.crs)
-            if not np.isclose(raster.row_step, raster.column_step):
-                raise InvalidRiskMap(f'the cells are not square: {raster.column_step:g} m x '
-                                     f'{raster.row_step:g} m')
-        else:
-            grid = read_map(path)
         options = replace(options, crs=agreed_crs(grid.crs, options.crs))
         return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
     except InvalidRiskMap as error:
         hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
+
+
+def _read_geotiff(path: Path) -> OccupancyMap:
+    raster = read_raster(path, nearest=True)
+    if not np.isclose(raster.row_step, raster.column_step):
+        raise InvalidRiskMap(f'{path}: the cells are not square: {raster.column_step:g} m x '
+                             f'{raster.row_step:g} m')
+    return OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
+                        (*raster.corner, 0.0), raster.crs)
 
 
 def agreed_crs(known: str | None, given: str | None) -> str | None:

@@ -49,7 +49,7 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
     --------
     >>> risk_map = risk_from_terrain('dem.tif', weapon_range=500.0)  # doctest: +SKIP
     """
-    options = options or TerrainOptions(ViewOptions(weapon_range))
+    options = options or TerrainOptions(view=ViewOptions(weapon_range=weapon_range))
     elevation = elevation_from_raster(read_raster(Path(file)), resolution or 0.0)
     on_roads = None
     if roads is not None:

@@ -30,16 +30,15 @@ import numpy.typing as npt
 
 from ..arrays import BoolArray
 from .elevation import Elevation, HeightArray, InvalidTerrain
-from .occupancy import OccupancyOptions, risk_from_occupancy
+from .occupancy import OBSTACLE, UNKNOWN, OccupancyOptions, risk_from_occupancy
 from .relief import relative_depth, slope
 from .risk_map import RiskMap
 from .visibility import ViewOptions, viewshed
 
-OBSTACLE, UNKNOWN = 100, -1
 FULL_DEPTH = 0.4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TerrainOptions:
     """How terrain is converted to risk.
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
 from ..option_checks import check_at_least
-from .coordinates import Coordinates, InvalidCoordinates
+from .coordinates import Coordinates, InvalidCoordinates, in_metres
 from .risk_map import RiskMap, to_map_axes
 
 if TYPE_CHECKING:
@@ -71,17 +71,13 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
 
     own = CRS.from_user_input(crs)
     if not map_crs:
-        if not _in_metres(own):
+        if not in_metres(own):
             raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the map '
                                      'has no coordinate system; name it with map.crs')
         return points
     system = Coordinates(map_crs)
     to_map = Transformer.from_crs(own, system.crs, always_xy=True)
     return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))
-
-
-def _in_metres(crs: Any) -> bool:
-    return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
 
 
 def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
@@ -97,7 +93,7 @@ def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
                               f'{risk_map.crs}; name it in the file')
     if risk_map.crs:
         features = features.to_crs(risk_map.crs)
-    elif features.crs is not None and not _in_metres(features.crs):
+    elif features.crs is not None and not in_metres(features.crs):
         raise InvalidFeatures(f'{source}: not in metres ({features.crs.name}), and the coordinate '
                               'system of the map is unknown; name it with crs')
     low, high = risk_map.bounds

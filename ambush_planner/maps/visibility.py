@@ -40,7 +40,7 @@ TILE = (128, 512)
 _TOTAL_WEIGHT = 60_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ViewOptions:
     """Geometry of observer and vehicle.
 

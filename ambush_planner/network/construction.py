@@ -28,7 +28,7 @@ METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_dela
            'gradient_delaunay', 'graph')
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NetworkOptions:
     """How the network is built.
 

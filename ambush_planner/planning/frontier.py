@@ -136,7 +136,7 @@ def _measured(row: FrontierRow, strategy: Strategy) -> FrontierRow:
 
 
 def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
-    """The row, or what is known to be better: tighter budgets' strategies, looser ones' bounds.
+    """Tighten a row with the strategies of smaller budgets and the bounds of larger ones.
 
     A solve that ran out of time may be worse than one within tighter budgets.
     """

@@ -106,12 +106,12 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
     return NodeParameters(
         occupancy=occupancy,
         planning=PlanningOptions(
-            _options(NetworkOptions, 'network',
-                     values if roads is None else {**values, 'network.graph': roads}),
-            _options(GameOptions, 'game', values),
-            _options(StrategyOptions, 'strategy', values, time_limit=limit),
-            _options(DriveOptions, 'route', values),
-            values['strategy.max_gap'],
+            network=_options(NetworkOptions, 'network',
+                             values if roads is None else {**values, 'network.graph': roads}),
+            game=_options(GameOptions, 'game', values),
+            strategy=_options(StrategyOptions, 'strategy', values, time_limit=limit),
+            drive=_options(DriveOptions, 'route', values),
+            max_gap=values['strategy.max_gap'],
         ),
         recording=_options(RecordingOptions, 'recording', values),
         robot=RobotOptions(values['robot_base_frame'], values['transform.max_age']),

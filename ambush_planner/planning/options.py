@@ -15,16 +15,16 @@ from ..option_checks import check_at_least, none_for
 
 # Largest distance of a place from the site that stands for it, as a share of the reach, and the
 # most parts of a cell's side that this may take.
-WIDENED, MOST_PARTS = 0.02, 10
+WIDENED, MAX_PARTS = 0.02, 10
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
 # Largest distance of paths from the line of a road, unless a tube is set [m].
 ROAD_TUBE = 1.0
 # Largest start tolerance, as a share of the reach: what held ground loses by it stays small.
-LARGEST_TOLERANCE = 0.25
+MAX_TOLERANCE = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DriveOptions:
     """Options that turn a drawn route into the driven path; raises InvalidOption.
 
@@ -60,7 +60,7 @@ class DriveOptions:
         check_at_least('tracking_error', self.tracking_error, 0.0, 'm')
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlanningOptions:
     """All options of a plan.
 
@@ -112,12 +112,12 @@ def parts_of_cells(resolution: float, game: GameOptions) -> int:
     """Into how many parts a side of each cell is divided, whose centres are the sites.
 
     The farthest place of a part is within ``WIDENED`` times the reach from its centre, unless that
-    takes more than ``MOST_PARTS``. It is 1 if ambushers wait at nodes only.
+    takes more than ``MAX_PARTS``. It is 1 if ambushers wait at nodes only.
     """
     if game.ambush_radius == 0.0:
         return 1
     farthest = WIDENED * (game.ambush_radius + game.tube)
-    return min(math.ceil(resolution / (math.sqrt(2.0) * farthest)), MOST_PARTS)
+    return min(math.ceil(resolution / (math.sqrt(2.0) * farthest)), MAX_PARTS)
 
 
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:
@@ -130,7 +130,7 @@ def start_tolerance(options: PlanningOptions, spacing: float) -> float:
     game = _driven_game(options, spacing)
     most = math.inf
     if game.reach > 0.0:
-        most = min(game.held_radius, LARGEST_TOLERANCE * game.reach)
+        most = min(game.held_radius, MAX_TOLERANCE * game.reach)
     return min(options.drive.start_tolerance, 0.5 * spacing, most)
 
 

@@ -39,7 +39,7 @@ from .solving import WarmStart, add_hiding_places, solve_on_network
 
 ORDERS = ('given', 'best')
 # Largest number of stops for which all orders (5040) are compared.
-MOST_STOPS = 7
+MAX_COMPARED = 7
 # Relative rounding of lengths and values.
 ROUNDING = 1e-9
 
@@ -68,8 +68,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         World positions [m].
     order
         'given', or 'best': the order of least value within the budget of ``max_detour`` times the
-        shortest way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more
-        than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
+        shortest way in any order. For up to ``MAX_COMPARED`` stops, no other order is better by
+        more than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
         'best'). With more stops, or if the time limit passes, the order is a short one or the best
         so far ('heuristic').
     warm
@@ -107,7 +107,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     >>> import numpy as np
     >>> from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
     >>> risk_map = RiskMap(np.ones((12, 24)), np.zeros((12, 24), bool), resolution=1.0)
-    >>> options = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=1.0))
+    >>> options = PlanningOptions(network=NetworkOptions(spacing=2.0),
+    ...                           game=GameOptions(ambush_radius=1.0))
     >>> plan = plan_trip(risk_map, (2.0, 6.0), (22.0, 6.0), options)
     >>> plan.lower_bound <= plan.value <= 1.0101 * plan.lower_bound
     True
@@ -218,7 +219,7 @@ class _StopOrderSearch:
     def run(self) -> tuple[Strategy, tuple[int, ...], str]:
         """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
         count = len(self._visits) - 2
-        few = count <= MOST_STOPS
+        few = count <= MAX_COMPARED
         orders = self._heuristic_order(count)[None]
         if few:
             orders = np.array(list(permutations(range(count))), dtype=np.int64)

@@ -26,11 +26,16 @@ from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.options import PlanningOptions, node_spacing
 from ..planning.plan import Plan, plan_corridors
 from ..routes.driven_path import Ends
-from .map_changes import MAP_CHANGES_FILE, changed_map
+from .attachments import (
+    MAP_CHANGES_FILE,
+    ROADS_FILE,
+    STRATEGY_FILE,
+    changed_map,
+    roads_from_file,
+    strategy_from_file,
+)
 from .recording_errors import UnreadableRecording
 from .recording_file import RecordingFile, decode, read_recording
-from .roads_file import ROADS_FILE, roads_from_file
-from .strategy_file import STRATEGY_FILE, strategy_from_file
 
 Position = tuple[float, float]
 _T = TypeVar('_T')

@@ -21,8 +21,8 @@ from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
-from .qos import REQUESTS
 from .requests import Requests, plan_response
+from .topics import REQUESTS
 
 # The actions and their types.
 ACTIONS = {'~/compute_path_to_pose': 'ComputePathToPose',

@@ -14,9 +14,13 @@ from ..planning.changed_ground import Assessment
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
-from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
-from ..recordings.roads_file import ROADS_FILE, roads_file
-from ..recordings.strategy_file import STRATEGY_FILE
+from ..recordings.attachments import (
+    MAP_CHANGES_FILE,
+    ROADS_FILE,
+    STRATEGY_FILE,
+    map_changes_file,
+    roads_file,
+)
 from ..recordings.versions import software_versions
 from .conversions import fields_of
 from .current_map import ReceivedMessage

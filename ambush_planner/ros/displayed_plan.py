@@ -19,8 +19,8 @@ from ..worker.solve_errors import SolveCancelled
 from . import markers
 from .inputs import Inputs
 from .plan_cache import CachedPlan, PlanCache
-from .publishers import Publishers
 from .reporter import Reporter
+from .topics import Publishers
 
 
 class DisplayedPlan:

@@ -34,11 +34,11 @@ from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
-from .publishers import PLAN_TOPICS, STATUS_TOPICS, Publishers
 from .reporter import Reporter
 from .requests import Requests
 from .shared_memory import hide_segments
 from .subscriptions import Subscriptions
+from .topics import PLAN_TOPICS, STATUS_TOPICS, Publishers
 from .transforms import FrameTransforms
 
 NODE_NAME = 'ambush_planner'

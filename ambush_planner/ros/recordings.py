@@ -15,13 +15,13 @@ from ..errors import AmbushPlannerError
 from ..planning.node_parameters import RecordingOptions
 from ..planning.plan import Plan
 from ..recordings import Recorder, RecordingFailed
+from ..recordings.attachments import strategy_file
 from ..recordings.recorder import remove_abandoned
-from ..recordings.strategy_file import strategy_file
 from ..worker.solve_errors import forget_frames, unexpected
 from .departure_record import Departure, attachments, metadata_entries, recorded_messages
 
 # Departures that may wait for the disk: few enough to be written when the node shuts down.
-_MOST_WAITING = 4
+_MAX_WAITING = 4
 # Longest time [s] that a departure waits for room in the queue.
 _PATIENCE = 2.0
 
@@ -42,7 +42,7 @@ class Recordings:
         # The first one is being written.
         self._unwritten: deque[tuple[Departure, Future[None]]] = deque()
         self._condition = Condition()
-        # Whether the disk has kept a departure waiting in vain since the last write.
+        # True after a departure timed out on the disk, until the next write.
         self._stuck = False
         self._hurry = self._closing = False
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
@@ -65,7 +65,7 @@ class Recordings:
                 return written
         self._finish(written, RecordingFailed(
             Path(self._options.directory),
-            f'the disk does not respond, and {_MOST_WAITING} departures wait for it; departure '
+            f'the disk does not respond, and {_MAX_WAITING} departures wait for it; departure '
             f'{departure.number} is not recorded',
         ))
         return written
@@ -86,7 +86,7 @@ class Recordings:
 
     @property
     def _full(self) -> bool:
-        return len(self._unwritten) >= _MOST_WAITING
+        return len(self._unwritten) >= _MAX_WAITING
 
     def _work(self) -> None:
         if self._options.enabled:

@@ -14,7 +14,7 @@ from rclpy.clock import Clock
 from ..recordings import RecordedMessage
 from .departure_record import Departure
 from .diagnostics import Status, status_to_ros
-from .publishers import Publishers
+from .topics import Publishers
 
 
 class Reporter:

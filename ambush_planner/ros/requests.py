@@ -27,7 +27,7 @@ from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
 from .inputs import Inputs, TripRequest
 from .parameter_changes import NodeSettings
-from .qos import LATEST, REQUESTS
+from .topics import LATEST, REQUESTS
 
 _Result = TypeVar('_Result')
 

@@ -24,7 +24,7 @@ from .error_boundary import ErrorBoundary
 from .error_codes import UnreadableMessage
 from .inputs import Inputs
 from .listener import Listener
-from .qos import LATCHED, LATEST, UPDATES
+from .topics import LATCHED, LATEST, UPDATES
 
 # Minimum time between two log lines about changes of one map [s].
 _MAP_LOG_PERIOD = 10.0

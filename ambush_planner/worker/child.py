@@ -31,7 +31,7 @@ def main() -> None:
 
     This process has imported what a solve needs, so a worker starts in milliseconds.
     """
-    _follow_parent()
+    _die_with_parent()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # leaves no zombies
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         while True:
@@ -46,7 +46,7 @@ def main() -> None:
 
 def serve(connection: socket.socket) -> None:
     """Answer requests until the other side closes the socket, perhaps in the middle of one."""
-    _follow_parent()
+    _die_with_parent()
     _die_first()
     with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
         socket.send_fds(connection, [b'.'], [os.pidfd_open(os.getpid())])
@@ -74,8 +74,8 @@ def _send(answer: object, stream: BufferedRWPair) -> None:
     stream.flush()
 
 
-def _follow_parent() -> None:
-    """Die with the thread that started this process, also in the middle of a solve."""
+def _die_with_parent() -> None:
+    """Ask Linux to kill this process when the thread that started it ends."""
     if sys.platform == 'linux':
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 

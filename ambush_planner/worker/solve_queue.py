@@ -28,16 +28,16 @@ _Result = TypeVar('_Result')
 class _Solve(Generic[_Result]):
     """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
-    ``waiters`` callers wait for its outcome. Without any it is a background solve, which goes on
-    only if ``lasting``. One that is ``overtaken`` begins again later.
+    ``waiters`` callers wait for its outcome. Without any it is a background solve, cancelled unless
+    ``persistent``. A ``preempted`` solve goes back to the queue.
     """
 
     key: Hashable
     request: PlanRequest
     finish: Callable[[Plan], _Result]
-    lasting: bool
+    persistent: bool
     waiters: int
-    overtaken: bool = False
+    preempted: bool = False
     outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
@@ -91,10 +91,10 @@ class SolveQueue(Generic[_Result]):
                 raise SolveCancelled(_CLOSING)
             solve = self._same(key)
             if solve is not None:
-                solve.lasting = solve.lasting or background
+                solve.persistent = solve.persistent or background
                 solve.waiters += not background
                 if not background:
-                    self._overtake_background()
+                    self._preempt_background()
                 return solve.outcome
             superseded = self._drop_background() if background else []
             waiting = sum(not each.background for each in self._waiting.values())
@@ -105,7 +105,7 @@ class SolveQueue(Generic[_Result]):
             self._waiting[key] = solve
             self._condition.notify()
             if not background:
-                self._overtake_background()
+                self._preempt_background()
         _end(superseded, _SUPERSEDED)
         return solve.outcome
 
@@ -116,7 +116,7 @@ class SolveQueue(Generic[_Result]):
                     if each is not None and each.outcome is outcome]
             for solve in here:
                 solve.waiters -= 1
-            ended = [solve for solve in here if not solve.waiters and not solve.lasting]
+            ended = [solve for solve in here if not solve.waiters and not solve.persistent]
             if self._running in ended:
                 self._end_running(_WITHDRAWN)
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
@@ -153,10 +153,10 @@ class SolveQueue(Generic[_Result]):
                 return solve
         return None
 
-    def _overtake_background(self) -> None:
+    def _preempt_background(self) -> None:
         """End a running background solve, which waits from then on."""
         if self._running is not None and self._running.background:
-            self._running.overtaken = True
+            self._running.preempted = True
             if self._worker is not None:
                 self._worker.kill()
 
@@ -209,7 +209,7 @@ class SolveQueue(Generic[_Result]):
         error: AmbushPlannerError | None = None
         try:
             worker = self._living_worker()
-            if solve.cancelled or solve.overtaken:  # before there was a worker to kill
+            if solve.cancelled or solve.preempted:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request))
         except AmbushPlannerError as known:
@@ -222,10 +222,10 @@ class SolveQueue(Generic[_Result]):
         forget_frames(error)
         with self._condition:
             self._running = None
-            if solve.overtaken and result is None and not solve.cancelled:
-                newer = any(each.lasting for each in self._waiting.values())
+            if solve.preempted and result is None and not solve.cancelled:
+                newer = any(each.persistent for each in self._waiting.values())
                 if not (solve.background and newer):
-                    solve.overtaken, self._waiting[solve.key] = False, solve
+                    solve.preempted, self._waiting[solve.key] = False, solve
                     return
                 solve.cancelled = _SUPERSEDED
             self._finished = solve

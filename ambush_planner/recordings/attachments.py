@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The attachment ``strategy.npz``: a strategy with its network."""
+"""The attachments of a recording, npz files.
+
+``strategy.npz`` holds the strategy with its network, ``map_changes.npz`` the cells that changed
+since the departure was planned, ``roads.npz`` the roads of the method graph in the map's
+coordinates.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from io import BytesIO
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..arrays import frozen_array
 from ..game.ambusher import Ambusher
@@ -17,9 +24,10 @@ from ..game.budget import Budget
 from ..game.certificate.curves import Circulation
 from ..game.game import GameOptions, make_game
 from ..game.strategy import Strategy, strategy_of
+from ..maps.road_file import RoadGraph
 from ..network.network import Network
 
-STRATEGY_FILE = 'strategy.npz'
+STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
 NUMBERS = (
     'value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
     'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
@@ -83,3 +91,42 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
                         content.get(_BY_LEG), circulation)
     strategy = strategy_of(game, p, ambusher, budgets)
     return replace(strategy, counting_gap=bool(content[_COUNTING_GAP])), stated
+
+
+def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) -> bytes:
+    """Return the cells in which two maps (H, W) differ; no bytes if they are equal.
+
+    An npz file: ``cells`` (K,) = row * W + column, and their ``values`` (K,) afterwards.
+    """
+    cells = np.flatnonzero(before.ravel() != after.ravel()).astype(np.int32)
+    if not len(cells):
+        return b''
+    stream = BytesIO()
+    np.savez_compressed(stream, cells=cells, values=after.ravel()[cells].astype(np.int8))
+    return stream.getvalue()
+
+
+def changed_map(before: npt.NDArray[np.int8], data: bytes) -> npt.NDArray[np.int8]:
+    """Return the map (H, W) after the changes in the bytes of a ``map_changes.npz``."""
+    after = before.ravel().copy()
+    with np.load(BytesIO(data), allow_pickle=False) as content:
+        after[content['cells']] = content['values']
+    return after.reshape(before.shape)
+
+
+@lru_cache(4)
+def roads_file(roads: RoadGraph) -> bytes:
+    """Return roads as an npz file."""
+    stream = BytesIO()
+    np.savez_compressed(stream, points=roads.points, pairs=roads.pairs, speeds=roads.speeds,
+                        timed=roads.timed)
+    return stream.getvalue()
+
+
+def roads_from_file(data: bytes | None) -> RoadGraph | None:
+    """Return the roads in the bytes of a ``roads.npz``; None if there are none."""
+    if data is None:
+        return None
+    with np.load(BytesIO(data), allow_pickle=False) as archive:
+        return RoadGraph(archive['points'], archive['pairs'], archive['speeds'],
+                         bool(archive['timed']))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that the node publishes, with its quality of service."""
+"""Quality of service of all topics and services, and everything that the node publishes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,24 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from ..recordings import RecordedMessage, type_name
-from .qos import DIAGNOSTICS, LATCHED
+
+_RELIABLE, _LATCHING = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
+# Late subscribers get the last message.
+LATCHED = QoSProfile(depth=1, reliability=_RELIABLE, durability=_LATCHING)
+LATEST = QoSProfile(depth=1, reliability=_RELIABLE)
+# Every update of a map matters, and costmaps send many.
+UPDATES = QoSProfile(depth=100, reliability=_RELIABLE)
+# Requests that arrive while a solve runs are all answered.
+REQUESTS = QoSProfile(depth=1000, reliability=_RELIABLE)
+DIAGNOSTICS = QoSProfile(depth=10, reliability=_RELIABLE)
+# As in tf2_ros.
+TF = QoSProfile(depth=100, reliability=_RELIABLE)
+TF_STATIC = QoSProfile(depth=100, reliability=_RELIABLE, durability=_LATCHING)
 
 Topics = Mapping[str, tuple[type, QoSProfile]]
 _MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
