@@ -177,17 +177,16 @@ def nearly_two_held_radii_apart(seed):
     return game, rng.choice([1.05, 1.2, 1.5, 3.0])
 
 
-@pytest.mark.parametrize('seed', [1011, 1425])
-def test_a_curve_does_not_lead_through_held_ground_that_cuts_a_disc_in_two(seed):
+def test_a_curve_does_not_lead_through_held_ground_that_cuts_a_disc_in_two():
     """The curves prove no more than some route costs."""
-    game, detour = nearly_two_held_radii_apart(seed)
+    game, detour = nearly_two_held_radii_apart(1519)
     faces = make_faces(game)
     discs = faces.discs(game.hits)
-    assert len(np.unique(faces.parts(game.hits, discs))) > len(np.unique(discs.disc))
-    ambusher, (budget,), _ = proof(game, detour)
+    assert len(np.unique(discs.part)) > len(np.unique(discs.disc))
+    ambusher, (budget,), bound = proof(game, detour)
     route = best_response(game, ambusher.q, (budget,), ambusher.prices).edges
     met = game.hits[:, route].getnnz(axis=1) > 0
     cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
     cost += ambusher.prices[0] * (budget.cost[route].sum() - budget.limit)
     assert ambusher.circulation is not None
-    assert lower_bound(game, ambusher, (budget,)) <= max(cost, 0.0) + 1e-9
+    assert bound * (1.0 - 1e-6) <= lower_bound(game, ambusher, (budget,)) <= max(cost, 0.0) + 1e-9

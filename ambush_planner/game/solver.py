@@ -273,14 +273,17 @@ class _Search:
         Places join a mixture of routes first, and prove its value once they have: a proof takes
         seconds.
         """
+        self._mix(program)
+        program.prove_by_legs()
         apart = 1.0
         for _ in range(MAX_SWEEPS):
-            self._mix(program)
             above = program.value * (1.0 + self.slack / 2.0)
             if time.monotonic() > program.deadline or (
                     not self._join_worst(program.mixture, above, apart) and apart == APART):
                 break
+            self._mix(program)
             apart = max(apart / 2.0, APART)
+        program.prove_by_legs()
         self._solve_program()
         for _ in range(ROUNDS):
             copied = law_on_copies(program, self.slack, self.problem.deadline)

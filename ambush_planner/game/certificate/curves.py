@@ -93,7 +93,7 @@ def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
     at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
     found = (key[at] == wanted) & ~discs.around[row]
     lift = np.where(found, discs.lift[at], 0)
-    return found.astype(np.float64), lift, faces.parts(entering, discs)[at]
+    return found.astype(np.float64), lift, discs.part[at]
 
 
 def _weight_of_separating_cycles(tail: IndexArray, head: IndexArray, gain: IndexArray,

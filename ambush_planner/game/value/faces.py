@@ -25,14 +25,15 @@ from ..route_sampler import shortest_route
 class Discs(NamedTuple):
     """The pairs (T,) of a disc and a face on its rim, ordered by disc.
 
-    Disc j has the pairs ``first[j]`` to ``first[j + 1]`` - 1. ``lift`` counts the crossings of the
-    reference route along the rim. Every route meets the discs that are ``around`` (K,) one end.
+    The links that enter a disc connect a ``part`` of its rim; held ground can cut it into several.
+    Parts are numbered from 0, disc by disc. ``lift`` counts the crossings of the reference route
+    along the part. Every route meets the discs that are ``around`` (K,) one end.
     """
 
     face: IndexArray
     disc: IndexArray
     lift: IndexArray
-    first: IndexArray
+    part: IndexArray
     around: BoolArray
 
 
@@ -70,18 +71,10 @@ class Faces:
         touched.sort_indices()
         disc = np.repeat(np.arange(touched.shape[0]), np.diff(touched.indptr))
         lift, around = self._lifts(rims, disc, touched.indices)
-        return Discs(touched.indices.astype(np.int64), disc, lift, touched.indptr.astype(np.int64),
-                     around)
-
-    def parts(self, entering: csr_matrix, discs: Discs) -> IndexArray:
-        """The part (T,) of the rim to which each pair of ``discs(entering)`` belongs.
-
-        The links that enter the disc connect a part. Held ground can cut a rim into several.
-        """
-        rims, size = self._rims(entering), len(discs.face)
-        _, left, right = self._sides(rims, np.arange(rims.shape[0]), discs.disc, discs.face)
-        joined = csr_matrix((np.ones(len(left)), (left, right)), (size, size))
-        return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+        _, left, right = self._sides(rims, np.arange(rims.shape[0]), disc, touched.indices)
+        joined = csr_matrix((np.ones(len(left)), (left, right)), (len(disc), len(disc)))
+        part = connected_components(joined, directed=False)[1].astype(np.int64)
+        return Discs(touched.indices.astype(np.int64), disc, lift, part, around)
 
     def same_both_ways(self, cost: FloatArray) -> bool:
         """Whether each link costs the same in both directions, from the costs (M,) of edges."""

@@ -45,8 +45,10 @@ class Potential:
     def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float) -> None:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
         self._precision = min(gap, PRECISION)
-        self._face, self._site, self._lift = (np.zeros(0, dtype=np.int64) for _ in range(3))
-        self._first, self._loss = np.zeros(1, dtype=np.int64), np.zeros(0)
+        # Pairs of a face and a part of a rim, part by part, and the first pair of each part.
+        self._face, self._site, self._lift, self._part, self._first = (
+            np.zeros(0, dtype=np.int64) for _ in range(5))
+        self._parts, self._loss = 0, np.zeros(0)
         self._around = np.zeros(0, dtype=bool)
         self._entering = csr_matrix((0, len(faces.link)))
         self._joined, self._up = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
@@ -62,14 +64,18 @@ class Potential:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
         discs = self.faces.discs(entering)
-        self._face = np.append(self._face, discs.face)
-        self._lift = np.append(self._lift, discs.lift)
-        self._site = np.append(self._site, discs.disc + len(self._loss))
-        self._first = np.append(self._first, self._first[-1] + discs.first[1:])
+        order = np.argsort(discs.part, kind='stable')
+        first = np.unique(discs.part[order], return_index=True)[1]
+        self._first = np.append(self._first, len(self._face) + first)
+        self._face = np.append(self._face, discs.face[order])
+        self._lift = np.append(self._lift, discs.lift[order])
+        self._site = np.append(self._site, discs.disc[order] + len(self._loss))
+        self._part = np.append(self._part, discs.part[order] + self._parts)
+        self._parts += len(first)
+        self._flows.add_nodes(len(first))
         self._loss = np.append(self._loss, loss)
         self._around = np.append(self._around, discs.around)
         self.q = np.append(self.q, np.zeros(len(loss)))
-        self._flows.add_nodes(len(loss))
         self._entering = csr_matrix(vstack((self._entering, entering)))
         certain = np.where(self._around, self._loss, 0.0)  # every route meets these
         if certain.max(initial=0.0) > self.bound:
@@ -146,12 +152,14 @@ class Potential:
         return lift if self._potential is None else self._potential[self._face] + lift
 
     def _exceeding(self, z: float, height: FloatArray) -> IndexArray:
-        """Avoidable sites on whose rims the potential varies by more than their share."""
-        rows = np.flatnonzero(np.diff(self._first))
-        first = self._first[rows]
-        spread = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first)
-        over = spread > z * (1.0 + self._precision / 2.0) / self._loss[rows] + ROUNDING
-        return rows[over & ~self._around[rows]]
+        """Parts of avoidable sites' rims on which the potential varies by more than their share."""
+        if not len(self._first):
+            return self._first
+        site = self._site[self._first]
+        spread = (np.maximum.reduceat(height, self._first)
+                  - np.minimum.reduceat(height, self._first))
+        over = spread > z * (1.0 + self._precision / 2.0) / self._loss[site] + ROUNDING
+        return np.flatnonzero(over & ~self._around[site])
 
     def _join(self, z: float, height: FloatArray) -> int:
         """Add the extreme faces of the discs that exceed, and those just too far apart.
@@ -159,15 +167,17 @@ class Potential:
         Returns the number of pairs that are new.
         """
         pairs: list[int] = []
-        for j in self._exceeding(z, height):
-            order = self._first[j] + height[self._first[j] : self._first[j + 1]].argsort()
-            ordered, most = height[order], z * (1.0 + self._precision / 2.0) / self._loss[j]
+        last = np.append(self._first[1:], len(self._face))
+        for part in self._exceeding(z, height):
+            order = self._first[part] + height[self._first[part] : last[part]].argsort()
+            loss = self._loss[self._site[order[0]]]
+            ordered, most = height[order], z * (1.0 + self._precision / 2.0) / loss
             above = order[ordered.searchsorted(ordered[0] + most, 'right')]
             below = order[ordered.searchsorted(ordered[-1] - most) - 1]
             pairs += [2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below]
         known = 2 * self._joined + self._up
         new, up = np.divmod(np.setdiff1d(np.array(pairs, dtype=np.int64), known), 2)
-        face, disc, none = self._face[new], self.faces.count + self._site[new], np.zeros(len(new))
+        face, disc, none = self._face[new], self.faces.count + self._part[new], np.zeros(len(new))
         self._flows.add_columns(np.where(up, face, disc), np.where(up, disc, face), none, none,
                                 np.full(len(new), ENDLESS))
         self._joined, self._up = np.append(self._joined, new), np.append(self._up, up == 1)

@@ -39,7 +39,7 @@ STARTS, RESTARTS = 4, 8
 SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
             (math.inf, 4_000_000, 1e-2))
 # The same for the ways of one leg.
-LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000),), 1e-3
+LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
 # Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
 FIRST_TURN, LEG_ROUNDS = 16, 60
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
@@ -145,8 +145,8 @@ class Routes:
     def solve(self, prove: bool = True) -> None:
         """Let routes join until the value is within the gap of the bound, or the deadline.
 
-        It also ends when no method finds a route that costs less. Unless it is to ``prove`` the
-        value, only the fastest method is tried.
+        It also ends when no method finds a route that costs less. The searches over labels are
+        left out unless it is to ``prove`` the value.
         """
         precision, rounds, turn = LOOSE, 0, FIRST_TURN
         tight = min(TIGHT, self.gap / 2.0)
@@ -160,11 +160,10 @@ class Routes:
             added, rounds = 0, rounds + 1
             if precision == LOOSE:
                 centre = mixture if centre is None else _between(centre, mixture)
-                added = self._add_responses(centre, precision)
-            if prove or precision == LOOSE:
-                added = added or self._add_responses(mixture, precision)
+                added = self._add_responses(centre, precision, prove)
+            added = added or self._add_responses(mixture, precision, prove)
             if prove and len(self._legs) > 1 and (not added or rounds == turn):
-                self._separate_legs()
+                self.prove_by_legs()
                 turn *= 2
             if not added and (precision == tight or self._ended()):
                 return
@@ -194,12 +193,12 @@ class Routes:
     def _add(self, route: IndexArray) -> bool:
         return self.mixtures.add(route, self._whole.met(route), self.excess[:, route].sum(axis=1))
 
-    def _add_responses(self, mixture: Mixture, precision: float) -> int:
+    def _add_responses(self, mixture: Mixture, precision: float, prove: bool) -> int:
         """Add routes that cost less than the value, by the fastest way that finds any."""
         q, prices = self._ambusher(mixture, 0.0)
         base, charge = prices @ self.excess, q[0] * self.loss
         most = self.value * (1.0 - GAIN * self.gap) + float(prices.sum())
-        for routes in self._responses(mixture, base, charge, precision):
+        for routes in self._responses(mixture, base, charge, precision, prove):
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, charge) < most)
             if added or time.monotonic() > self.deadline:
@@ -207,7 +206,7 @@ class Routes:
         return 0
 
     def _responses(self, mixture: Mixture, base: FloatArray, charge: FloatArray,
-                   precision: float) -> Iterator[list[IndexArray]]:
+                   precision: float, prove: bool) -> Iterator[list[IndexArray]]:
         """Routes that cost little, the fastest way to find them first."""
         legs = len(self._legs)
         if self._whole.exact:
@@ -220,7 +219,7 @@ class Routes:
             near = self._rng.choice(len(self.shares), RESTARTS, p=self.shares)
             yield [self._descend(base, charge, int(self._rng.integers(legs)), self.routes[k])
                    for k in near]
-        for search in SEARCHES:
+        for search in SEARCHES if prove else ():
             yield self._search(mixture, search)
 
     def _search(self, mixture: Mixture, search: tuple[float, int, float]) -> list[IndexArray]:
@@ -280,7 +279,7 @@ class Routes:
         leg = network.leg[network.tails[route]]
         return np.split(route, np.flatnonzero(np.diff(leg)) + 1)
 
-    def _separate_legs(self) -> None:
+    def prove_by_legs(self) -> None:
         """Improve the bound by the program in which each leg has sites of its own."""
         for route in self.routes:
             for leg, way in enumerate(self._by_legs(route)):
@@ -291,7 +290,7 @@ class Routes:
             if precision == LOOSE and self.game.reach > 0.0:
                 added = self._add_entering_ways(mixture)
             if not added:
-                precision, added = TIGHT, self._prove_by_legs(mixture)
+                precision, added = TIGHT, self._proof_by_legs(mixture)
                 if not added or self.bound >= mixture.value * (1.0 - self.gap / 2.0):
                     return
             if self._ended():
@@ -304,7 +303,7 @@ class Routes:
         return sum(self._add_way(leg, self._legs[leg].shortest(base, charge[leg]))
                    for leg in range(len(charge)))
 
-    def _prove_by_legs(self, mixture: Mixture) -> int:
+    def _proof_by_legs(self, mixture: Mixture) -> int:
         """Note the bound of a mixture's ambusher; return the number of new ways."""
         q, prices = self._ambusher(mixture, LEG_NEGLIGIBLE * (self.game.reach > 0.0))
         base, least, added = prices @ self.excess, 0.0, 0
