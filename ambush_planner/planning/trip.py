@@ -37,9 +37,9 @@ from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
 
-ORDERS = ('given', 'best')
-# Largest number of stops for which all orders (5040) are compared.
-MOST_STOPS = 7
+ORDERS = ('given', 'best', 'random')
+# Largest number of stops for which all orders (5040) are compared, and for a random order (24).
+MOST_STOPS, MOST_RANDOM_STOPS = 7, 4
 # Relative rounding of lengths and values.
 ROUNDING = 1e-9
 
@@ -71,7 +71,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         shortest way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more
         than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
         'best'). With more stops, or if the time limit passes, the order is a short one or the best
-        so far ('heuristic').
+        so far ('heuristic'). Or 'random', for up to ``MOST_RANDOM_STOPS`` stops: the order is drawn
+        with the route, so its value is at most that of the best order within the same budget.
     warm
         A similar strategy to start the search from, for the given order only.
     routes, equal, rng
@@ -139,14 +140,16 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
         field = kind.removesuffix('Options').lower()
         raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
                             f'PlanningOptions({field}={kind}(...))')
-    if options.game.loads and order == 'best':
-        raise InvalidOption("loads belong to legs, so order must be 'given', got 'best'")
+    if options.game.loads and order != 'given':
+        raise InvalidOption(f"loads belong to legs, so order must be 'given', got {order!r}")
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
                              [asked[k] for k in place])
     chosen, found = tuple(range(len(asked))), order
-    if order == 'given' or len(asked) < 2:
+    if order == 'random':
+        strategy = solve_on_network(risk_map, _in_any_order(graph), options, warm, progress)
+    elif order == 'given' or len(asked) < 2:
         strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm, progress)
     else:
         strategy, chosen, found = _StopOrderSearch(risk_map, graph, options, progress).run()
@@ -168,11 +171,23 @@ def plan_from_request(request: PlanRequest) -> Plan:
 
 def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                  options: NetworkOptions, visited: Sequence[npt.ArrayLike], order: str) -> Network:
-    """The network of a plan that visits its stops in the sequence ``visited``."""
+    """The network of a plan with its stops as in ``Plan.stops_xy``."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
+    if order == 'random':
+        return _in_any_order(graph)
     nodes = graph.visits
     return graph.network([nodes[0], *(nodes[1 + k] for k in np.argsort(places)), nodes[-1]])
+
+
+def _in_any_order(graph: TripGraph) -> Network:
+    source, *stops, target = graph.visits
+    if len(stops) > MOST_RANDOM_STOPS:
+        raise InvalidOption(f"order='random' takes at most {MOST_RANDOM_STOPS} stops, got {len(stops)}")
+    if len({source, target, *stops}) < len({source, target}) + len(stops):
+        raise InvalidNetwork("with order='random', no stop may be at the position of another one, "
+                             'of the start or of the goal')
+    return graph.network_in_any_order()
 
 
 def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
