@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from games import examples, routes_of, unbalanced, value_by_routes
+from games import examples, least_weight, routes_of, unbalanced, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_trip import FREE, GOAL, OPTIONS, START, STOPS, roads_of, there_and_back
@@ -29,7 +29,7 @@ from ambush_planner.planning.trip_under_way import Destination, trip_on
 
 
 def two_doors():
-    """A site before each of two stops; a road of 2 m between the stops, and one from each to the goal."""
+    """A site before each of two stops; roads between them, of 2 m, and from each to the goal."""
     points = np.array([(-1, 1), (-1, -1), (-1, 0), (0, 1), (0, -1), (1, 0)], float)
     pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 4), (3, 4), (3, 5), (4, 5)])
     edges = np.concatenate((pairs, pairs[:, ::-1]))
@@ -38,7 +38,8 @@ def two_doors():
 
 def test_a_coin_decides_which_stop_is_first():
     roads, options = two_doors(), StrategyOptions(max_detour=1.1, risk_slack=0.0)
-    assert solve(roads.network_in_any_order(), options=options).value == pytest.approx(0.5, rel=1e-4)
+    coin = solve(roads.network_in_any_order(), options=options)
+    assert coin.value == pytest.approx(0.5, rel=1e-4)
     # In one order the budget lets few routes pass the second stop first, 2 m more and back again.
     one = solve(roads.network(roads.visits), options=options)
     assert one.value == pytest.approx(1.0 - 0.1 * (4.0 + math.sqrt(2.0)) / 2.0, rel=1e-4)
@@ -57,8 +58,8 @@ def all_orders(roads, options):
     for order in permutations(stops):
         network = roads.network((source, *order, target))
         game = make_game(network, options)
-        hits, loss = np.zeros((network.place_count, len(network.edges))), np.zeros(network.place_count)
-        at = network.places[game.sites]
+        loss = np.zeros(network.place_count)
+        hits, at = np.zeros((len(loss), len(network.edges))), network.places[game.sites]
         hits[at], loss[at] = game.hits.toarray(), game.loss[game.sites]
         yield network, hits, loss
 
@@ -117,7 +118,8 @@ def test_laws_of_any_order(seed, stops, reach, detour):
 
 
 def shortest(roads):
-    return solve(roads.network(roads.visits), options=StrategyOptions(solver='simplex')).shortest_length
+    network = roads.network(roads.visits)
+    return least_weight(network, network.lengths)
 
 
 @pytest.fixture(scope='module')
@@ -126,7 +128,7 @@ def risk_map():
     return RiskMap(np.ones((30, 30)), np.zeros((30, 30), bool), 10.0)
 
 
-GAME = PlanningOptions(NetworkOptions(spacing=30.0), GameOptions(25.0, 40.0))
+GAME = PlanningOptions(NetworkOptions(spacing=45.0), GameOptions(25.0, 40.0))
 CORNERS = ((150.0, 270.0), (150.0, 30.0))
 
 
@@ -170,8 +172,8 @@ def test_the_trip_under_way_knows_the_order_of_its_route(plan):
 
 @pytest.mark.parametrize(('stops', 'options', 'error', 'words'), [
     ([*STOPS, (100.0, 100.0), (50.0, 50.0)], OPTIONS, InvalidOption, 'at most 4 stops, got 5'),
-    ([STOPS[0], STOPS[1], STOPS[0]], OPTIONS, InvalidNetwork, 'no stop may be at the position of another'),
-    ([STOPS[0], START, STOPS[1]], OPTIONS, InvalidNetwork, 'no stop may be at the position of another'),
+    ([STOPS[0], STOPS[1], STOPS[0]], OPTIONS, InvalidNetwork, 'position of another'),
+    ([STOPS[0], START, STOPS[1]], OPTIONS, InvalidNetwork, 'position of another'),
     (STOPS[:1], PlanningOptions(game=GameOptions(loads=(1.0, 0.5))), InvalidOption,
      "order must be 'given', got 'random'"),
 ])

@@ -226,7 +226,7 @@ def test_a_stop_behind_a_door_that_the_lattice_misses():
 
 
 @pytest.mark.parametrize(('stops', 'order', 'error', 'words'), [
-    (STOPS, 'quick', InvalidOption, "order must be one of given, best, got 'quick'"),
+    (STOPS, 'quick', InvalidOption, "order must be one of given, best, random, got 'quick'"),
     ([(150.0, 150.0)], 'given', StopBlocked, 'stop 1 .* lies in an obstacle'),
     ([STOPS[0], (500.0, 1.0)], 'given', StopBlocked, 'stop 2 .* is outside the map'),
     ([STOPS[0], (math.nan, 1.0)], 'given', StopBlocked, 'stop 2 must be finite'),

@@ -14,9 +14,9 @@ as having met that one's sites as well. This only lowers the cost further on, so
 remains a lower bound. If the route that is found costs more than this bound, the next search keeps
 more labels.
 
-A trip that is hit at j pays at least q_jl alpha_j if its l-th leg meets j, if the q_jl add up to q_j.
-So what its legs cost at least, each on its own, is a bound, too (docs/theory.md, Proposition 13.1).
-If stops may be visited in any order, it is that of the order whose legs cost least.
+A trip that is hit at j pays at least q_jl alpha_j for each l-th leg that meets j, if the q_jl add
+up to q_j. So what its legs cost at least, each on its own, is a bound, too (docs/theory.md,
+Proposition 13.1); of trips in any order, that of the order whose legs cost least.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def shares_by_leg(game: Game, q: FloatArray) -> FloatArray:
 class Leg(NamedTuple):
     """What can be one leg of a trip: the ``number``-th, from a stop to another one.
 
-    ``begin`` and ``end`` number the stops, each once for every set of stops visited before; 0 is the
-    source, the largest number the target.
+    ``begin`` and ``end`` number the stops, each once for every set of stops visited before; 0 is
+    the source, the largest number the target.
     """
 
     number: int
@@ -124,7 +124,7 @@ class Grounds:
 
     def least_cost(self, base: FloatArray, charge: FloatArray,
                    searches: Searches) -> tuple[float, IndexArray | None]:
-        """A lower bound of the least base cost (M,) plus charges (stops + 1, S), and a route near it.
+        """A lower bound of the least base cost (M,) plus charges (stops + 1, S), and a route near.
 
         If the ambusher waits for several legs, the bound and the route are those of the legs.
         """
@@ -133,12 +133,13 @@ class Grounds:
         ways: dict[int, IndexArray | None] = {}
 
         def cost(k: int) -> float:
-            least, ways[k] = self.legs[k].ground.least_cost(base, charge[self.legs[k].number], searches)
+            number, _, _, ground = self.legs[k]
+            least, ways[k] = ground.least_cost(base, charge[number], searches)
             return least
 
         least, trip = self.least_trip(cost)
-        found = [ways[k] for k in trip]
-        return least, None if any(way is None for way in found) else np.concatenate(found)
+        found = [way for way in map(ways.get, trip) if way is not None]
+        return least, np.concatenate(found) if len(found) == len(trip) else None
 
     def trip(self, ends: Sequence[tuple[int, int]]) -> list[int]:
         """The legs between nodes where legs begin and end."""
@@ -146,7 +147,7 @@ class Grounds:
         return [number[self._stop[begin], self._stop[end]] for begin, end in ends]
 
     def least_trip(self, cost: Callable[[int], float]) -> tuple[float, list[int]]:
-        """The trip whose legs cost least, and this cost; legs of other trips may not be computed."""
+        """The least cost of a trip, and its legs; asks the ``cost`` of those that may matter."""
         known: dict[int, float] = {}
         while True:
             least, before = {0: 0.0}, {}

@@ -4,10 +4,10 @@
     minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,   mean excess <= 1,
                                              the shares are a unit flow through the stops,
 
-each route hit once by each site. Whole routes flow from the source to the target; a trip's legs also
-from stop to stop. The duals are the ambusher's strategy and the prices of the
-budgets. HiGHS' interior point method without crossover gives *central* duals, which price many
-routes at once; a vertex would jump from one extreme ambusher to another.
+each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
+also from stop to stop. The duals are the ambusher's strategy and the prices of the budgets. HiGHS'
+interior point method without crossover gives *central* duals, which price many routes at once; a
+vertex would jump from one extreme ambusher to another.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Mixture(NamedTuple):
 class Mixtures:
     """Routes in groups, each with the sites (S,) that it meets and its excess (B,).
 
-    A group are the first, second, ... legs of trips, whose sites have shares of their own; or there is
+    Sites have shares of their own for each group: the first, second, ... legs of trips; or there is
     one group of whole routes.
     """
 

@@ -338,9 +338,9 @@ class Routes:
         return added
 
     def _add_way(self, leg: int, way: IndexArray) -> bool:
-        number, *between, _ = self._legs[leg]
+        number, begin, end, _ = self._legs[leg]
         return self._of_legs.add(way, self._whole.met(way), self.excess[:, way].sum(axis=1), number,
-                                 tuple(between))
+                                 (begin, end))
 
 
 def _between(centre: Mixture, newest: Mixture) -> Mixture:
