@@ -24,6 +24,7 @@ from ambush_planner import (
 )
 from ambush_planner.game.game import make_game
 from ambush_planner.network.trip_graph import TripGraph
+from ambush_planner.planning.few_routes import few_routes
 from ambush_planner.planning.plan import depart, departure_path
 from ambush_planner.planning.trip_under_way import Destination, trip_on
 
@@ -168,6 +169,14 @@ def test_the_trip_under_way_knows_the_order_of_its_route(plan):
         half = tuple(path[(at[trip.visits[0]] + at[trip.visits[1]]) // 2, :2])
         assert trip.continues(Destination(('map', 'robot'), plan.goal_xy, 1.0, (left,)), half, 0.0)
     assert len(orders) == 2
+
+
+def test_few_routes_in_both_orders(risk_map, plan):
+    few = few_routes(plan, 6, False, np.random.default_rng(1))
+    visits = [[int(np.hypot(*(path[:, :2] - stop).T).argmin()) for stop in CORNERS]
+              for path in few.paths]
+    assert len({first < second for first, second in visits}) == 2
+    assert few.value < 0.65  # in the best order, 2/3
 
 
 @pytest.mark.parametrize(('stops', 'options', 'error', 'words'), [
