@@ -69,7 +69,8 @@ def all_orders(roads, options):
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
        detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
 def test_bound_and_value_enclose_that_of_all_routes_of_all_orders(seed, reach, detour, ambushers):
-    roads, options = roads_of(seed, 2, 2), GameOptions(reach, 0.5, ambushers=ambushers)
+    roads, options = roads_of(seed, 2, 2), GameOptions(
+        ambush_radius=reach, secured_radius=0.5, ambushers=ambushers)
     network = roads.network_in_any_order()
     strategy = solve(network, options, StrategyOptions(max_detour=detour, risk_slack=0.001))
     check_laws(strategy, roads.visits)
@@ -129,7 +130,8 @@ def risk_map():
     return RiskMap(np.ones((30, 30)), np.zeros((30, 30), bool), 10.0)
 
 
-GAME = PlanningOptions(NetworkOptions(spacing=45.0), GameOptions(25.0, 40.0))
+GAME = PlanningOptions(network=NetworkOptions(spacing=45.0),
+                       game=GameOptions(ambush_radius=25.0, secured_radius=40.0))
 CORNERS = ((150.0, 270.0), (150.0, 30.0))
 
 

@@ -164,8 +164,8 @@ def test_a_site_that_two_legs_pass_is_charged_once_in_every_order():
     for node, loss in (crossing, 2.0), (bridge, 4.0):
         alpha[tuple(points[node, ::-1].astype(int))] = loss
     options = PlanningOptions(
-        NetworkOptions('graph', 20.0, graph=roads), GameOptions(secured_radius=0.0),
-        StrategyOptions(max_detour=1.09))
+        network=NetworkOptions(method='graph', spacing=20.0, graph=roads),
+        game=GameOptions(secured_radius=0.0), strategy=StrategyOptions(max_detour=1.09))
     risk_map = RiskMap(alpha, np.zeros(alpha.shape, bool), 1.0)
     at = [tuple(points[node]) for node in (start, second, first, goal)]
     best = plan_trip(risk_map, at[0], at[3], options, stops=at[1:3], order='best')

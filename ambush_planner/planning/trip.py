@@ -15,7 +15,6 @@ from itertools import combinations, pairwise, permutations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit
@@ -308,6 +307,8 @@ class _StopOrderSearch:
 
     def _bounds(self, strategy: Strategy, legs: IndexArray, limit: float) -> FloatArray:
         """Bounds (K,) of orders with ``legs`` (2, K, L) by the ambusher against another one."""
+        from scipy.optimize import linear_sum_assignment  # slow to load
+
         game, ambusher, price = strategy.game, strategy.ambusher, strategy.length_price
         q = shares_by_leg(game, ambusher.q) if ambusher.by_leg is None else ambusher.by_leg
         pairs = set(zip(*legs.reshape(2, -1).tolist(), strict=True))
