@@ -38,7 +38,7 @@ from .solving import WarmStart, solve_on_network
 
 ORDERS = ('given', 'best', 'random')
 # Largest number of stops for which all orders (5040) are compared, and for a random order (24).
-MOST_STOPS, MOST_RANDOM_STOPS = 7, 4
+MOST_STOPS, MAX_RANDOM_STOPS = 7, 4
 # Relative rounding of lengths and values.
 ROUNDING = 1e-9
 
@@ -70,7 +70,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         shortest way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more
         than the risk slack, with hits counted once (``Plan.order_found`` is 'best'). With more
         stops, or if the time limit passes, the order is a short one or the best so far
-        ('heuristic'). Or 'random', for up to ``MOST_RANDOM_STOPS`` stops: the order is drawn with
+        ('heuristic'). Or 'random', for up to ``MAX_RANDOM_STOPS`` stops: the order is drawn with
         the route, so its value is at most that of the best order within the same budget.
     warm
         A similar strategy to start the search from, for the given order only.
@@ -181,8 +181,8 @@ def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
 
 def _in_any_order(graph: TripGraph) -> Network:
     source, *stops, target = graph.visits
-    if len(stops) > MOST_RANDOM_STOPS:
-        raise InvalidOption(f"order 'random' takes at most {MOST_RANDOM_STOPS} stops, got "
+    if len(stops) > MAX_RANDOM_STOPS:
+        raise InvalidOption(f"order 'random' takes at most {MAX_RANDOM_STOPS} stops, got "
                             f'{len(stops)}')
     if len({source, target, *stops}) < len({source, target}) + len(stops):
         raise InvalidNetwork("with order 'random', no stop may be at the position of another one, "
