@@ -26,6 +26,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
+from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.plan import depart, departure_path
@@ -147,6 +148,33 @@ def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order
     assert np.array_equal(again.edges, other.network.edges[: len(again.edges)])
 
 
+def test_a_site_that_two_legs_pass_is_charged_once_in_every_order():
+    """All routes of the best order pass one site twice, with a loss of 2.
+
+    Those of the other order pass it once, and one of 4 unless they take a way as long as the budget
+    allows for a quarter of them. Charged for each entry, the best order would cost 4.
+    """
+    points = np.array([(5, 25), (35, 45), (35, 5), (35, 25), (20, 15), (45, 25)]) + 0.5
+    start, first, second, crossing, bridge, goal = range(6)
+    both_ways = [(first, crossing), (second, crossing)]
+    one_way = [(start, first), (start, bridge), (bridge, second), (first, goal), (crossing, goal)]
+    pieces = np.array([*both_ways, *one_way])
+    speeds = np.column_stack((pieces[:, 0] < pieces[:, 1], pieces[:, 0] > pieces[:, 1]))
+    speeds[: len(both_ways)] = True
+    roads = RoadGraph(points, np.sort(pieces, axis=1), speeds)
+    alpha = np.zeros((50, 60))
+    for node, loss in (crossing, 2.0), (bridge, 4.0):
+        alpha[tuple(points[node, ::-1].astype(int))] = loss
+    options = PlanningOptions(
+        network=NetworkOptions(method='graph', spacing=20.0, graph=roads),
+        game=GameOptions(secured_radius=0.0), strategy=StrategyOptions(max_detour=1.09))
+    risk_map = RiskMap(alpha, np.zeros(alpha.shape, bool), 1.0)
+    at = [tuple(points[node]) for node in (start, second, first, goal)]
+    best = plan_trip(risk_map, at[0], at[3], options, stops=at[1:3], order='best')
+    assert (best.order, best.order_found) == ((1, 0), 'best')
+    assert best.value == pytest.approx(2.0, rel=1e-3)
+
+
 def test_many_stops_get_a_short_order(risk_map):
     rng = np.random.default_rng(3)
     stops = [(x, y) for x, y in 20.0 + 260.0 * rng.random((14, 2))
@@ -228,7 +256,7 @@ def test_a_stop_behind_a_door_that_the_lattice_misses():
 
 
 @pytest.mark.parametrize(('stops', 'order', 'error', 'words'), [
-    (STOPS, 'quick', InvalidOption, "order must be one of given, best, got 'quick'"),
+    (STOPS, 'quick', InvalidOption, "order must be one of given, best, random, got 'quick'"),
     ([(150.0, 150.0)], 'given', StopBlocked, 'stop 1 .* lies in an obstacle'),
     ([STOPS[0], (500.0, 1.0)], 'given', StopBlocked, 'stop 2 .* is outside the map'),
     ([STOPS[0], (math.nan, 1.0)], 'given', StopBlocked, 'stop 2 must be finite'),

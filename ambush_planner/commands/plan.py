@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
                       'shares')
     add_outputs(made, suffixes=(*SUFFIXES, SHEET))
     made.add_argument('--order', choices=ORDERS, default='given',
-                      help='order of the stops (default: given)')
+                      help='order of the stops (default: given); random: drawn with each route')
     made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
                       help='with --via: share of the loss that is aboard on each leg')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',

@@ -24,7 +24,7 @@ class Ambusher:
         How likely he waits at each node; sums to the number of ambushers.
     prices : (budgets,)
         Decrease of the bound per unit of each budget.
-    by_leg : (legs, S) or None
+    by_leg : (stops + 1, S) or None
         On a trip: for which leg he waits at each site, adding up to q there.
     circulation : Circulation or None
         Closed curves between the faces of a planar network that prove the bound.

@@ -136,7 +136,7 @@ def route_entropy(network: Network, p: FloatArray) -> float:
 
     If several copies of a trip's ground can draw the same route of places, a lower bound: the
     entropy of copy and route exceeds that of the route by the entropy of the copy given the route,
-    which is at most that given the edge by which the route begins or ends a leg.
+    which is at most that given the edges by which the route comes to a stop or leaves it.
     """
     leaving = sums(network.tails, p, len(network.points))
     with_copy = entropy(p, leaving[network.tails])
@@ -145,9 +145,12 @@ def route_entropy(network: Network, p: FloatArray) -> float:
     if len(np.unique(edge)) == len(used):
         return with_copy
     tails, heads = node[network.edges[used]].T
+    begins = np.unique(heads[network.leg[network.tails[used]] < network.leg[network.heads[used]]])
     copy = []
-    for end in node[[network.source, *network.stops, network.target]]:
-        for at in np.flatnonzero(tails == end), np.flatnonzero(heads == end):
+    stops = [begins[begins // network.legs == place]
+             for place in np.unique(begins // network.legs)]
+    for end in node[[network.source, network.target]], *stops:
+        for at in np.flatnonzero(np.isin(tails, end)), np.flatnonzero(np.isin(heads, end)):
             if len(at):
                 shared = sums(edge[at], p[used[at]], len(p))[edge[at]]
                 copy.append(entropy(p[used[at]], shared))

@@ -422,8 +422,8 @@ class _Search:
         alone = Ambusher(frozen_array(at_nodes(game, q[kept]), np.float64),
                          self._of_all_budgets(self.program.prices))
         if isinstance(self.program, Routes) and game.network.legs > 1:
-            by_leg = np.zeros((game.network.legs, len(q)))
-            by_leg[:, : self.program.by_leg.shape[1]] = self.program.by_leg
+            more = len(q) - self.program.by_leg.shape[1]
+            by_leg = np.pad(self.program.by_leg, ((0, 0), (0, more)))
             alone = replace(alone, by_leg=frozen_array(by_leg[:, kept], np.float64))
         found = getattr(self.program, 'circulation', None)
         if not found or not hits_can_differ(game):

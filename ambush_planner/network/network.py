@@ -28,7 +28,8 @@ class Network(Shown):
 
     Nodes stand for places, each node for one; several can stand for the same place. On a trip with
     stops, the convoy may come back to a place on another leg: each leg has nodes of its own, and
-    the edges that end a leg lead to the first node of the next.
+    the edges that end a leg lead to the first node of the next. If routes may visit the stops in
+    any order, there is a leg for each set of stops visited so far, which begins at any of them.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class Network(Shown):
         place have the same point and the same loss.
     leg : (N,) int
         The leg of the trip on which each node lies; 0 by default. Edges lead on within a leg, or to
-        the next.
+        a later one.
     seconds : (M,) float, >= 0, optional
         Driving time of each edge [s]. Budgets are then of time instead of length.
 
@@ -95,7 +96,7 @@ class Network(Shown):
         object.__setattr__(self, 'leg', leg)
 
     def _summary(self) -> dict[str, str]:
-        stops = {'stops': str(self.legs - 1)} if self.legs > 1 else {}
+        stops = {'stops': str(len(self.stops))} if self.legs > 1 else {}
         return {'nodes': str(len(self.points)), 'edges': str(len(self.edges)),
                 'source': str(self.source), 'target': str(self.target), **stops}
 
@@ -148,15 +149,44 @@ class Network(Shown):
 
     @property
     def legs(self) -> int:
-        """Number of legs of the trip, one more than stops."""
+        """Number of legs; of those, a route in any order drives one more than there are stops."""
         return int(self.leg.max()) + 1
 
     @cached_property
     def stops(self) -> IndexArray:
-        """The first node (legs - 1,) of each leg but the first."""
-        begins = np.unique(self.heads[self.leg[self.heads] > self.leg[self.tails]])
-        first = np.unique(self.leg[begins], return_index=True)[1]
-        return frozen_array(begins[first], np.int64)
+        """For each stop, a node where a leg begins.
+
+        They are those of one route: through the legs of lowest numbers, from the target back.
+        """
+        tail, head = self.edges[self.leg[self.heads] > self.leg[self.tails]].T
+        found, leg = [], self.legs - 1
+        while (into := np.flatnonzero(self.leg[head] == leg)).size:
+            last = into[np.lexsort((head[into], self.leg[tail[into]]))[0]]
+            found.append(head[last])
+            leg = int(self.leg[tail[last]])
+        return frozen_array(found[::-1], np.int64)
+
+    @cached_property
+    def stops_before(self) -> IndexArray:
+        """How many stops have been visited before each leg (legs,)."""
+        tail, head = self.leg[self.edges].T
+        before = np.zeros(self.legs, dtype=np.int64)
+        for leg in np.unique(head[head > tail]).tolist():
+            before[leg] = before[tail[(head == leg) & (tail < leg)][0]] + 1
+        return frozen_array(before, np.int64)
+
+    def visited(self, route: IndexArray) -> tuple[IndexArray, IndexArray]:
+        """Where in a route (K,) its stops are, and which of ``stops`` they are.
+
+        The route may begin after some of them.
+        """
+        begins = self.heads[self.leg[self.heads] > self.leg[self.tails]]
+        at = np.flatnonzero(np.isin(route[1:], begins) & (np.diff(self.leg[route]) > 0)) + 1
+        ahead, which = self.places[self.stops].tolist(), []
+        for place in self.places[route[at[::-1]]].tolist():
+            which.append(len(ahead) - 1 - ahead[::-1].index(place))
+            ahead[which[-1]] = -1
+        return at, np.array(which[::-1], dtype=np.int64)
 
     @cached_property
     def ends(self) -> IndexArray:
@@ -201,7 +231,7 @@ def _check_places(places: IndexArray, points: FloatArray, alpha: FloatArray) -> 
 
 def _check_legs(leg: IndexArray, edges: IndexArray) -> None:
     step = leg[edges[:, 1]] - leg[edges[:, 0]]
-    _refuse_edges(edges, (step < 0) | (step > 1), 'neither within a leg nor to the next')
+    _refuse_edges(edges, step < 0, 'back to an earlier leg')
 
 
 def _floats(name: str, values: npt.ArrayLike) -> FloatArray:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -46,22 +47,41 @@ class TripGraph:
 
     def network(self, visits: Sequence[int]) -> Network:
         """The network for driving from each of these nodes to the next: all places for each leg."""
-        count, legs = len(self.points), len(visits) - 1
-        layers, used = [], []
-        for leg, (source, target) in enumerate(pairwise(visits)):
-            used.append(np.flatnonzero(
-                (self.edges[:, 1] != source) & (self.edges[:, 0] != target)
-            ))
+        last = len(visits) - 2
+        return self._layered(visits[0], visits[-1], [
+            ({source}, {target: min(leg + 1, last)})
+            for leg, (source, target) in enumerate(pairwise(visits))])
+
+    def network_in_any_order(self) -> Network:
+        """The network for any order of the stops: all places for each set of stops visited."""
+        source, *stops, target = self.visits
+        bits = {stop: 1 << k for k, stop in enumerate(stops)}
+        sets = sorted(range(1 << len(stops)), key=lambda visited: (visited.bit_count(), visited))
+        leg = {visited: k for k, visited in enumerate(sets)}
+        return self._layered(source, target, [
+            ({stop for stop in stops if visited & bits[stop]} or {source},
+             {stop: leg[visited | bits[stop]] for stop in stops if not visited & bits[stop]}
+             or {target: leg[visited]}) for visited in sets])
+
+    def _layered(self, source: int, target: int,
+                 legs: Sequence[tuple[AbstractSet[int], Mapping[int, int]]]) -> Network:
+        """The network with all places for each leg, from where it begins to where others do."""
+        count, layers, used = len(self.points), [], []
+        for leg, (begins, ends) in enumerate(legs):
+            inside = ~np.isin(self.edges[:, 0], list(ends))
+            if len(begins) == 1:  # a leg that begins elsewhere may pass the others
+                inside &= self.edges[:, 1] != min(begins)
+            used.append(np.flatnonzero(inside))
             edges = self.edges[used[-1]]
             layers.append(edges + leg * count)
-            if leg + 1 < legs:
-                layers[-1][edges[:, 1] == target, 1] += count
-        edges = np.concatenate(layers)
+            for end, later in ends.items():
+                layers[-1][edges[:, 1] == end, 1] += (later - leg) * count
+        edges, number = np.concatenate(layers), len(legs)
         order = np.lexsort((edges[:, 1], edges[:, 0]))
         seconds = None if self.seconds is None else self.seconds[np.concatenate(used)[order]]
-        return Network(np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs), edges[order],
-                       visits[0], visits[-1] + (legs - 1) * count,
-                       np.tile(np.arange(count), legs), np.repeat(np.arange(legs), count), seconds)
+        return Network(np.tile(self.points, (number, 1)), np.tile(self.alpha, number), edges[order],
+                       source, target + (number - 1) * count, np.tile(np.arange(count), number),
+                       np.repeat(np.arange(number), count), seconds)
 
 
 def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:

@@ -120,7 +120,8 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: I
 def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:
     """Return the edges (M,) that lead towards a place, and neither to a stop nor to the target."""
     distance = np.hypot(*(network.points - place).T)
-    ends = np.isin(network.heads, [*network.stops, network.target])
+    ends = network.leg[network.tails] < network.leg[network.heads]
+    ends |= network.heads == network.target
     return np.asarray((distance[network.heads] < distance[network.tails]) & ~ends)
 
 

@@ -169,7 +169,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'trip.order': Declaration(
         'given',
         'Order of the stops of via_poses: as given, or (best) the order of least value within the '
-        'length budget of the shortest order; with more than 7 stops, a short order.',
+        'length budget of the shortest order; with more than 7 stops, a short order; or (random) '
+        'drawn with each route, for at most 4 stops.',
         choices=ORDERS),
     'recording.enabled': Declaration(True, 'Whether departures are recorded.', fixed=True),
     'recording.required': Declaration(

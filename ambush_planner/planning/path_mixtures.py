@@ -183,11 +183,15 @@ def _side_by_side(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr
 
 def _legs(plan: Plan, line: FloatArray, k: int) -> IndexArray:
     """The leg (L,) of the trip at each point of path ``k``; raises InvalidOption."""
-    leg, at = np.zeros(len(line), dtype=np.int64), 0
-    for number, stop in enumerate(plan.stops_xy, start=1):
-        near = np.flatnonzero(np.hypot(*(line[at + 1 : -1] - stop).T) <= AT_STOP)
+    leg, at, left = np.zeros(len(line), dtype=np.int64), 0, list(plan.stops_xy)
+    while left:
+        ahead = left if plan.order_found == 'random' else left[:1]
+        away = line[at + 1 : -1, None] - np.array(ahead)
+        near = np.argwhere(np.hypot(away[..., 0], away[..., 1]) <= AT_STOP)
         if not len(near):
-            raise InvalidOption(f'path {k} does not pass stop {number} at {stop}')
-        at += 1 + int(near[0])
-        leg[at:] = number
+            number = plan.stops_xy.index(left[0]) + 1
+            raise InvalidOption(f'path {k} does not pass stop {number} at {left[0]}')
+        at += 1 + int(near[0, 0])
+        left.remove(ahead[near[0, 1]])
+        leg[at:] += 1
     return leg

@@ -79,7 +79,8 @@ class Plan(Shown):
     ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
     of few routes that departures draw from, None if they draw from the strategy.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
-    'best' or 'heuristic'.
+    'best' or 'heuristic'. If it is 'random', ``order`` is the given one, and each route has its own
+    (``network.visited``).
     """
 
     network: Network
@@ -164,7 +165,7 @@ class Plan(Shown):
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
-        """The stops as they are visited [m]."""
+        """The stops as they are visited, or in the given order if it is random [m]."""
         stops = self.network.points[self.network.stops].tolist()
         return tuple((x, y) for x, y in stops)
 

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of trips: one strategy over all legs, with the stops in the given or the best order.
+"""Plans of trips: one strategy over all legs, with stops in the given, the best or a random order.
 
-An ambush hits every leg that passes its site, so the legs cannot be solved one by one: the network
-has a layer for each leg, and one game covers all (``Network.legs``, ``Game.hits``). Arcs used twice
-count twice, as in M. Salani, G. Duyckaerts and P. G. Swartz, *Ambush avoidance in vehicle routing
-for valuable delivery*, Journal of Transport Literature 4, 2010.
+An ambush hits a trip once, on whichever legs it passes the site, so legs cannot be solved one by
+one: the network has a layer for each leg, and one game covers all (``Network.legs``).
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, pairwise, permutations
 
 import numpy as np
@@ -21,10 +19,11 @@ import numpy.typing as npt
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit
 from ..game.ambusher import capped_at_one
+from ..game.certificate.best_response import Ground, shares_by_leg
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..game.value.cut import solve_by_min_cut
-from ..game.value.routes import Progress, unseen
+from ..game.value.routes import LEG_SEARCH, Progress, unseen
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
@@ -35,11 +34,11 @@ from .few_routes import few_routes
 from .options import PlanningOptions, solved_game
 from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
-from .solving import WarmStart, add_hiding_places, solve_on_network
+from .solving import WarmStart, solve_on_network
 
-ORDERS = ('given', 'best')
-# Largest number of stops for which all orders (5040) are compared.
-MAX_COMPARED = 7
+ORDERS = ('given', 'best', 'random')
+# Largest number of stops for which all orders (5040) are compared, and for a random order (24).
+MAX_COMPARED, MAX_RANDOM_STOPS = 7, 4
 # Relative rounding of lengths and values.
 ROUNDING = 1e-9
 
@@ -69,9 +68,10 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     order
         'given', or 'best': the order of least value within the budget of ``max_detour`` times the
         shortest way in any order. For up to ``MAX_COMPARED`` stops, no other order is better by
-        more than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
-        'best'). With more stops, or if the time limit passes, the order is a short one or the best
-        so far ('heuristic').
+        more than the risk slack, with hits counted once (``Plan.order_found`` is 'best'). With
+        more stops, or if the time limit passes, the order is a short one or the best so far
+        ('heuristic'). Or 'random', for up to ``MAX_RANDOM_STOPS`` stops: the order is drawn with
+        the route, so its value is at most that of the best order within the same budget.
     warm
         A similar strategy to start the search from, for the given order only.
     routes, equal, rng
@@ -140,14 +140,16 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
         field = kind.removesuffix('Options').lower()
         raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
                             f'PlanningOptions({field}={kind}(...))')
-    if options.game.loads and order == 'best':
-        raise InvalidOption("loads belong to legs, so order must be 'given', got 'best'")
+    if options.game.loads and order != 'given':
+        raise InvalidOption(f"loads belong to legs, so order must be 'given', got {order!r}")
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
                              [asked[k] for k in place])
     chosen, found = tuple(range(len(asked))), order
-    if order == 'given' or len(asked) < 2:
+    if order == 'random':
+        strategy = solve_on_network(risk_map, _in_any_order(graph), options, warm, progress)
+    elif order == 'given' or len(asked) < 2:
         strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm, progress)
     else:
         strategy, chosen, found = _StopOrderSearch(risk_map, graph, options, progress).run()
@@ -169,11 +171,24 @@ def plan_from_request(request: PlanRequest) -> Plan:
 
 def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                  options: NetworkOptions, visited: Sequence[npt.ArrayLike], order: str) -> Network:
-    """The network of a plan that visits its stops in the sequence ``visited``."""
+    """The network of a plan with its stops as in ``Plan.stops_xy``."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
+    if order == 'random':
+        return _in_any_order(graph)
     nodes = graph.visits
     return graph.network([nodes[0], *(nodes[1 + k] for k in np.argsort(places)), nodes[-1]])
+
+
+def _in_any_order(graph: TripGraph) -> Network:
+    source, *stops, target = graph.visits
+    if len(stops) > MAX_RANDOM_STOPS:
+        raise InvalidOption(f"order 'random' takes at most {MAX_RANDOM_STOPS} stops, got "
+                            f'{len(stops)}')
+    if len({source, target, *stops}) < len({source, target}) + len(stops):
+        raise InvalidNetwork("with order 'random', no stop may be at the position of another one, "
+                             'of the start or of the goal')
+    return graph.network_in_any_order()
 
 
 def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
@@ -181,24 +196,13 @@ def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
     return sorted(range(len(stops)), key=lambda k: np.ravel(stops[k]).tolist())
 
 
-@dataclass(frozen=True, eq=False)
-class _OrderBound:
-    """A lower bound of any order's value by entries: costs between ends (E, E), minus ``paid``."""
-
-    costs: FloatArray
-    paid: float
-
-    def bounds(self, legs: IndexArray) -> FloatArray:
-        """Lower bounds (K,) of orders from the ends of their ``legs`` (2, K, L)."""
-        return np.asarray(self.costs[tuple(legs)].sum(axis=1) - self.paid)
-
-
 class _StopOrderSearch:
-    """Search for the order of least value by lower bounds.
+    """Search for the order of least value by lower bounds, with hits counted once.
 
-    With any ambusher's strategy q and any price of length, each leg costs at least the cheapest
-    route between its ends, and the sum over the legs bounds the value of the order. The first
-    bounds come from minimum cuts between pairs of ends; each solved order adds another.
+    An ambusher who waits for each leg with a share of his own costs a trip at least what its legs
+    cost, each on its own, and any of these shares may be for any leg. So the shares against a
+    solved order, and its price of length, bound all orders. The first bounds come from minimum
+    cuts between pairs of ends: every trip drives from one end to all later ones.
     """
 
     def __init__(self, risk_map: RiskMap, graph: TripGraph, options: PlanningOptions,
@@ -232,6 +236,8 @@ class _StopOrderSearch:
         lengths = self._lengths[tuple(legs)].sum(axis=1)
         limit = self._options.strategy.max_detour * float(lengths.min())
         fits = lengths <= limit * (1.0 + ROUNDING)
+        if np.isfinite(lengths).any():
+            fits &= np.isfinite(lengths)
         orders, legs, lengths = orders[fits], legs[:, fits], lengths[fits]
         if not few:
             strategy = self._solve(orders[0], float(lengths[0]), limit)
@@ -241,32 +247,27 @@ class _StopOrderSearch:
     def _best_order(self, orders: IndexArray, legs: IndexArray, lengths: FloatArray,
                     limit: float) -> tuple[Strategy, tuple[int, ...], str]:
         """Solve the most promising order until no other can be better."""
-        slack = self._options.strategy.risk_slack
-        network = add_hiding_places(self._network(orders[0]), self._map, self._options)
-        first = make_game(network, self._game)
-        bounds = np.zeros(len(orders))
-        for known in self._pair_bounds(first):
-            bounds = np.maximum(bounds, known.bounds(legs))
+        slack, bounds = self._options.strategy.risk_slack, self._cut_bounds(orders, legs)
         left = np.ones(len(orders), dtype=bool)
         best: tuple[Strategy, tuple[int, ...]] | None = None
         while left.any():
             least = float(bounds[left].min())
-            if best and least * (1.0 + slack) >= best[0].value * (1.0 - ROUNDING):
-                break
             near = left & (bounds <= least * (1.0 + slack) + ROUNDING)
             k = int(np.flatnonzero(near)[np.argmin(lengths[near])])
             left[k] = False
             try:
                 strategy = self._solve(orders[k], float(lengths[k]), limit)
+                if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
+                    best = strategy, tuple(orders[k].tolist())
+                enough = best[0].value * (1.0 - ROUNDING) / (1.0 + slack)
+                left &= bounds < enough
+                bounds[left] = np.maximum(bounds[left],
+                                          self._bounds(strategy, legs[:, left], limit))
+                left &= bounds < enough
             except TimeLimit:
                 if best is None:
                     raise
                 return *best, 'heuristic'
-            if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
-                best = strategy, tuple(orders[k].tolist())
-            known = self._bound_of(strategy.game, strategy.ambush_probability,
-                                   strategy.length_price, limit)
-            bounds = np.maximum(bounds, known.bounds(legs))
         assert best is not None  # the shortest order fits its budget
         return *best, 'best'
 
@@ -284,28 +285,58 @@ class _StopOrderSearch:
         return solve_on_network(self._map, self._network(order),
                                 replace(self._options, strategy=options), progress=self._progress)
 
-    def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
-        """Bounds from the minimum cuts between pairs of ends; with a reach, they may be weak."""
-        k = game.ambushers
-        options = replace(self._game, ambush_radius=0.0, tube=0.0, widened=0.0, ambushers=1)
-        for pair in combinations(self._ends, 2):
+    def _cut_bounds(self, orders: IndexArray, legs: IndexArray) -> FloatArray:
+        """Bounds (K,) from the minimum cuts between pairs of ends; 0 with a reach."""
+        costs, bounds = np.zeros(self._lengths.shape), np.zeros(len(orders))
+        if self._game.reach > 0.0:
+            return bounds
+        game, k = make_game(self._network(orders[0]), self._game), self._game.ambushers
+        options = replace(self._game, ambushers=1)
+        for pair in permutations(range(len(self._ends)), 2):
             try:
-                cut = solve_by_min_cut(make_game(self._graph.network(pair), options))
+                between = self._graph.network([self._ends[end] for end in pair])
+                cut = solve_by_min_cut(make_game(between, options))
             except NoRoute:  # one-way roads
                 continue
             q = np.zeros(game.node_count)
             q[: len(cut.q)] = capped_at_one(k * cut.q, k)
-            yield self._bound_of(game, q)
+            costs[pair] = self._leg_costs(game, game.at_sites(q)[None], 0.0, {pair})[0][pair]
+        visits = np.column_stack((legs[0], legs[1, :, -1]))
+        for i, j in combinations(range(visits.shape[1]), 2):
+            bounds = np.maximum(bounds, costs[visits[:, i], visits[:, j]])
+        return bounds
 
-    def _bound_of(self, game: Game, q: FloatArray, price: float = 0.0,
-                  limit: float = 0.0) -> _OrderBound:
-        network = game.network
-        edges = network.places[network.edges]
+    def _bounds(self, strategy: Strategy, legs: IndexArray, limit: float) -> FloatArray:
+        """Bounds (K,) of orders with ``legs`` (2, K, L) by the ambusher against another one."""
+        from scipy.optimize import linear_sum_assignment  # slow to load
+
+        game, ambusher, price = strategy.game, strategy.ambusher, strategy.length_price
+        q = shares_by_leg(game, ambusher.q) if ambusher.by_leg is None else ambusher.by_leg
+        pairs = set(zip(*legs.reshape(2, -1).tolist(), strict=True))
+        costs = self._leg_costs(game, q, price, pairs)
+        by_order = np.moveaxis(costs[:, legs[0], legs[1]], 1, 0)
+        best = [each[linear_sum_assignment(each, maximize=True)].sum() for each in by_order]
+        return np.array(best) - (price * limit if price > 0.0 else 0.0)
+
+    def _leg_costs(self, game: Game, q: FloatArray, price: float,
+                   pairs: set[tuple[int, int]]) -> FloatArray:
+        """Lower bounds (R, E, E) of what legs between pairs of ends cost by each share q (R, S).
+
+        0 for other pairs. Raises TimeLimit.
+        """
+        network, costs = game.network, np.zeros((len(q), *self._lengths.shape))
+        edges, once = network.places[network.edges], np.zeros(len(network.edges), dtype=bool)
         # Each place's edges cost the same in all layers, so one copy suffices.
-        _, once = np.unique(edges[:, 0] * network.place_count + edges[:, 1], return_index=True)
-        weights = game.mean_loss_on_edges(q) + price * network.travel_costs
-        costs = self._end_distances(edges[once], weights[once], network.place_count)
-        return _OrderBound(costs, price * limit if price > 0.0 else 0.0)
+        once[np.unique(edges @ (network.place_count, 1), return_index=True)[1]] = True
+        ground = Ground(edges, once, game.hits, game.reach == 0.0)
+        for begin, end in sorted(pairs):
+            way = ground.between(*(np.array([self._ends[k]]) for k in (begin, end)))
+            for share, charge in enumerate(q * game.loss[game.sites]):
+                if time.monotonic() > self._deadline:
+                    raise TimeLimit('the time limit passed before the orders were compared')
+                costs[share, begin, end] = way.least_cost(price * network.travel_costs, charge,
+                                                          LEG_SEARCH)[0]
+        return costs
 
     def _end_distances(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:
         rows = [distances_from(edges, weights, count, end)[self._ends] for end in self._ends]

@@ -171,10 +171,9 @@ def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination
     A robot is on the path within the tube, its tracking error and a cell.
     """
     tube = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
-    passes = np.flatnonzero(np.isin(route.nodes, plan.network.stops))
-    visits = np.array(plan.order, np.int64)[len(plan.order) - len(passes):]
+    passes, which = plan.network.visited(route.nodes)
     return TripUnderWay(
-        destination, path, route.nodes, route.points, passes, visits,
+        destination, path, route.nodes, route.points, passes, np.array(plan.order, np.int64)[which],
         tube + plan.options.drive.tracking_error + destination.cell, 2.0 * plan.spacing,
     )
 

@@ -43,7 +43,7 @@ _T = TypeVar('_T')
 
 @dataclass(frozen=True)
 class RecordedTrip:
-    """The planned trip in the map's frame [m], its stops in the order of the visits."""
+    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``."""
 
     start_xy: Position
     goal_xy: Position

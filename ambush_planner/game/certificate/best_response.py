@@ -14,17 +14,19 @@ as having met that one's sites as well. This only lowers the cost further on, so
 remains a lower bound. If the route that is found costs more than this bound, the next search keeps
 more labels.
 
-A trip that is hit at j pays at least q_jl alpha_j for each leg l that meets j, if the q_jl add up
-to q_j over the legs. So what the legs cost at least, each on its own, is a bound, too
-(docs/theory.md, Proposition 13.1).
+A trip that is hit at j pays at least q_jl alpha_j for each l-th leg that meets j, if the q_jl add
+up to q_j. So what its legs cost at least, each on its own, is a bound, too (docs/theory.md,
+Proposition 13.1); of trips in any order, that of the order whose legs cost least.
 """
 
 from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -59,73 +61,136 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
                   prices: Sequence[float] | FloatArray) -> BestResponse:
     """Find the route that costs least against q with each site counted once.
 
-    q is (N,) by node; or (legs, S) by the leg for which the ambusher waits, and the site.
+    q is (N,) by node; or (stops + 1, S) by the leg for which the ambusher waits, and the site.
     """
     base, paid = np.zeros(len(game.network.edges)), 0.0
     for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
             base = base + price * budget.excess
             paid += price * budget.margin
-    charge = game.loss[game.sites] * (q if q.ndim == 2 else _by_leg(game, q))
+    charge = game.loss[game.sites] * (q if q.ndim == 2 else shares_by_leg(game, q))
     least, edges = Grounds(game, game.hits).least_cost(base, charge, SEARCHES)
     return BestResponse(max(least - paid, 0.0), edges)
 
 
-def _by_leg(game: Game, q: FloatArray) -> FloatArray:
-    """q (N,) as shares (legs, S): each node waits for its own leg."""
-    leg = game.network.leg
-    return np.array([game.at_sites(np.where(leg == k, q, 0.0)) for k in range(game.network.legs)])
+def shares_by_leg(game: Game, q: FloatArray) -> FloatArray:
+    """q (N,) as shares (stops + 1, S): each node waits for its own leg."""
+    before = game.network.stops_before
+    leg = before[game.network.leg]
+    return np.array([game.at_sites(np.where(leg == k, q, 0.0)) for k in range(before[-1] + 1)])
+
+
+class Leg(NamedTuple):
+    """What can be one leg of a trip: the ``number``-th, from a stop to another one.
+
+    ``begin`` and ``end`` number the stops, each once for every set of stops visited before; 0 is
+    the source, the largest number the target.
+    """
+
+    number: int
+    begin: int
+    end: int
+    ground: Ground
 
 
 class Grounds:
-    """The ground of each leg of a trip, and of the whole trip, with the sites' rows (S, M)."""
+    """The ground of each leg of a trip, and of the whole trip, with the sites' rows (S, M).
+
+    ``legs`` are in an order in which trips drive them; without a choice of the order, each once.
+    """
 
     def __init__(self, game: Game, hits: csr_matrix) -> None:
         network = game.network
         leg, used = network.leg, network.edges[game.playable]
-        begins = np.unique(used[leg[used[:, 1]] > leg[used[:, 0]], 1])
-        at = [np.array([network.source]), *(begins[leg[begins] == k]
-                                            for k in range(1, network.legs))]
-        at.append(np.array([network.target]))
-        self.legs = [Ground(game, hits, leg[network.tails] == k, at[k], at[k + 1])
-                     for k in range(network.legs)]
-        every = np.ones(len(network.edges), dtype=bool)
-        self.whole = self.legs[0] if network.legs == 1 else Ground(game, hits, every, at[0], at[-1])
+        one, exact = network.legs == 1, game.reach == 0.0
+        first, last = np.array([network.source]), np.array([network.target])
+        self.whole = Ground(network.edges, game.playable, hits, exact and one).between(first, last)
+        if one:
+            self.legs = [Leg(0, 0, 1, self.whole)]
+            return
+        nodes = np.unique(used[leg[used[:, 1]] > leg[used[:, 0]], 1])
+        at = leg[nodes] * network.place_count + network.places[nodes]  # copies begin together
+        begins = [first, *(nodes[at == k] for k in np.unique(at)), last]
+        self._stop = {node: k for k, own in enumerate(begins) for node in own.tolist()}
+        self.legs = []
+        for number, before in enumerate(network.stops_before.tolist()):
+            inside = game.playable & (leg[network.tails] == number)
+            ground, heads = Ground(network.edges, inside, hits, exact), network.heads[inside]
+            ends = [k for k, own in enumerate(begins) if np.isin(own, heads[
+                (leg[heads] > number) | (heads == network.target)]).any()]
+            self.legs += [Leg(before, begin, end, ground.between(own, begins[end]))
+                          for begin, own in enumerate(begins[:-1]) if leg[own[0]] == number
+                          for end in ends]
 
     def least_cost(self, base: FloatArray, charge: FloatArray,
                    searches: Searches) -> tuple[float, IndexArray | None]:
-        """A lower bound of the least base cost (M,) plus charges (legs, S), and a route near it.
+        """A lower bound of the least base cost (M,) plus charges (stops + 1, S), and a route near.
 
         If the ambusher waits for several legs, the bound and the route are those of the legs.
         """
         if np.count_nonzero(charge.any(axis=1)) < 2:
             return self.whole.least_cost(base, charge.sum(axis=0), searches)
-        least, ways = zip(*(ground.least_cost(base, own, searches)
-                            for ground, own in zip(self.legs, charge, strict=True)), strict=True)
-        return sum(least), None if any(w is None for w in ways) else np.concatenate(ways)
+        ways: dict[int, IndexArray | None] = {}
+
+        def cost(k: int) -> float:
+            number, _, _, ground = self.legs[k]
+            least, ways[k] = ground.least_cost(base, charge[number], searches)
+            return least
+
+        least, trip = self.least_trip(cost)
+        found = [way for way in map(ways.get, trip) if way is not None]
+        return least, np.concatenate(found) if len(found) == len(trip) else None
+
+    def trip(self, ends: Sequence[tuple[int, int]]) -> list[int]:
+        """The legs between nodes where legs begin and end."""
+        number = {(leg.begin, leg.end): k for k, leg in enumerate(self.legs)}
+        return [number[self._stop[begin], self._stop[end]] for begin, end in ends]
+
+    def least_trip(self, cost: Callable[[int], float]) -> tuple[float, list[int]]:
+        """The least cost of a trip, and its legs; asks the ``cost`` of those that may matter."""
+        known: dict[int, float] = {}
+        while True:
+            least, before = {0: 0.0}, {}
+            for k, leg in enumerate(self.legs):
+                total = least.get(leg.begin, math.inf) + known.get(k, 0.0)
+                if total < least.get(leg.end, math.inf):
+                    least[leg.end], before[leg.end] = total, k
+            trip, end = [], self.legs[-1].end
+            while end:
+                trip.append(before[end])
+                end = self.legs[trip[-1]].begin
+            new = [k for k in trip[::-1] if k not in known]
+            if not new:
+                return least[self.legs[-1].end], trip[::-1]
+            known.update((k, cost(k)) for k in new)
 
 
 class Ground:
-    """Some edges of a game between some first and some last nodes, and the sites that they meet.
+    """The ``used`` ones of some edges (M, 2), and the sites that they meet, as ``hits`` (S, M).
 
     ``edge`` (m,) are sorted by tail and head; ``tail`` and ``head`` (m,) number these nodes only.
+    ``exact``: no way can meet a site more than once.
     """
 
-    def __init__(self, game: Game, hits: csr_matrix, edges: BoolArray, first: IndexArray,
-                 last: IndexArray) -> None:
-        network = game.network
-        edge = np.flatnonzero(game.playable & edges)
-        self.edge = edge[np.lexsort((network.heads[edge], network.tails[edge]))]
-        nodes, ends = np.unique(network.edges[self.edge], return_inverse=True)
-        self.tail, self.head = ends.reshape(-1, 2).T
-        self.first, self.last = np.searchsorted(nodes, first), np.searchsorted(nodes, last)
-        self.count, self._key = len(nodes), self.tail * len(nodes) + self.head
+    def __init__(self, ends: IndexArray, used: BoolArray, hits: csr_matrix, exact: bool) -> None:
+        edge = np.flatnonzero(used)
+        self.edge = edge[np.lexsort((ends[edge, 1], ends[edge, 0]))]
+        self._nodes, numbers = np.unique(ends[self.edge], return_inverse=True)
+        self.tail, self.head = numbers.reshape(-1, 2).T
+        self.count, self._key = len(self._nodes), self.tail * len(self._nodes) + self.head
         self.out = np.searchsorted(self.tail, np.arange(self.count + 1))
         self.hits, self.entering = hits, csr_matrix(hits[:, self.edge])
         by_edge = hits.tocsc()
         self._met_by = by_edge.indices, by_edge.data, by_edge.indptr.tolist()
-        # Whether no way can meet a site more than once.
-        self.exact = game.reach == 0.0 and not np.ptp(network.leg[network.tails[self.edge]])
+        self.exact = exact
+        self.first = self.last = np.arange(0)
+
+    def between(self, first: IndexArray, last: IndexArray) -> Ground:
+        """The same ground, for ways from some nodes to others."""
+        other = copy(self)
+        other.first, other.last = (np.flatnonzero(np.isin(self._nodes, each))
+                                   for each in (first, last))
+        return other
 
     def met(self, route: IndexArray) -> FloatArray:
         """What each site (S,) counts that a route, given by its edges (K,), meets; 0 for others.

@@ -2,11 +2,12 @@
 """The linear program over mixtures of known routes.
 
     minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,   mean excess <= 1,
-                                             the shares of each group add up to 1,
+                                             the shares are a unit flow through the stops,
 
-each route hit once by each site. The duals are the ambusher's strategy and the prices of the
-budgets. HiGHS' interior point method without crossover gives *central* duals, which price many
-routes at once; a vertex would jump from one extreme ambusher to another.
+each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
+also from stop to stop. The duals are the ambusher's strategy and the prices of the budgets. HiGHS'
+interior point method without crossover gives *central* duals, which price many routes at once; a
+vertex would jump from one extreme ambusher to another.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class Mixture(NamedTuple):
 class Mixtures:
     """Routes in groups, each with the sites (S,) that it meets and its excess (B,).
 
-    A group is a leg whose sites have shares of their own, or there is one group of whole routes.
+    Sites have shares of their own for each group: the first, second, ... legs of trips; or there is
+    one group of whole routes.
     """
 
     def __init__(self, groups: int) -> None:
@@ -55,14 +57,20 @@ class Mixtures:
         self._counts: list[FloatArray] = []  # what each of them counts
         self._excess: list[FloatArray] = []
         self._group: list[int] = []
-        self._known: set[tuple[int, bytes]] = set()
+        self._between: list[tuple[int, int]] = []
+        self._known: set[bytes] = set()
 
-    def add(self, route: IndexArray, met: FloatArray, excess: FloatArray, group: int = 0) -> bool:
-        """Add a route, given by its edges and what each site counts; return whether it is new."""
-        key = group, route.tobytes()
+    def add(self, route: IndexArray, met: FloatArray, excess: FloatArray, group: int = 0,
+            between: tuple[int, int] = (0, 1)) -> bool:
+        """Add a route, given by its edges and what each site counts; return whether it is new.
+
+        It leads ``between`` two stops, numbered from the source on; no leg ends at the source.
+        """
+        key = route.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
+        self._between.append(between)
         self.routes.append(route)
         self._met.append(np.flatnonzero(met))
         self._counts.append(met[self._met[-1]])
@@ -93,6 +101,7 @@ class Mixtures:
             some._counts.append(self._counts[k])
             some._excess.append(self._excess[k])
             some._group.append(self._group[k])
+            some._between.append(self._between[k])
         return some
 
     def losses(self, shares: FloatArray) -> FloatArray:
@@ -173,12 +182,15 @@ class Mixtures:
                                     -identity(rows, format='csr')[:, :extra]]))
         excess = csr_matrix(np.array(self._excess).T)
         excess.resize(excess.shape[0], limits.shape[1])
-        each = csr_matrix((np.ones(count), (group, np.arange(count))),
-                          (self._groups, limits.shape[1]))
+        begin, end = np.array(self._between).T
+        stops, inner = end.max(), np.flatnonzero(end < end.max())
+        flow = csr_matrix((np.append(np.ones(count), -np.ones(len(inner))),
+                           (np.append(begin, end[inner]), np.append(np.arange(count), inner))),
+                          (stops, limits.shape[1]))
         cost = np.repeat([0.0, self.ambushers, 1.0], [count, 1, extra])
         bounds = np.repeat([0.0, self.limit], [rows, excess.shape[0]])
-        return _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, each,
-                                     np.ones(self._groups)), precision)
+        return _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, flow,
+                                     np.eye(1, stops)[0]), precision)
 
 
 def _solved(program: highs.Program, precision: float) -> OptimizeResult:

@@ -64,7 +64,7 @@ class Routes:
         No strategy within the budgets has a smaller value.
     value : float
         That of the mixture found.
-    by_leg : (legs, S)
+    by_leg : (stops + 1, S)
         The ambusher who proves the bound: how likely he waits at each site for each leg. What he
         proves is ``best_response(game, by_leg, budgets, prices).bound``.
     prices : (binding budgets,)
@@ -83,7 +83,7 @@ class Routes:
         excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MOST_EXCESS), 0.0)
                   for b in binding]
         self.excess = np.reshape(excess, (len(binding), len(game.playable)))
-        legs = game.network.legs
+        legs = int(game.network.stops_before[-1]) + 1
         self.mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
@@ -95,7 +95,7 @@ class Routes:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         self.entering = csr_matrix(vstack((self.entering, entering)))
         grounds = Grounds(self.game, self.entering)
-        self._whole, self._legs = grounds.whole, grounds.legs
+        self._grounds, self._whole, self._legs = grounds, grounds.whole, grounds.legs
         for mixtures in (self.mixtures, self._of_legs):
             mixtures.add_sites(entering, loss)
         self.loss = self.mixtures.loss
@@ -179,11 +179,11 @@ class Routes:
         """Add the best route for each budget, and others until a mixture is within all budgets."""
         free = np.zeros(len(self.loss))
         for cost in self.excess if len(self.excess) else self.game.network.lengths[None]:
-            self._add(self._descend(cost, free, 0))
+            self._add(self._whole.shortest(cost, free))
         if len(self.excess) < 2:
             return
         least, weights = self.mixtures.least_excess()
-        while least > 1.0 and self._add(self._descend(weights @ self.excess, free, 0)):
+        while least > 1.0 and self._add(self._whole.shortest(weights @ self.excess, free)):
             least, weights = self.mixtures.least_excess()
         if least > 1.0 + ROUNDING:
             names = ' and '.join(b.option for b in self._budgets if b.binds)
@@ -208,17 +208,17 @@ class Routes:
     def _responses(self, mixture: Mixture, base: FloatArray, charge: FloatArray,
                    precision: float, prove: bool) -> Iterator[list[IndexArray]]:
         """Routes that cost little, the fastest way to find them first."""
-        legs = len(self._legs)
+        legs = len(self.by_leg)
         if self._whole.exact:
             self._search(mixture, (1, 0, 0.0))
         starts = self._rng.permutation(legs)[:STARTS].tolist()
-        yield [self._descend(base, charge, start) for start in starts]
+        yield [self._descend(base, charge, start, self._random_trip()) for start in starts]
         if precision == LOOSE or self._whole.exact:
             return
         if legs > 1:
             near = self._rng.choice(len(self.shares), RESTARTS, p=self.shares)
-            yield [self._descend(base, charge, int(self._rng.integers(legs)), self.routes[k])
-                   for k in near]
+            yield [self._descend(base, charge, int(self._rng.integers(legs)),
+                                 *self._legs_of(self.routes[k])) for k in near]
         for search in SEARCHES if prove else ():
             yield self._search(mixture, search)
 
@@ -251,14 +251,14 @@ class Routes:
         if bound > self.bound:
             self.bound, self.by_leg, self._prices = bound, by_leg, prices
 
-    def _descend(self, base: FloatArray, charge: FloatArray, start: int,
-                 route: IndexArray | None = None) -> IndexArray:
-        """Improve a route leg by leg, from leg ``start`` on, as long as its cost falls.
+    def _descend(self, base: FloatArray, charge: FloatArray, start: int, trip: list[int],
+                 ways: list[IndexArray] | None = None) -> IndexArray:
+        """Improve the legs of a trip one by one, from leg ``start`` on, as long as its cost falls.
 
-        The sites that other legs meet are free. Without a route, the other legs meet none yet.
+        The sites that other legs meet are free. Without their ways, they meet none yet.
         """
-        legs = len(self._legs)
-        ways = [np.zeros(0, dtype=np.int64)] * legs if route is None else self._by_legs(route)
+        legs = len(trip)
+        ways = [np.zeros(0, dtype=np.int64)] * legs if ways is None else ways
         met = np.array([self._whole.met(way) for way in ways])
         free: list[BoolArray | None] = [None] * legs  # as when the leg was last improved
         best, found = math.inf, np.zeros(0, dtype=np.int64)
@@ -267,22 +267,30 @@ class Routes:
                 now: BoolArray = np.any(np.delete(met, leg, axis=0), axis=0)
                 before, free[leg] = free[leg], now
                 if before is None or (now != before).any():
-                    ways[leg] = self._legs[leg].shortest(base, np.where(now, 0.0, charge))
+                    ground = self._legs[trip[leg]].ground
+                    ways[leg] = ground.shortest(base, np.where(now, 0.0, charge))
                     met[leg] = self._whole.met(ways[leg])
             cost = base[np.concatenate(ways)].sum() + charge @ met.max(axis=0)
             if cost >= best * (1.0 - ROUNDING):
                 return found
             best, found = cost, np.concatenate(ways)
 
-    def _by_legs(self, route: IndexArray) -> list[IndexArray]:
+    def _random_trip(self) -> list[int]:
+        """Legs that follow each other from the source to the target, in a random order of stops."""
+        return self._grounds.least_trip(lambda k: float(self._rng.random()))[1]
+
+    def _legs_of(self, route: IndexArray) -> tuple[list[int], list[IndexArray]]:
+        """The legs of a route, and its way on each."""
         network = self.game.network
         leg = network.leg[network.tails[route]]
-        return np.split(route, np.flatnonzero(np.diff(leg)) + 1)
+        ways = np.split(route, np.flatnonzero(np.diff(leg)) + 1)
+        ends = [(network.tails[way[0]], network.heads[way[-1]]) for way in ways]
+        return self._grounds.trip(ends), ways
 
     def prove_by_legs(self) -> None:
         """Improve the bound by the program in which each leg has sites of its own."""
         for route in self.routes:
-            for leg, way in enumerate(self._by_legs(route)):
+            for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
         precision = LOOSE
         for _ in range(LEG_ROUNDS):
@@ -300,23 +308,28 @@ class Routes:
         """Add each leg's way of least cost if every entry is charged."""
         q, prices = self._ambusher(mixture, 0.0)
         base, charge = prices @ self.excess, q * self.loss
-        return sum(self._add_way(leg, self._legs[leg].shortest(base, charge[leg]))
-                   for leg in range(len(charge)))
+        return sum(self._add_way(k, leg.ground.shortest(base, charge[leg.number]))
+                   for k, leg in enumerate(self._legs))
 
     def _proof_by_legs(self, mixture: Mixture) -> int:
         """Note the bound of a mixture's ambusher; return the number of new ways."""
         q, prices = self._ambusher(mixture, LEG_NEGLIGIBLE * (self.game.reach > 0.0))
-        base, least, added = prices @ self.excess, 0.0, 0
-        for leg, (ground, own) in enumerate(zip(self._legs, q * self.loss, strict=True)):
+        base, charge, added = prices @ self.excess, q * self.loss, 0
+
+        def cost(k: int) -> float:
+            nonlocal added
+            ground, own = self._legs[k].ground, charge[self._legs[k].number]
             low, way = ground.least_cost(base, own, LEG_SEARCH)
-            added += self._add_way(leg, ground.shortest(base, own) if way is None else way)
-            least += low
-        self._note(least, q, prices)
+            added += self._add_way(k, ground.shortest(base, own) if way is None else way)
+            return low
+
+        self._note(self._grounds.least_trip(cost)[0], q, prices)
         return added
 
     def _add_way(self, leg: int, way: IndexArray) -> bool:
-        excess = self.excess[:, way].sum(axis=1)
-        return self._of_legs.add(way, self._whole.met(way), excess, leg)
+        number, begin, end, _ = self._legs[leg]
+        return self._of_legs.add(way, self._whole.met(way), self.excess[:, way].sum(axis=1), number,
+                                 (begin, end))
 
 
 class RouteMixture:
