@@ -52,7 +52,7 @@ RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
     'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
 PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
 # Minimum probability of edges in pictures.
-LEAST_PROBABILITY = 1e-3
+MIN_PROBABILITY = 1e-3
 # Maximum cells across a picture; larger maps are subsampled.
 MAX_CELLS = 2000
 WIDTH = 7.0  # inches
@@ -209,7 +209,7 @@ def probability_bar(figure: Figure, lines: LineCollection, axes: Any,
 def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     """Return a logarithmic colour scale up to the largest probability."""
     largest = float(np.max(probability, initial=0.0))
-    return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
+    return LogNorm(MIN_PROBABILITY, max(largest, 2.0 * MIN_PROBABILITY), clip=True)
 
 
 def draw_network(axes: Axes, strategy: Strategy, below_routes: bool = False) -> LineCollection:
@@ -225,7 +225,7 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
-    shown = np.flatnonzero(p >= LEAST_PROBABILITY)
+    shown = np.flatnonzero(p >= MIN_PROBABILITY)
     shown = shown[np.argsort(p[shown], kind='stable')]
     linewidths = widths[0] + (widths[1] - widths[0]) * np.asarray(scale(p[shown])) ** 2
     lines = LineCollection(segments[shown], array=p[shown], cmap=cmap, norm=scale,
@@ -290,7 +290,7 @@ def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str) -> None:
 def draw_sites(axes: Axes, strategy: Strategy) -> None:
     """Draw where the ambusher waits, each dot's area in proportion to its probability."""
     network, q = strategy.network, strategy.ambush_at_places
-    shown = np.flatnonzero(q > LEAST_PROBABILITY * q.max())
+    shown = np.flatnonzero(q > MIN_PROBABILITY * q.max())
     axes.scatter(*network.points[network.representatives[shown]].T, s=110.0 * q[shown] / q.max(),
                  color=colours.AMBUSHER, edgecolors='white', linewidths=0.7, zorder=9)
 

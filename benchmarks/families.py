@@ -25,8 +25,8 @@ DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
 CELLS_PER_NODE = 1.3, 6.0
-# Largest reach, as a share of the distance from start to goal: held ground leaves some ground.
-MOST_REACH = 0.2
+# Maximum reach, as a share of the distance from start to goal: held ground leaves some ground.
+MAX_REACH = 0.2
 
 Position = tuple[float, float]
 
@@ -78,7 +78,7 @@ def _reach_and_held(kind: str, rng: np.random.Generator, scenario: Scenario,
     if kind == 'nodes':
         return 0.0, 0.03 * max(scenario.risk_map.size) / spacing
     if kind == 'plan':
-        most = MOST_REACH * math.dist(scenario.start, scenario.goal) / spacing
+        most = MAX_REACH * math.dist(scenario.start, scenario.goal) / spacing
         reach = float(rng.uniform(1.0, max(min(6.0, most), 1.0)))
         return reach, float(rng.choice([-1.0, reach, 2.0 * reach]))
     reach = float(rng.integers(1 if kind == 'grid' else 0, 4))

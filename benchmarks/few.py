@@ -20,7 +20,8 @@ from report import conditions, new_parser, publish, quantiles, table
 from ambush_planner import AmbushPlannerError, plan_trip
 from ambush_planner.planning.few_routes import CURVE, few_routes
 
-LEAST_NODES, MOST_NODES = 400, 1000
+# Minimum and maximum number of nodes to aim for.
+MIN_NODES, MAX_NODES = 400, 1000
 
 
 def compared(name: str) -> Answer:
@@ -54,7 +55,7 @@ def main() -> None:
     options = parser.parse_args()
     first = options.seed or secrets.randbelow(10**9)
     nodes = np.random.default_rng(first)
-    names = [f'plan:{family}:{nodes.integers(LEAST_NODES, MOST_NODES)}:{seed}'
+    names = [f'plan:{family}:{nodes.integers(MIN_NODES, MAX_NODES)}:{seed}'
              for family in options.families for seed in range(first, first + options.each)]
     answers = [run('few.compared', name, options.limit) for name in names]
     found = [answer for answer in answers if 'failed' not in answer]
@@ -64,7 +65,7 @@ def main() -> None:
                           for ratio in ratios.values())] for k, size in enumerate(CURVE)]
     head = ('routes, median / worst', *ratios)
     publish(options.results, 'few', (
-        f'{len(found)} of {len(names)} problems of {LEAST_NODES} to {MOST_NODES} nodes, seeds '
+        f'{len(found)} of {len(names)} problems of {MIN_NODES} to {MAX_NODES} nodes, seeds '
         f'{first} to {first + options.each - 1}. {conditions()}.\n\n{table(head, rows)}\n\n'
         'Processor seconds, median / 95 % / worst: plan '
         f'{quantiles([each["seconds"] for each in found])}; all {len(CURVE)} mixtures '

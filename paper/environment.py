@@ -31,7 +31,7 @@ SIDE = 31.0
 RESOLUTION = 0.2
 SPACING = 1.0
 OBSTACLE_SIDE = 5.0
-LEAST_ALPHA, SLOPE = 2.0, 2.0
+MIN_ALPHA, SLOPE = 2.0, 2.0
 HILL, HILL_CENTRE, HILL_WIDTH = 6.0, (22.0, 8.0), 5.5
 START, GOAL = (0.5, 15.5), (30.5, 11.5)
 # Random sampling of Method 1.
@@ -58,7 +58,7 @@ def make_risk_map() -> RiskMap:
     centre = (np.arange(round(SIDE / RESOLUTION)) + 0.5) * RESOLUTION
     x, y = np.meshgrid(centre, centre)
     squared = (x - HILL_CENTRE[0]) ** 2 + (y - HILL_CENTRE[1]) ** 2
-    alpha = LEAST_ALPHA + SLOPE * (1.0 - y / SIDE)
+    alpha = MIN_ALPHA + SLOPE * (1.0 - y / SIDE)
     alpha += HILL * np.exp(-squared / (2.0 * HILL_WIDTH**2))
     middle, half = SIDE / 2, OBSTACLE_SIDE / 2
     obstacles = (np.abs(x - middle) < half) & (np.abs(y - middle) < half)

@@ -38,7 +38,7 @@ from .report import NAMES
 from .results import METHOD_3, SOLVERS, Results, Say
 
 # Share of the busiest square's visits below which a square gets no arrow.
-LEAST_SHARE = 2e-3
+MIN_SHARE = 2e-3
 
 DOTS_PER_INCH = 190
 SITES = Line2D([], [], linestyle='none', marker='s', markersize=8, color='white',
@@ -249,8 +249,8 @@ def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
     places, directions, share = binned_directions(
         strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size
     )
-    shown = share >= LEAST_SHARE
-    often = LogNorm(5.0 * LEAST_SHARE, 1.0, clip=True)(share)
+    shown = share >= MIN_SHARE
+    often = LogNorm(5.0 * MIN_SHARE, 1.0, clip=True)(share)
     axes.quiver(
         *places[shown].T,
         *(directions[shown] * size * 1.15).T,

@@ -12,7 +12,7 @@ from scipy.stats import binom
 
 from ambush_planner import GameOptions, Network, Strategy, StrategyOptions, solve
 from ambush_planner.game.route_sampler import RouteSampler
-from ambush_planner.recordings.audit import FEWEST_DEPARTURES, NotAuditable, audit
+from ambush_planner.recordings.audit import MIN_DEPARTURES, NotAuditable, audit
 
 # Probability that a correct audit fails a statistical test; all seeds are fixed.
 FALSE_ALARM = 1e-6
@@ -120,7 +120,7 @@ def test_impossible_steps_and_ends_are_counted_and_are_a_finding(paper, wrong, c
 
 def test_too_few_departures_and_strategies_with_cycles_are_not_audited(paper):
     with pytest.raises(NotAuditable, match='at least 5 departures .* needed, got 4'):
-        run(paper, drawn(paper, FEWEST_DEPARTURES - 1, 1))
+        run(paper, drawn(paper, MIN_DEPARTURES - 1, 1))
     network = Network([[0, 0], [1, 0], [1, 1], [2, 0]], [0, 1, 1, 0],
                       [(0, 1), (1, 2), (2, 1), (1, 3)], 0, 3)
     cyclic = solve(network)

@@ -12,7 +12,7 @@ from ros_harness import header, pose, stage, wait_until
 from ambush_planner.commands import replay, verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.ros.inputs import MOST_STOPS
+from ambush_planner.ros.inputs import MAX_STOPS
 
 STOPS = ((2.5, 2.25), (7.0, 8.5), (7.25, 2.5))
 SPACING = {'network.spacing': 1.2}
@@ -114,7 +114,7 @@ def test_a_replayed_trip_is_planned_again(runs, monkeypatch):
 @pytest.mark.parametrize(('stops', 'frame', 'code', 'words'), [
     ([(2.0, 2.0)], 'moon', 'TF_ERROR', 'stop 1'),
     ([(2.0, float('nan'))], 'map', 'INVALID_POSE', 'stop 1'),
-    ([(2.0, 2.0)] * (MOST_STOPS + 1), 'map', 'INVALID_POSE', 'via_poses'),
+    ([(2.0, 2.0)] * (MAX_STOPS + 1), 'map', 'INVALID_POSE', 'via_poses'),
 ])
 def test_bad_stops_are_refused_with_the_reason(trouble, stops, frame, code, words):
     trouble.publish('via_poses', via(stops, frame))

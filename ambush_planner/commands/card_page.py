@@ -28,8 +28,10 @@ from .report_words import distance, rounded
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
 _KILOMETRES = 2000.0
-# Margin around the route on the map, and the map's shorter side, as shares of the longer one.
-_MARGIN, _LEAST_SIDE = 0.12, 0.7
+# Margin around the route on the map, as a share of the map's longer side.
+_MARGIN = 0.12
+# Minimum of the map's shorter side, as a share of the longer one.
+_MIN_SIDE = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +142,7 @@ def _picture(card: Card) -> bytes:
     """The ground around the route, which is the only one on it."""
     low, high = card.path.min(axis=0), card.path.max(axis=0)
     longer, middle = (high - low).max(), (low + high) / 2.0
-    half = np.maximum((high - low) / 2.0 + _MARGIN * longer, _LEAST_SIDE / 2.0 * longer)
+    half = np.maximum((high - low) / 2.0 + _MARGIN * longer, _MIN_SIDE / 2.0 * longer)
     first, last = card.risk_map.bounds
     box = np.maximum(middle - half, first), np.minimum(middle + half, last)
     width, height = box[1] - box[0]

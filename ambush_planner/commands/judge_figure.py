@@ -17,7 +17,7 @@ from ..maps.risk_map import RiskMap
 from ..planning.habits import Habits
 from .report_words import distance
 
-# Trips and edges with smaller shares are not shown.
+# Minimum share of trips and edges that are shown.
 MIN_SHARE = 0.001
 _CONVOY, _MET = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
 _LEGEND = (

@@ -21,8 +21,8 @@ from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
 from .risk_map import to_map_axes, to_world
 
-# Projections that stretch lengths by more, such as Web Mercator, are not used for maps.
-MOST_STRETCH = 0.01
+# Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
+MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
 _TERMS = 8  # of a polynomial, in each direction
 
@@ -144,7 +144,7 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
     if crs.is_projected and _is_metre(crs):
         factors = _proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale
-        if max(abs(scale - 1.0) for scale in scales) <= MOST_STRETCH:
+        if max(abs(scale - 1.0) for scale in scales) <= MAX_STRETCH:
             return crs, False
     return utm_zone(latitude, longitude), True
 

@@ -15,10 +15,10 @@ from ..errors import AmbushPlannerError
 
 HeightArray = npt.NDArray[np.float32]
 
-# Largest grid [cells]; a larger one would not fit in memory and suggests a wrong resolution.
+# Maximum size of a grid [cells]; a larger one would not fit in memory: a wrong resolution?
 MAX_CELLS = 100_000_000
-# Smaller interpolation weights are rounding of a sample's position.
-_LEAST_WEIGHT = 1e-6
+# Minimum interpolation weight; smaller ones are rounding of a sample's position.
+_MIN_WEIGHT = 1e-6
 
 
 class InvalidTerrain(AmbushPlannerError, ValueError):
@@ -103,7 +103,7 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
                               output=np.float32)
     if unknown.any():
         share = map_coordinates(unknown.astype(np.float32), positions, order=1, mode='nearest')
-        heights[share > _LEAST_WEIGHT] = np.nan
+        heights[share > _MIN_WEIGHT] = np.nan
     return Elevation(heights, resolution, raster.corner, raster.crs)
 
 

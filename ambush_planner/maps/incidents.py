@@ -19,8 +19,10 @@ from .vector_file import InvalidFeatures, attribute, attribute_values
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# Bandwidths that cross-validation compares, and the number of incidents that it uses.
-BANDWIDTHS, MOST_VALIDATED = 24, 3000
+# Number of bandwidths that cross-validation compares.
+BANDWIDTHS = 24
+# Maximum number of incidents that cross-validation uses.
+MAX_VALIDATED = 3000
 
 
 def weighted_incidents(features: GeoDataFrame,
@@ -74,7 +76,7 @@ def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
 
     Also returns whether it is the largest of those compared: then there is no visible pattern.
     """
-    heaviest = np.argsort(-weights, kind='stable')[:MOST_VALIDATED]
+    heaviest = np.argsort(-weights, kind='stable')[:MAX_VALIDATED]
     places, weights = places[heaviest], weights[heaviest]
     squared = cdist(places, places, 'sqeuclidean')
     np.fill_diagonal(squared, np.inf)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 # Decimals to which vertices are rounded, about 1 mm each; equal vertices are one place.
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
-# Connected parts that have colours of their own in pictures.
-MOST_NAMED = 9
+# Maximum number of connected parts with colours of their own in pictures.
+MAX_NAMED = 9
 # Values of ``oneway`` in OpenStreetMap, osmnx and Geofabrik's extracts (F, T, B).
 ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1,
            'no': 0, 'false': 0, '0': 0, 'b': 0, 'none': 0, 'nan': 0, '': 0}
@@ -167,7 +167,7 @@ def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
     part = connected_components(joined, directed=False)[1][roads.pairs[:, 0]]
     pieces = shapely.linestrings(roads.points[roads.pairs])
     km = np.bincount(part, shapely.length(pieces)) / 1000.0
-    least = np.sort(km)[-MOST_NAMED:][0]
+    least = np.sort(km)[-MAX_NAMED:][0]
     names = [f'{each:.4g} km' if each >= least else 'shorter' for each in km]
     return geopandas.GeoDataFrame({'part': [names[k] for k in part]}, geometry=pieces)
 

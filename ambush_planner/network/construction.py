@@ -90,7 +90,7 @@ class NetworkOptions:
         return self.graph if isinstance(self.graph, RoadGraph) and self.method == 'graph' else None
 
 
-# Largest number of lattice nodes; more suggest a mistyped spacing.
+# Maximum number of lattice nodes; more suggest a mistyped spacing.
 MAX_CANDIDATES = 20_000_000
 
 

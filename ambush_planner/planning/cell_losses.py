@@ -28,8 +28,8 @@ from .options import parts_of_cells
 
 # A block of cells is divided into this many along each side.
 _DIVISION = 4
-# If more than this share of the cells has changed, their losses are computed from the whole map.
-_MOST_CHANGED = 0.05
+# Maximum share of changed cells; beyond it losses are computed from the whole map.
+_MAX_CHANGED = 0.05
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
 
 
@@ -229,7 +229,7 @@ class LatestLosses:
         """Return the losses on a map, which hold until the next call."""
         read = options, in_obstacles
         # With ambushers in obstacles, a change of one cell can change the losses of many.
-        most = 0.0 if in_obstacles else _MOST_CHANGED * grid.values.size
+        most = 0.0 if in_obstacles else _MAX_CHANGED * grid.values.size
         if self._latest is not None:
             last, read_by, losses = self._latest
             at = _changed(last, grid) if read == read_by else None

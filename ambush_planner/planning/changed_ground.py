@@ -29,11 +29,11 @@ from .plan import Plan, Route, depart
 
 # Maximum number of draws until a route is clear. If a tenth of the routes is clear, one departure
 # in 10^13 needs more.
-_MOST_DRAWS = 300
-# Solve again once more than this share of the routes is blocked.
-_MOST_BLOCKED = 0.01
-# Nobody departs before the next solve if a smaller share of the routes is clear.
-LEAST_CLEAR = 0.1
+_MAX_DRAWS = 300
+# Maximum share of blocked routes; beyond it the game is solved again.
+_MAX_BLOCKED = 0.01
+# Minimum share of clear routes; below it departures wait for the next solve.
+MIN_CLEAR = 0.1
 # Relative overrun of the length budget that is a solver's rounding.
 _LENGTH_TOLERANCE = 1e-6
 
@@ -64,7 +64,7 @@ class Assessment:
     @property
     def is_blocked(self) -> bool:
         """Whether too many routes are blocked; most strategies use all ground a little."""
-        return self.clear_share < 1.0 - _MOST_BLOCKED
+        return self.clear_share < 1.0 - _MAX_BLOCKED
 
     @property
     def is_over_budget(self) -> bool:
@@ -92,7 +92,7 @@ class Assessment:
         the gap on the strategy's own map; both include the risk slack.
         """
         growth = self.gap - original_gap
-        return self.clear_share >= LEAST_CLEAR and growth <= max_gap * self.value + 1e-12
+        return self.clear_share >= MIN_CLEAR and growth <= max_gap * self.value + 1e-12
 
 
 class ChangedGround:
@@ -157,7 +157,7 @@ class ChangedGround:
 
         A route then has its conditional probability, given that it is clear.
         """
-        for _ in range(_MOST_DRAWS):
+        for _ in range(_MAX_DRAWS):
             route = depart(self.plan, rng)
             if self.is_clear(route.nodes, newest):
                 return route

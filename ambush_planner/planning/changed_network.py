@@ -22,7 +22,7 @@ from .cell_losses import LatestLosses
 from .plan import Plan
 
 # Maximum number of new obstacle cells; with more, all edges count as lost.
-_MOST_CELLS = 100_000
+_MAX_CELLS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class PlannedNetwork:
         new_obstacles = np.multiply(np.stack(cells[::-1], axis=1) + 0.5, newest.resolution)
         alpha = self._losses_on(newest)
         lost = (alpha > self._threshold)[network.heads]
-        if len(new_obstacles) > _MOST_CELLS:
+        if len(new_obstacles) > _MAX_CELLS:
             lost[:] = True
         else:
             lost[self._near(new_obstacles, newest.resolution)] = True

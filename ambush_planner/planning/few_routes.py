@@ -26,15 +26,18 @@ from ..routes.driven_path import driven_paths
 from .path_mixtures import PathMixture, PathMixtures, best_shares
 from .plan import DRAWN, Plan
 
-# Most routes; with more, draw from the plan itself.
+# Maximum number of routes; with more, draw from the plan itself.
 MAX_ROUTES = 100
 # Numbers of routes whose values make the curve.
 CURVE = (1, 2, 4, 6, 10, 20)
 # Drawn routes that are driven, to choose from.
 CANDIDATES = 150
-# Smallest share of a route; smallest gain of an exchange, and largest excess of the value on the
-# map over that at known sites, as shares of the value.
-LEAST_SHARE, LEAST_GAIN, MAX_EXCESS = 1e-9, 2e-3, 5e-3
+# Minimum share of a route.
+MIN_SHARE = 1e-9
+# Minimum gain of an exchange, as a share of the value.
+MIN_GAIN = 2e-3
+# Maximum excess of the value on the map over that at known sites, as a share of the value.
+MAX_EXCESS = 5e-3
 # In each exchange: routes that are tried in addition, and those tried to be left out for them.
 JOIN, LEAVE = 4, 3
 # Sites with which a linear program begins, those that join at once, and its relative precision.
@@ -170,7 +173,7 @@ class _Search:
         self._settled(everything, self._solved)
         every = self._solved(everything)
         self._enough = every.value * (1.0 + MAX_EXCESS)
-        nested = self._nested(self._solved(every.columns[every.shares > LEAST_SHARE]), sizes)
+        nested = self._nested(self._solved(every.columns[every.shares > MIN_SHARE]), sizes)
         choose = self._of_equal_shares if self._equal else self._exchanged
         found: list[PathMixture] = []
         for size in sizes:
@@ -190,7 +193,7 @@ class _Search:
                 raise BudgetInfeasible(f'no mixture of {len(choice.columns)} routes was found '
                                        'within the budgets; raise max_detour or max_exposure')
             shares = np.zeros(self._count)
-            shares[choice.columns] = np.where(choice.shares > LEAST_SHARE, choice.shares, 0.0)
+            shares[choice.columns] = np.where(choice.shares > MIN_SHARE, choice.shares, 0.0)
             found.append(self._mixtures.judged(shares / shares.sum()))
             self._losses = self._mixtures.losses.toarray()
             if found[-1].value <= choice.value * (1.0 + MAX_EXCESS):
@@ -221,7 +224,7 @@ class _Search:
         charges[choice.columns] = np.inf
         for column in np.argsort(charges)[:JOIN]:
             other = self._solved(np.append(choice.columns, column))
-            enough = choice.value * (1.0 - LEAST_GAIN)
+            enough = choice.value * (1.0 - MIN_GAIN)
             if other.value < enough and len(other.columns) > size:
                 other = self._without_one(other, LEAVE)
             if other.value < enough:
@@ -261,7 +264,7 @@ class _Search:
             mean = self._losses[:, columns].mean(axis=1)
             if not self._misses(mean, float(mean[self._sites].max())):
                 break
-        over = (self._costs[:, columns].mean(axis=1) > 1.0 + LEAST_SHARE).any()
+        over = (self._costs[:, columns].mean(axis=1) > 1.0 + MIN_SHARE).any()
         return _Choice(columns, math.inf if over else float(mean.max()),
                        np.full(size, 1.0 / size), np.zeros(0))
 

@@ -25,14 +25,24 @@ from .trip import plan_trip
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
-MIN_STEP = 0.05  # a vehicle that moves less stands still; share of the reach
-USUAL = 0.75  # quantile of a track's steps
-# An outlier: most positions, least steps there and back in usual ones and over the direct way
-MAX_SPIKE, SPIKE_STEPS, SPIKE_DETOUR = 3, 5.0, 4.0
-# Longest step that is no gap: in usual ones, or as a share of the distance from start to goal
-GAP_STEPS, MAX_BRIDGED = 5.0, 0.1
-SAME_TIME = 0.5  # least overlap of two tracks of one trip, as a share of the shorter
-MIN_DETOUR = 1.05  # least length budget of the optimum, over the shortest route
+# Minimum step of a vehicle that moves, as a share of the reach.
+MIN_STEP = 0.05
+# Quantile of a track's steps that is a usual step.
+USUAL = 0.75
+# Maximum number of positions that are an outlier together.
+MAX_SPIKE = 3
+# Minimum steps to an outlier and back [usual steps].
+MIN_SPIKE_STEPS = 5.0
+# Minimum way over an outlier, as a multiple of the direct way.
+MIN_SPIKE_DETOUR = 4.0
+# Maximum step that does not break a track [usual steps].
+MAX_STEP = 5.0
+# Maximum step that does not break a track, as a share of the distance from start to goal.
+MAX_BRIDGED = 0.1
+# Minimum overlap in time of two tracks of one trip, as a share of the shorter one.
+MIN_OVERLAP = 0.5
+# Minimum length budget of the optimum, as a multiple of the shortest route.
+MIN_DETOUR = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +134,7 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
     if not (legs := _legs(away, end)):
         yield f'{track.name} leads from the goal to the start: the way back is another game'
     steps = _steps(xy)
-    most = max(GAP_STEPS * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
+    most = max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
     for number, (first, last) in enumerate(legs, start=1):
         name = track.name if len(legs) == 1 else f'trip {number} of {track.name}'
         if (gap := steps[first:last].max()) > most:
@@ -167,8 +177,8 @@ def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
         before, after = p[: -width - 1], p[width + 1 :]
         there, back, direct = (np.hypot(*step.T) for step in (
             p[1:-width] - before, after - p[width:-1], after - before))
-        spike = ((np.minimum(there, back) > SPIKE_STEPS * usual)
-                 & (there + back > SPIKE_DETOUR * direct))
+        spike = ((np.minimum(there, back) > MIN_SPIKE_STEPS * usual)
+                 & (there + back > MIN_SPIKE_DETOUR * direct))
         kept = np.delete(kept, np.flatnonzero(spike)[:, None] + 1 + np.arange(width)).tolist()
     return kept
 
@@ -178,7 +188,7 @@ def _is_one(one: Track, other: Track, reach: float) -> bool:
     if one.times is None or other.times is None:
         return np.array_equal(one.xy, other.xy)
     (a, b), (c, d) = one.times[[0, -1]], other.times[[0, -1]]
-    return min(b, d) - max(a, c) >= SAME_TIME * min(b - a, d - c) and all(
+    return min(b, d) - max(a, c) >= MIN_OVERLAP * min(b - a, d - c) and all(
         directed_hausdorff(line, _dense(wide, reach / 2.0))[0] <= reach
         for line, wide in ((one.xy, other.xy), (other.xy, one.xy)))
 

@@ -29,7 +29,7 @@ from ..game.strategy import Strategy, make_budgets
 from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
 from ..routes.driven_path import Ends
-from .changed_ground import LEAST_CLEAR, Assessment, ChangedGround
+from .changed_ground import MIN_CLEAR, Assessment, ChangedGround
 from .plan import Plan, Route, departure_path
 
 # Radius of the region around a plan's start within which its routes are joined [node spacings].
@@ -66,7 +66,7 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     a, b = np.broadcast_to(ends[0], (len(at), 2)), network.points[at]
     at = at[(a != b).any(axis=1) & ground.clear(a, b, newest)]
     share *= float(joins[at].sum())
-    if share < LEAST_CLEAR:
+    if share < MIN_CLEAR:
         return None
     begins = np.zeros(len(joins))
     begins[at] = joins[at] / joins[at].sum()

@@ -25,9 +25,9 @@ from ..network.network import Network
 from .cell_losses import CellLosses, CellSearch
 from .plan import Plan
 
-# Largest relative gap between the best shares' value and that of the linear program.
+# Maximum relative gap between the best shares' value and that of the linear program.
 MAX_GAP = 1e-3
-# Largest distance of a path from a stop that it passes [m].
+# Maximum distance of a path from a stop that it passes [m].
 AT_STOP = 1e-6
 
 

@@ -20,8 +20,8 @@ from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import cell_transform
 from .few_routes import FewRoutes
 
-# Edges and sites with smaller probabilities are left out.
-LEAST_PROBABILITY = 1e-6
+# Minimum probability of edges and sites in files.
+MIN_PROBABILITY = 1e-6
 
 
 def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str | None) -> Any:
@@ -66,8 +66,8 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     q, first = strategy.ambush_at_places, network.representatives
     system = Coordinates(risk_map.crs) if risk_map.crs else None
     points = system.to_crs(network.points) if system else network.points
-    used = np.flatnonzero(p > LEAST_PROBABILITY)
-    waits = np.flatnonzero(q > LEAST_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
+    used = np.flatnonzero(p > MIN_PROBABILITY)
+    waits = np.flatnonzero(q > MIN_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
     at = first[waits]
     centres = system.to_crs(held.centres) if system else held.centres
     tables = {

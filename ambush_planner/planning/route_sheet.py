@@ -22,7 +22,7 @@ from ..maps.coordinates import Coordinates
 FORMAT = 'ambush routes 1'
 # Digits after the decimal point: millimetres, and degrees of latitude as fine.
 _METRES, _DEGREES = 3, 8
-# Largest rounding of a sum of shares.
+# Maximum rounding of a sum of shares.
 MAX_ROUNDING = 1e-6
 
 Position = tuple[float, float]

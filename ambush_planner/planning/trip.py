@@ -38,8 +38,8 @@ from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
 
 ORDERS = ('given', 'best')
-# Largest number of stops for which all orders (5040) are compared.
-MOST_STOPS = 7
+# Maximum number of stops for which all orders (5040) are compared.
+MAX_STOPS = 7
 # Relative rounding of lengths and values.
 ROUNDING = 1e-9
 
@@ -68,7 +68,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         World positions [m].
     order
         'given', or 'best': the order of least value within the budget of ``max_detour`` times the
-        shortest way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more
+        shortest way in any order. For up to ``MAX_STOPS`` stops, no other order is better by more
         than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
         'best'). With more stops, or if the time limit passes, the order is a short one or the best
         so far ('heuristic').
@@ -218,7 +218,7 @@ class _StopOrderSearch:
     def run(self) -> tuple[Strategy, tuple[int, ...], str]:
         """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
         count = len(self._visits) - 2
-        few = count <= MOST_STOPS
+        few = count <= MAX_STOPS
         orders = self._heuristic_order(count)[None]
         if few:
             orders = np.array(list(permutations(range(count))), dtype=np.int64)

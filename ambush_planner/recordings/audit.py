@@ -33,8 +33,8 @@ from ..errors import AmbushPlannerError
 from ..game.route_sampler import RouteSampler
 from ..game.strategy import Strategy
 
-# With fewer departures the test finds hardly anything but one route driven every time.
-FEWEST_DEPARTURES = 5
+# Minimum number of departures; with fewer the test finds little but one route driven every time.
+MIN_DEPARTURES = 5
 # False-positive rate: departures with a p-value up to this are a finding.
 LEVEL = 0.001
 # Resamples in which an observer is followed, for the range that honest draws lead to.
@@ -106,14 +106,14 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
 
     ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy) and
     ``route`` (K,); those of one strategy share the object. A finding needs 999 ``resamples`` or
-    more. Raises NotAuditable if fewer than ``FEWEST_DEPARTURES`` are from strategies without
+    more. Raises NotAuditable if fewer than ``MIN_DEPARTURES`` are from strategies without
     cycles.
     """
     rng = np.random.default_rng(rng)
     groups, audited = _grouped(departures)
     n, impossible = len(audited), 0
-    if n < FEWEST_DEPARTURES:
-        raise NotAuditable(f'at least {FEWEST_DEPARTURES} departures from strategies without '
+    if n < MIN_DEPARTURES:
+        raise NotAuditable(f'at least {MIN_DEPARTURES} departures from strategies without '
                            f'cycles are needed, got {n}')
     segments = _number_by_position(groups)
     # Set 0 is the recorded one, the others are resamples.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .verify import Verdict
 
 # Minimum bit length of the 256-bit seed; honest seeds fall below it with probability 2^-64.
-LEAST_BITS = 192
+MIN_BITS = 192
 
 
 def recordings_in(path: Path | str) -> list[Path]:
@@ -66,14 +66,14 @@ def source_findings(departures: Iterable[RecordedDeparture | Verdict]) -> list[s
     findings, sources = [], []
     for each in departures:
         source, name = each.route_entropy_source, each.path.name
-        if len(source) == 1 and source[0].bit_length() < LEAST_BITS:
-            findings.append(f'{name}: its random source has fewer than {LEAST_BITS} bits')
+        if len(source) == 1 and source[0].bit_length() < MIN_BITS:
+            findings.append(f'{name}: its random source has fewer than {MIN_BITS} bits')
         else:
             sources.append((tuple(source), name, each.id))
     sources.sort()
     for (one, first, id_), (other, name, other_id) in zip(sources, sources[1:], strict=False):
         near = one == other or (
-            len(one) == len(other) == 1 and (other[0] - one[0]).bit_length() < LEAST_BITS
+            len(one) == len(other) == 1 and (other[0] - one[0]).bit_length() < MIN_BITS
         )
         if near and id_ != other_id:
             same = 'the same' if one == other else 'nearly the same'

@@ -24,8 +24,9 @@ from .recording_errors import RecordingFailed, recording_to
 from .recording_file import COMPRESSIONS, encode
 
 SESSION_PREFIX = 'ambush_planner_'
-# Recordings in one session folder; metadata.yaml, which lists them all, is written with each.
-MOST_FILES = 500
+# Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with
+# each.
+MAX_FILES = 500
 # Age [s] from which a temporary file was left by a kill: another node's write takes less.
 _ABANDONED = 60.0
 
@@ -33,7 +34,7 @@ _ABANDONED = 60.0
 class Recorder:
     """Records departures below ``directory``, in one session folder per recorder.
 
-    The folder is made for the first departure, and a new one once it holds ``MOST_FILES`` or has
+    The folder is made for the first departure, and a new one once it holds ``MAX_FILES`` or has
     been taken away. Several threads may use one recorder.
 
     ``directory`` is made with mode 0700 if missing; ``compression`` is ``zstd``, ``lz4`` or
@@ -88,7 +89,7 @@ class Recorder:
             write_durably(folder / FILE_NAME, bag_text(self._files))
 
     def _session_folder(self) -> Path:
-        if self._folder is None or self._next >= MOST_FILES or not self._folder.is_dir():
+        if self._folder is None or self._next >= MAX_FILES or not self._folder.is_dir():
             # UTC: these names are sorted, and local clocks are put back in autumn.
             name = datetime.now(timezone.utc).strftime(f'{SESSION_PREFIX}%Y_%m_%d-%H_%M_%S')
             with recording_to(self._directory):

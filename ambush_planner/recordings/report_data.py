@@ -22,16 +22,17 @@ from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
-# Most cells of a map in each direction; of larger maps blocks of cells show their worst loss.
-MOST_CELLS = 2000
+# Maximum number of cells of a map in each direction; of larger maps blocks of cells show their
+# worst loss.
+MAX_CELLS = 2000
 # Number of obstacle cells; smaller numbers are indices into the losses.
 OBSTACLE = 255
-# Edges with smaller probabilities do not count at the pointer.
-LEAST_PROBABILITY = 1e-7
+# Minimum probability of edges that count at the pointer.
+MIN_PROBABILITY = 1e-7
 # Accuracy of driven paths in the picture [cells of the map].
 PATH_ACCURACY = 0.1
-# Sites with a smaller share of the likeliest site's probability are left out.
-LEAST_SITE = 1e-3
+# Minimum probability of sites, as a share of the likeliest site's.
+MIN_SITE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     risk_map, strategy = section.risk_map, section.strategy
     network, game = strategy.network, strategy.game
     cells, levels, cell = map_cells(risk_map)
-    p = np.where(strategy.edge_probability > LEAST_PROBABILITY, strategy.edge_probability, 0.0)
+    p = np.where(strategy.edge_probability > MIN_PROBABILITY, strategy.edge_probability, 0.0)
     rank, used = order_along(network, p), np.flatnonzero(p)
     if rank is not None:
         used = used[np.argsort(rank[network.tails[used]], kind='stable')]
@@ -128,7 +129,7 @@ def outline(line: FloatArray, tolerance: float) -> FloatArray:
 
 def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:
     """Return cells as indices of losses, the losses, and the edge of a cell [m]."""
-    block = math.ceil(max(risk_map.alpha.shape) / MOST_CELLS)
+    block = math.ceil(max(risk_map.alpha.shape) / MAX_CELLS)
     alpha = _blocks(np.maximum, np.where(risk_map.obstacles, 0.0, risk_map.alpha), block)
     obstacles = _blocks(np.logical_and, risk_map.obstacles, block)
     levels = np.unique(alpha[~obstacles]) if not obstacles.all() else np.zeros(1)
@@ -152,6 +153,6 @@ def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDAr
 def _sites(strategy: Strategy) -> FloatArray:
     """Position of each ambush site [m], and its probability relative to the likeliest (K, 3)."""
     q = strategy.ambush_at_places if strategy.value > 0.0 else np.zeros(1)
-    at, network = np.flatnonzero(q > LEAST_SITE * q.max()), strategy.network
+    at, network = np.flatnonzero(q > MIN_SITE * q.max()), strategy.network
     points = network.points[network.representatives[at]]
     return np.column_stack((points, q[at] / (q.max() or 1.0)))

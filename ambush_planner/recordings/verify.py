@@ -38,7 +38,7 @@ from .recorded_departure import (
     departure_in,
     ground_of,
 )
-from .recorded_departures import LEAST_BITS, source_findings
+from .recorded_departures import MIN_BITS, source_findings
 from .recording_errors import UnreadableRecording
 from .recording_file import read_recording
 from .strategy_file import NUMBERS
@@ -233,8 +233,8 @@ def source_problems(departure: RecordedDeparture) -> list[str]:
     if seed >= 0:
         expected = source == [seed, departure.number]
         return [] if expected else ['random source: it does not follow from the parameter seed']
-    if len(source) != 1 or source[0].bit_length() < LEAST_BITS:
-        return [f'random source: it has fewer than {LEAST_BITS} bits']
+    if len(source) != 1 or source[0].bit_length() < MIN_BITS:
+        return [f'random source: it has fewer than {MIN_BITS} bits']
     return []
 
 

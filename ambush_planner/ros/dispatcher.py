@@ -45,13 +45,13 @@ from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
 
-# Time from the start of the shutdown to the end of the last recording [s]; half of the time in
-# which the node has to end.
-_SHUTDOWN_TIME = 1.0
+# Maximum time from the start of the shutdown to the end of the last recording [s]; half of the time
+# in which the node has to end.
+_MAX_SHUTDOWN = 1.0
 # Maximum number of solves for one departure while the map changes.
-_MOST_SOLVES = 4
+_MAX_SOLVES = 4
 # Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
-_MOST_BEHIND = 1.0
+_MAX_BEHIND = 1.0
 
 INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
 
@@ -136,7 +136,7 @@ class Dispatcher:
         self.stop_solving()
         self._departures.close()
         began = self._shutdown_began or 0.0
-        if lost := self._recordings.close(began + _SHUTDOWN_TIME - time.monotonic()):
+        if lost := self._recordings.close(began + _MAX_SHUTDOWN - time.monotonic()):
             self._logger.error(f'recording: {lost} departures were not written before the shutdown')
 
     def map_changed(self) -> None:
@@ -294,11 +294,11 @@ class Dispatcher:
         """Try again with a plan for this trip; raises GroundChanges after too many."""
         before, pending.asked, pending.solves = pending.asked, trip, pending.solves + 1
         driven = math.dist(before.start_xy, trip.start_xy) if before and trip.moves else 0.0
-        if driven > _MOST_BEHIND:
+        if driven > _MAX_BEHIND:
             raise GroundChanges(f'the robot drove {driven:.3g} m while its plan was solved, and is '
                                 'too far from it: ask again')
-        if pending.solves > _MOST_SOLVES:
-            raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the '
+        if pending.solves > _MAX_SOLVES:
+            raise GroundChanges(f'{_MAX_SOLVES} plans in a row were out of date when solved: the '
                                 'map changes too fast; raise network.spacing or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
                           lambda _: self._try(pending), pending.answer)

@@ -23,7 +23,7 @@ from .qos import LATEST
 from .transforms import FrameTransforms
 
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.
-MOST_STOPS = 50
+MAX_STOPS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +217,9 @@ class Inputs:
         """Return the positions of the stops [m] in the map's frame."""
         if via is None:
             return ()
-        if len(via.message.poses) > MOST_STOPS:
+        if len(via.message.poses) > MAX_STOPS:
             raise InvalidPose(
-                f'via_poses: {len(via.message.poses)} stops, but at most {MOST_STOPS} are allowed'
+                f'via_poses: {len(via.message.poses)} stops, but at most {MAX_STOPS} are allowed'
             )
         stops = {f'stop {number}': PoseStamped(header=via.message.header, pose=pose)
                  for number, pose in enumerate(via.message.poses, start=1)}

@@ -17,9 +17,9 @@ from ..game.strategy import Strategy
 from ..network.network import Network
 from .cdr import marker_array
 
-# Probability below which edges and nodes, and sites relative to the likeliest one, are not drawn:
-# they would be almost transparent.
-_LEAST_SHOWN = 1e-4
+# Minimum probability of edges and nodes that are drawn, and of sites relative to the likeliest one:
+# others would be almost transparent.
+_MIN_SHOWN = 1e-4
 # Height of a layer as a fraction of the network's extent, and its maximum [m]. In Foxglove, lines
 # must lie below the path, which is at 0, and discs above the map.
 _HEIGHT, _MAX_HEIGHT = 0.005, 50.0
@@ -38,7 +38,7 @@ def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
     The root keeps the many edges in the middle visible compared with the few at the ends.
     """
     network, p = strategy.network, strategy.shown_probability
-    shown = np.flatnonzero(p >= _LEAST_SHOWN)
+    shown = np.flatnonzero(p >= _MIN_SHOWN)
     marker = _marker('edge_probabilities', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.12 * _edge_length(network)
     colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
@@ -52,7 +52,7 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
     """
     network, x = strategy.network, strategy.game.visits(strategy.shown_probability)
     length, direction = _edge_length(network), strategy.mean_direction()
-    shown = np.flatnonzero((x >= _LEAST_SHOWN) & (np.hypot(*direction.T) > 1e-6))
+    shown = np.flatnonzero((x >= _MIN_SHOWN) & (np.hypot(*direction.T) > 1e-6))
     marker = _marker('mean_direction', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.06 * length
     arrows = _arrows(network.points[shown], 0.8 * length * direction[shown])
@@ -67,7 +67,7 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     """
     network, q = strategy.network, strategy.ambush_at_places
     often = float(q.max())
-    shown = np.flatnonzero((q >= _LEAST_SHOWN * often) & (strategy.value > 0.0))
+    shown = np.flatnonzero((q >= _MIN_SHOWN * often) & (strategy.value > 0.0))
     length = _edge_length(network)
     diameter = 2.0 * strategy.game.reach or 0.6 * length
     marker = _marker('ambush_sites', Marker.SPHERE_LIST, header, network)

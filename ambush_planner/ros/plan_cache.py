@@ -26,8 +26,10 @@ from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
 
-# Maximum number of plans kept, and of edges of all of them (1.1 kB each).
-_MOST_PLANS, _MOST_EDGES = 32, 300_000
+# Maximum number of plans kept.
+_MAX_PLANS = 32
+# Maximum number of edges of all plans kept (1.1 kB each).
+_MAX_EDGES = 300_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +238,7 @@ class PlanCache:
         others = [each for each in self._plans
                   if not each.answers(cached.trip, cached.parameters)]
         edges = np.cumsum([len(each.plan.network.edges) for each in (cached, *reversed(others))])
-        kept = min(_MOST_PLANS, max(1, int((edges <= _MOST_EDGES).sum())))
+        kept = min(_MAX_PLANS, max(1, int((edges <= _MAX_EDGES).sum())))
         self._plans = [*others, cached][-kept:]
 
 

@@ -28,7 +28,7 @@ from .listener import Listener
 from .qos import TF, TF_STATIC
 
 # Maximum length of a frame's name in messages [characters].
-_LONGEST_SHOWN = 80
+_MAX_SHOWN = 80
 
 
 class FrameTransforms:
@@ -61,7 +61,7 @@ class FrameTransforms:
         given = pose.header.frame_id
         if given and given == frame:
             return pose
-        shown = given if len(given) <= _LONGEST_SHOWN else f'{given[:_LONGEST_SHOWN]}...'
+        shown = given if len(given) <= _MAX_SHOWN else f'{given[:_MAX_SHOWN]}...'
         problem = (
             f"{name} is given in the frame {shown!r}, the map in {frame!r}; give it in the map's "
             'frame'
