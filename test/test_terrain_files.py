@@ -190,11 +190,11 @@ def test_the_command_leaves_map_picture_and_preview(tmp_path):
 def test_the_command_says_what_is_wrong(tmp_path):
     pytest.importorskip('matplotlib', reason='the preview takes the extra "figures"')
     dem = save(tmp_path / 'dem.npz', elevation=np.zeros((9, 9)), resolution=500.0)
-    for arguments, reason in (
-        ((tmp_path / 'no.npz', '-o', tmp_path / 'm.yaml'), 'No such file'),
-        ((dem, '-o', tmp_path / 'm.yaml'), 'weapon range'),
-        ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), '.yaml'),
+    for arguments, code, reason in (
+        ((tmp_path / 'no.npz', '-o', tmp_path / 'm.yaml'), 3, 'no.npz: No such file'),
+        ((dem, '-o', tmp_path / 'm.yaml'), 3, 'weapon range'),
+        ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), 2, '.yaml'),
     ):
         done = run_here(terrain, *arguments)
-        assert done.code == 3 and reason in done.err and 'Traceback' not in done.err
+        assert done.code == code and reason in done.err and 'Traceback' not in done.err
     assert not (tmp_path / 'm.yaml').exists()

@@ -61,8 +61,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
     add_places(made, stops=False)
-    made.add_argument('-o', '--output', type=Path, required=True, metavar='PICTURE.png',
-                      help='the picture to write')
+    made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
+                      metavar='PICTURE.png', help='the picture to write')
     add_crs(made)
     add_options(made)
     return made

@@ -109,8 +109,12 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
     Raises InvalidLayers, whose message names the layer, InvalidOption or OSError.
     """
     if not isinstance(description, Mapping):
-        folder, description = folder or Path(description).parent, _read(Path(description))
-    top = _with_defaults('the file', description, _TOP)
+        file = Path(description)
+        folder, description = folder or file.parent, _read(file)
+        if 'layers' not in description:
+            hint = '; it is a map for map_server' * ('image' in description)
+            raise InvalidLayers(f'{file}: layers is missing{hint}; see docs/risk_layers.md')
+    top = _with_defaults('the top of the file', description, _TOP)
     if not isinstance(top['layers'], list) or not top['layers']:
         raise InvalidLayers('layers must be a list with a line for each layer')
     lines = [_line(k, line) for k, line in enumerate(top['layers'], start=1)]

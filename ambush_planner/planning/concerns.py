@@ -19,6 +19,10 @@ _STRATEGY_NUMBERS = (
 )
 # Share of the routes that a single ambush meets from which they count as all.
 ALL_ROUTES = 0.99
+# Maximum spacing of nodes that goes without saying, as a share of the reach.
+MAX_SPACING = 0.25
+# Maximum share of the way on held ground that goes without saying.
+MAX_HELD = 0.5
 
 
 def concerns(plan: Plan) -> list[str]:
@@ -31,6 +35,8 @@ def assumptions(plan: Plan) -> list[str]:
     """Return what a plan's value takes for granted, one sentence each."""
     game = plan.strategy.game.options
     held = f'within {game.held_radius:.4g} m of' if game.held_radius else 'at'
+    share = _held_share(plan)
+    much = f', which is {share:.0%} of the straight way' if share > MAX_HELD else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and meets only routes through "
                  'it; give how far he reaches (--reach, game.ambush_radius)')
@@ -43,7 +49,24 @@ def assumptions(plan: Plan) -> list[str]:
             where += f'; it strays at most {game.tube:.3g} m from its drawn route'
     more = [f'nobody can wait within {radius:.4g} m of ({x:.6g}, {y:.6g})'
             for x, y, radius in game.held_places]
-    return [f'nobody can wait {held} start, stops and goal', *more, where]
+    return [f'nobody can wait {held} start, stops and goal{much}', *more, where, *_coarse(plan)]
+
+
+def _held_share(plan: Plan) -> float:
+    """Share of the straight way from start to goal, by the stops, that lies on held ground."""
+    network = plan.network
+    ends = network.points[[network.source, *network.stops, network.target]]
+    legs = np.hypot(*np.diff(ends, axis=0).T)
+    return float(np.minimum(legs, 2.0 * plan.strategy.game.options.held_radius).sum() / legs.sum())
+
+
+def _coarse(plan: Plan) -> list[str]:
+    """Say that a finer network could have a lower value, if the spacing is wide for the reach."""
+    reach, spacing = plan.options.game.ambush_radius, plan.spacing
+    if plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
+        return []
+    return [f'the convoy drives between nodes {spacing:.3g} m apart, {spacing / reach:.2g} times '
+            'the reach; on a finer network (network.spacing) the value can be lower']
 
 
 def is_sound(plan: Plan) -> bool:
@@ -62,8 +85,8 @@ def wide_gap(plan: Plan) -> str:
     if strategy.counting_gap:
         return (f'{wide}; no closer strategy or bound was found, and more time would not help; a '
                 'larger network.spacing or fewer stops may')
-    return (f'{wide}; the time limit (max_planning_time) ended the search: allow more time or a '
-            'larger network.spacing')
+    return (f'{wide}; the time limit (strategy.time_limit, or max_planning_time of the node) ended '
+            'the search: allow more time or a larger network.spacing')
 
 
 def _held_ground(plan: Plan) -> str:
