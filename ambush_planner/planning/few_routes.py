@@ -134,11 +134,11 @@ def _promising(plan: Plan, routes: list[IndexArray],
     route = np.repeat(np.arange(len(edges)), list(map(len, edges)))
     uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
                       (len(network.edges), len(edges)))
-    met = csr_matrix(game.hits @ uses)
-    met.data[:] = 1.0  # however often a route comes back
+    hit = csr_matrix(game.hits @ uses)
+    hit.data[:] = 1.0  # however often a route comes back
     costs = np.array([budget.cost @ uses for budget in budgets])
     limits = np.array([[budget.limit or 1.0] for budget in budgets])
-    best = best_shares(met.multiply(game.loss[game.sites][:, None]).tocsr(), costs / limits)
+    best = best_shares(hit.multiply(game.loss[game.sites][:, None]).tocsr(), costs / limits)
     order = np.argsort(-best.shares, kind='stable')[:most]
     return [routes[k] for k in order], costs[:, order]
 

@@ -86,11 +86,11 @@ def _interval(driven: PathMixture) -> tuple[float, float]:
     """The bootstrap's interval over trips for the mean loss at the worst place.
 
     The place stays: if each resample had its own worst place, a few trips would look worse than the
-    habits behind them. An ambush there meets a binomial number of resampled trips, whose quantiles
+    habits behind them. An ambush there hits a binomial number of resampled trips, whose quantiles
     need no draws.
     """
-    count, met = len(driven.met), int(driven.met.sum())
-    low, high = driven.value * binom.ppf((0.025, 0.975), count, met / count) / max(met, 1)
+    count, hit = len(driven.hit), int(driven.hit.sum())
+    low, high = driven.value * binom.ppf((0.025, 0.975), count, hit / count) / max(hit, 1)
     return float(low), float(high)
 
 
@@ -99,8 +99,8 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
     """The trips from start to goal, which are their ends, and a sentence for each left out.
 
     A trip leads from the last approach to the start, within ``near`` [m], to the first approach to
-    the goal after it; a track can have several. Outliers are removed, short gaps are bridged. Trips
-    that were driven at the same time, within ``reach`` [m] of each other, and copies count once.
+    the goal after it; a track can have several. Outliers are removed, short jumps are bridged.
+    Trips driven at the same time, within ``reach`` [m] of each other, and copies count once.
     """
     trips: list[Track] = []
     left_out = []
@@ -137,8 +137,8 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
     most = max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
     for number, (first, last) in enumerate(legs, start=1):
         name = track.name if len(legs) == 1 else f'trip {number} of {track.name}'
-        if (gap := steps[first:last].max()) > most:
-            yield f'{name} has a gap of {gap:.4g} m, more than {most:.4g} m'
+        if (jump := steps[first:last].max()) > most:
+            yield f'{name} has a jump of {jump:.4g} m, more than {most:.4g} m'
             continue
         when = np.pad(times[first : last + 1], 1, mode='edge')
         yield Track(name, np.vstack((start, xy[first : last + 1], goal)),

@@ -67,7 +67,7 @@ class Recorder:
             data = encode(ordered, entries, attachments, self._compression)
         with self._lock:
             folder = self._session_folder()
-            # A number is never used twice: a gap is a departure whose recording failed.
+            # A number is never used twice: a missing one is a departure whose recording failed.
             path = folder / f'{folder.name}_{self._next}.mcap'
             self._next += 1
             with recording_to(path):
