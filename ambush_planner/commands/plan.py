@@ -149,7 +149,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         *(('spotter', text) for text in spotter),
         *(('assumption', text) for text in assumptions(plan)),
     ):
-        console.line(f'{name:<15} {text}')
+        console.item(f'{name:<15} {text}', indent=0, hang=16)
     console.result = {
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,

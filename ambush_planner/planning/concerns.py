@@ -65,7 +65,7 @@ def _coarse(plan: Plan) -> list[str]:
     reach, spacing = plan.options.game.ambush_radius, plan.spacing
     if plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
         return []
-    return [f'the convoy drives between nodes {spacing:.3g} m apart, {spacing / reach:.2g} times '
+    return [f'the convoy drives between nodes {spacing:.3g} m apart, {spacing / reach:.2f} times '
             'the reach; on a finer network (network.spacing) the value can be lower']
 
 
