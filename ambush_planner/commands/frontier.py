@@ -125,7 +125,8 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
                        xytext=(4, -14), textcoords='offset points', path_effects=HALO)
         value.set_title(title, loc='left')
     for axes, label in zip(panels[:, 0], (
-        'mean loss\nby the best ambush', 'mean exposure\nover the least', 'route entropy [nats]',
+        'mean loss\nby the best ambush', 'exposure, relative to\nthe least exposed route',
+        'route entropy [nats]',
     ), strict=True):
         axes.set_ylabel(label)
         bottom, top = axes.get_ylim()

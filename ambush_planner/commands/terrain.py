@@ -112,10 +112,11 @@ def terrain_from(arguments: argparse.Namespace, path: Path,
 def _summary(ground: TerrainMap) -> str:
     values = ground.values
     risk = values[(values >= 0) & (values < 100)]
-    spread = ', '.join(f'{v:.0f}' for v in np.percentile(risk, [10, 50, 90])) if risk.size else '-'
+    low, middle, high = np.percentile(risk, [10, 50, 90]) if risk.size else (0.0, 0.0, 0.0)
     return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
             f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
-            f' % unknown; risk of the rest (10 %, 50 %, 90 %) {spread}')
+            f' % unknown; risk of drivable cells, 0 to 99: half are below {middle:.0f}, '
+            f'a tenth below {low:.0f}, a tenth above {high:.0f}')
 
 
 main = cli.command(parser, _work)

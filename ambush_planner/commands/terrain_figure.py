@@ -20,7 +20,7 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
         (elevation.heights, 'Height [m]', 'cividis'),
         (ground.slope, 'Slope, rise over run', 'magma_r'),
         (ground.depth, 'Depth below the ground in range [m]', 'magma_r'),
-        (ground.exposure, 'Share of ground in range with sight', 'magma_r'),
+        (ground.exposure, 'Share of ground in range that sees you', 'magma_r'),
         (ground.approach, 'Mean distance to hidden ground [m]', 'magma'),
     ), strict=True):
         frame(axes, risk_map, title)

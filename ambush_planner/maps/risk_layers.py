@@ -263,9 +263,10 @@ class _Joined:
         thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
         if full < FEW or thin > 0.5:
             self.remarks.append(
-                f'{name}: few incidents, {len(places)} with the weight of {full:.3g} new ones; '
-                f'{100.0 * thin:.0f} % of the ground that they make costly has fewer than '
-                f'{FEW_NEAR} within {near:.0f} m, so their pattern may be chance')
+                f'{name}: few incidents: {len(places)}, which by age and weight count as '
+                f'{full:.3g} new ones ({FEW:g} would do), and {100.0 * thin:.0f} % of the ground '
+                f'that they make costly has fewer than {FEW_NEAR} within {near:.0f} m. Their '
+                'pattern may be chance')
         added = _number('loss', values['loss']) * density / density.max()
         self.loss = self.loss + added
         self.layers += [Layer(f'{name}: loss', added, features.geometry),
