@@ -28,7 +28,7 @@ DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
 CELLS_PER_NODE = 1.3, 6.0
-# Largest reach, as a share of the distance from start to goal: held ground leaves some ground.
+# Maximum reach, as a share of the distance from start to goal: held ground leaves some ground.
 MAX_REACH = 0.2
 
 Position = tuple[float, float]

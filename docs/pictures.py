@@ -125,10 +125,10 @@ class Panel:
 
     def night(self, route: IndexArray, row: int, limit: str) -> None:
         """Count the day's loss, and keep the route as a thin line."""
-        met = (self.game.hits[[row]] @ route_strategy(self.game.network, route))[0] > 0.0
+        hit = (self.game.hits[[row]] @ route_strategy(self.game.network, route))[0] > 0.0
         site = self.game.sites[row]
-        self.losses.append(float(self.game.loss[site]) if met else 0.0)
-        if met:
+        self.losses.append(float(self.game.loss[site]) if hit else 0.0)
+        if hit:
             self.hit.set_offsets(self.points[site])
             self.name.set_text('ambushed')
         self.axes.plot(*self.points[route].T, color=PROBABILITY[1], linewidth=0.9, alpha=0.6,
@@ -139,7 +139,7 @@ class Panel:
 
 
 def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
-    """The same route met every day, next to drawn routes and the ambusher who plays best.
+    """The same route ambushed every day, next to drawn routes and the ambusher who plays best.
 
     Both panels use the game's own hits; the routes and the ambusher's places come from seed 1.
     """
@@ -148,12 +148,14 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     left, right = (
         Panel(axes, demo, title) for axes, title in zip(figure.subplots(1, 2), (
             'The shortest route, every day\nThe ambusher waits at its worst place',
-            'A route drawn for every departure\nThe ambusher knows all but the draw',
+            'A random route for every departure\nThe ambusher knows all but the next route',
         ), strict=True)
     )
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
     figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle.\n'
                      'Dashed: held ground, where nobody can wait.', fontsize=9)
+    figure.draw_without_rendering()
+    figure.set_layout_engine('none')  # labels near the edge would move the panels
     same = energy_efficient_route(chosen.game)
     worst = int(largest_losses(chosen.game, route_strategy(chosen.network, same))[1][0])
     q = chosen.ambush_probability[chosen.game.sites]
@@ -195,8 +197,8 @@ def tutorial(folder: Path) -> None:
 
 
 def judge(folder: Path) -> None:
-    """What the command of docs/gis.md draws of tracks in the yard."""
-    line = re.search(r'(?m)^ambush (judge .*) -o', (DOCS / 'gis.md').read_text())[1]
+    """What the command of docs/operations.md draws of tracks in the yard."""
+    line = re.search(r'(?m)^ambush (judge .*) -o', (DOCS / 'operations.md').read_text())[1]
     subprocess.run([Path(sys.executable).with_name('ambush'), *line.split(), '-o',
                     folder / 'judge.png'], cwd=DOCS.parent, check=True)
 

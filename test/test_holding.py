@@ -187,7 +187,7 @@ def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [
     (('--radius', 0.5), 2, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
-    (('--radius', 5, '--candidates', 'degrees.csv'), 3, 'coordinate system of the map is unknown'),
+    (('--radius', 5, '--candidates', 'degrees.csv'), 2, 'coordinate system of the map is unknown'),
     (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
     (('--radius', 3, '--candidates', 'far.csv'), 2, "candidate 'far' at (40, 4) is off the map, "
      'which spans x 0 to 30 and y 0 to 20'),

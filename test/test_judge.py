@@ -70,7 +70,7 @@ def test_habits_cost_at_least_their_best_shares_and_about_the_bound(seed):
 def test_the_interval_is_that_of_drawn_resamples():
     trips, _ = find(tracks_of(habit(2)))
     found, rng = judge(ground(), trips, OPTIONS), np.random.default_rng(0)
-    losses = found.driven.met * found.driven.value / found.driven.met.mean()
+    losses = found.driven.hit * found.driven.value / found.driven.hit.mean()
     means = rng.choice(losses, (20_000, len(trips))).mean(axis=1)
     assert found.interval == pytest.approx(np.quantile(means, (0.025, 0.975)), rel=1e-9)
 
@@ -104,7 +104,7 @@ def test_a_track_of_a_day_has_several_trips():
     ([LINE + (0.0, 9.0)], 'track 1 never comes within 2.6 m of the start'),
     ([LINE[:9]], 'track 1 never comes within 2.6 m of the goal'),
     ([LINE[::-1]], 'track 1 leads from the goal to the start'),
-    ([np.delete(LINE, np.s_[5:14], axis=0)], 'track 1 has a gap of 2'),
+    ([np.delete(LINE, np.s_[5:14], axis=0)], 'track 1 has a jump of 2'),
     ([LINE, LINE], 'track 2 is a copy of track 1'),
 ])
 def test_tracks_that_are_left_out_are_named_with_the_reason(tracks, reason):

@@ -217,16 +217,18 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
 
 
 @pytest.mark.parametrize(('arguments', 'code', 'reason'), [
-    (('--start', '36.5,-84.2'), 3, '36.5,-84.2 is a latitude and longitude, but the coordinate '
+    (('--start', '36.5,-84.2'), 2, '36.5,-84.2 is a latitude and longitude, but the coordinate '
                                    'system of the map is unknown'),
     (('--start', 5000, 5), 2, r'start \(5000.000, 5.000\) is outside the map'),
-    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 2, 'outside the map.* spans latitudes'),
-    (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 3, 'the unit of a map must be the metre'),
-    (('--crs', 'EPSG:99'), 3, "not a coordinate system: 'EPSG:99'"),
-    (('--start', 0, 50), 2, 'start .* lies in an obstacle'),
-    (('-o', 'r.gpx'), 3, 'GPX holds latitude and longitude, but'),
+    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 2, r'36.6,-84.2 is outside .*\(latitude'),
+    (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 2, 'the unit of a map must be the metre'),
+    (('--crs', 'EPSG:99'), 2, "not a coordinate system: 'EPSG:99'"),
+    (('--start', 0, 50), 2, r'start .* lies in an obstacle; move it to \(-?\d'),
+    (('--set', 'max_planning_time=5'), 2, 'strategy.time_limit'),
+    (('--set', 'game.ambush_radius=far'), 2, "game.ambush_radius must be a number, got 'far'"),
+    (('-o', 'r.gpx'), 2, 'GPX holds latitude and longitude, but'),
     (('-o', 'r.shp'), 2, 'suffix must be one of .gpkg'),
-    (('--start', 'here'), 2, r"--start: must be X Y \[m\] or LAT,LON \[degrees\], got 'here'"),
+    (('--start', 'here'), 2, r"--start: must be X Y .*LAT,LON .*MGRS.* got 'here'"),
     (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
     (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
@@ -248,6 +250,33 @@ def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch,
     done = run_here(plan, plain, *(() if '-o' in arguments else ('-o', 'r.geojson')), *arguments)
     assert done.code == code and re.search(reason, done.err), done.err
     assert 'Traceback' not in done.err and sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize('start', ['18.5,-33.95', '33.95,18.5', '-18.5,33.95'])
+def test_latitude_and_longitude_of_another_order_or_sign_get_a_hint(plain, tmp_path, start):
+    datum = ('--datum', -33.95, 18.5, 0)
+    done = run_here(plan, plain, '--start', start, *ENDS[3:], *datum, '-o', tmp_path / 'r.csv')
+    assert done.code == 2 and 'did you mean -33.95,18.5?' in done.err, done.err
+    assert done.err.count('\n') == 1
+
+
+def test_a_position_can_be_an_mgrs_reference(tmp_path):
+    grid = OccupancyMap(np.full((40, 40), 20), 10.0, (734800.0, 4046900.0, 0.0), 'EPSG:32616')
+    write_map(tmp_path / 'm.yaml', grid)
+    done = run_here(plan, tmp_path / 'm.yaml', '--start', '16S', 'GF', '34950', '47050', '--goal',
+                    '16SGF3510047150', '-o', tmp_path / 'r.csv')
+    assert done.code == 0, done.err
+    first = (tmp_path / 'r.csv').read_text().splitlines()[1]
+    x, y = map(float, re.search(r'\((\S+) ([^,]+)', first).groups())
+    assert (x, y) == pytest.approx((734950.0, 4047050.0), abs=1.0)
+
+
+def test_a_file_that_exists_is_named_when_it_is_overwritten(plain, tmp_path):
+    files = [tmp_path / name for name in ('r.csv', 'r.geojson')]
+    files[0].write_text('precious')
+    done = run_here(plan, plain, *ENDS, '-o', *files)
+    named = [file for file in files if f'{file} is overwritten' in done.err]
+    assert done.code == 0 and named == files[:1]
 
 
 def test_recorded_departures_are_exported(tmp_path):

@@ -28,8 +28,10 @@ from .console import distance, rounded
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
 _KILOMETRES = 2000.0
-# Margin around the route on the map, and the map's shorter side, as shares of the longer one.
-_MARGIN, _MIN_SIDE = 0.12, 0.7
+# Margin around the route on the map, as a share of the map's longer side.
+_MARGIN = 0.12
+# Minimum of the map's shorter side, as a share of the longer one.
+_MIN_SIDE = 0.7
 
 
 @dataclass(frozen=True, eq=False)

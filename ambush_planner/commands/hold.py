@@ -16,7 +16,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
-from .geo_files import add_outputs
+from .geo_files import add_outputs, check_outputs, tell_overwritten
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -65,6 +65,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     given = read_places(arguments.candidates) if arguments.candidates else None
     risk_map = risk_map_from(arguments.map, options.map, console)
+    check_outputs(arguments.output)
     start, goal, stops = places_on(arguments, risk_map)
     with console.waiting('solving games'):
         found = places_to_hold(
@@ -75,6 +76,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     contents = {path: cli.as_csv(columns, rows) if path.suffix == '.csv' else
                 as_png(hold_figure(found, arguments.radius, risk_map))
                 for path in arguments.output}
+    tell_overwritten(arguments.output, console)
     for path, data in contents.items():
         cli.write_private(path.parent, {path.name: data})
     _tell(found, rows, arguments.count, console)

@@ -60,8 +60,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
     add_places(made, stops=False)
-    made.add_argument('-o', '--output', type=Path, required=True, metavar='PICTURE.png',
-                      help='the picture to write')
+    made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
+                      metavar='PICTURE.png', help='the picture to write')
     add_crs(made)
     add_options(made)
     return made
@@ -113,7 +113,7 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
 
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
-    strategy, met, shares = habits.plan.strategy, habits.driven.met, habits.best.shares
+    strategy, hit, shares = habits.plan.strategy, habits.driven.hit, habits.best.shares
     (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
     named = [{'track': habits.trips[k].name, 'share': float(shares[k])}
              for k in np.argsort(-shares) if shares[k] >= MIN_SHARE]
@@ -125,7 +125,7 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
              for row in (rows['driven'], rows['reweighted'])]
     console.line(f'{"mean loss":>21}{"mean length":>13}')
     for (name, row), text in zip(rows.items(), (
-        f'{worst[0]}: {met.sum()} of {len(met)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
+        f'{worst[0]}: {hit.sum()} of {len(hit)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
         f'at most {detour:.3g} times the shortest; no strategy is below {strategy.lower_bound:.4g}',
     ), strict=True):
         console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')

@@ -21,7 +21,7 @@ from ..route_files import SUFFIXES, draw, write_routes
 from . import cli
 from .console import travel
 from .few_files import SHEET, FewDrawn, tell_few, write_sheets
-from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
+from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -35,6 +35,11 @@ from .inputs import (
 )
 from .terrain import add_terrain, terrain_from
 
+DESCRIPTION = """\
+Plan on a map and draw routes for a GPS or a GIS.
+
+  ambush plan map.yaml --start 4 20 --goal 56 20 --reach 2 -n 20 -o routes.csv routes.png
+  ambush plan map.tif --start 36.55,-84.38 --goal 36.70,-84.12 --reach 500 -o routes.gpx"""
 EPILOG = f"""\
 {MAP_HELP}
 With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush terrain does.
@@ -55,7 +60,7 @@ nearest shares, and the value of each such draw.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('plan', 'Plan on a map and draw routes for a GPS or a GIS.', EPILOG)
+    made = cli.new_parser('plan', DESCRIPTION, EPILOG)
     made.add_argument('map', type=Path, metavar='MAP',
                       help='the risk map, or with --terrain an elevation model')
     add_places(made)
@@ -83,6 +88,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     _check(arguments)
+    check_outputs(arguments.output)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
     risk_map = (_map_of_terrain(arguments, options.map, console) if arguments.terrain
                 else risk_map_from(arguments.map, options.map, console))
@@ -96,6 +102,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     drawn = (draw(plan, arguments.departures, np.random.default_rng(arguments.seed)) if few is None
              else FewDrawn(plan.strategy, risk_map, few.paths, (), few))
     sheets = [path for path in arguments.output if path.suffix == SHEET]
+    tell_overwritten(arguments.output, console)
     write_routes([path for path in arguments.output if path not in sheets], drawn)
     _tell(plan, console)
     if isinstance(drawn, FewDrawn):
@@ -142,7 +149,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         *(('spotter', text) for text in spotter),
         *(('assumption', text) for text in assumptions(plan)),
     ):
-        console.line(f'{name:<15} {text}')
+        console.item(f'{name:<15} {text}', indent=0, hang=16)
     console.result = {
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,

@@ -89,8 +89,8 @@ def tiles(section: Section) -> list[tuple[str, str]]:
     return [
         (rounded(strategy.value), 'mean loss per departure from the best ambush, instead of '
          f'{rounded(fixed.v_repeated)} on always the shortest route'),
-        (rounded(chance, 2), 'ambushes met per departure, on average') if several else
-        (percent(chance), 'of departures meet the best ambush, instead of '
+        (rounded(chance, 2), 'ambushes hit a departure, on average') if several else
+        (percent(chance), 'of departures are hit by the best ambush, instead of '
          f'{percent(fixed.p_repeated)} on a fixed route that he has learnt'),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),
         (f'{rounded(strategy.expected_length / strategy.shortest_length)} times',

@@ -58,7 +58,8 @@ def parser() -> argparse.ArgumentParser:
                       help='times of departure to draw from')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
                       help='number of consecutive slots that an ambush lasts (default: 1)')
-    made.add_argument('-o', '--output', type=Path, metavar='TABLE.csv', help='the table to write')
+    made.add_argument('-o', '--output', type=cli.file_of('.csv'), metavar='TABLE.csv',
+                      help='the table to write')
     add_places(made)
     add_crs(made)
     add_options(made)

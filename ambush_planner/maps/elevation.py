@@ -15,9 +15,9 @@ from ..errors import AmbushPlannerError
 
 HeightArray = npt.NDArray[np.float32]
 
-# Largest grid [cells]; a larger one would not fit in memory and suggests a wrong resolution.
+# Maximum size of a grid [cells]; a larger one would not fit in memory: a wrong resolution?
 MAX_CELLS = 100_000_000
-# Smaller interpolation weights are rounding of a sample's position.
+# Minimum interpolation weight; smaller ones are rounding of a sample's position.
 _MIN_WEIGHT = 1e-6
 
 

@@ -148,14 +148,15 @@ class Plan(Shown):
         return list(drawn.paths)
 
     def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
-        """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.
+        """Draw ``n`` routes and return their paths as a GeoDataFrame, as files have them.
 
         ``rng`` as in ``paths``.
         """
-        from .route_layers import route_table
+        from .route_layers import line_table, route_columns
 
-        times = [datetime.now(timezone.utc)] * n
-        return route_table(self.paths(n, rng), times, self.risk_map.crs if self.risk_map else None)
+        paths, times = self.paths(n, rng), [datetime.now(timezone.utc)] * n
+        return line_table(route_columns(paths, times), paths,
+                          self.risk_map.crs if self.risk_map else None)
 
     @cached_property
     def spotter(self) -> Spotter | None:

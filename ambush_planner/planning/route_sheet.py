@@ -22,7 +22,7 @@ from ..maps.coordinates import Coordinates
 FORMAT = 'ambush routes 1'
 # Digits after the decimal point: millimetres, and degrees of latitude as fine.
 _METRES, _DEGREES = 3, 8
-# Largest rounding of a sum of shares.
+# Maximum rounding of a sum of shares.
 MAX_ROUNDING = 1e-6
 
 Position = tuple[float, float]
@@ -51,7 +51,7 @@ class RouteSheet:
     """A few routes between two places.
 
     ``map`` is the map's file. An ambusher who knows all of the sheet but the draw causes a mean
-    loss of ``value``; with any routes he causes at least ``lower_bound``. He meets a convoy within
+    loss of ``value``; with any routes he causes at least ``lower_bound``. He hits a convoy within
     ``reach`` [m], but cannot wait within ``held_radius`` [m] of start, stops and goal.
     """
 

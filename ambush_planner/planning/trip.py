@@ -38,7 +38,7 @@ from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
 
 ORDERS = ('given', 'best')
-# Largest number of stops for which all orders (5040) are compared.
+# Maximum number of stops for which all orders (5040) are compared.
 MAX_COMPARED = 7
 # Relative rounding of lengths and values.
 ROUNDING = 1e-9
