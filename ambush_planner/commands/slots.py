@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from ..errors import InvalidOption
-from ..planning.concerns import concerns
+from ..planning.concerns import concerns, is_sound
 from ..planning.slots import mix_slots
 from . import cli
 from .inputs import (
@@ -92,7 +92,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                           {arguments.output.name: cli.as_csv(COLUMNS, rows)})
         console.result['table'] = cli.place(arguments.output)
         console.line(console.result['table'])
-    return cli.Exit.HOLDS
+    return cli.Exit.HOLDS if all(map(is_sound, plans)) else cli.Exit.FINDING
 
 
 main = cli.command(parser, _work)
