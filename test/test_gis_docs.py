@@ -67,9 +67,9 @@ def test_every_command_of_the_page_works(tmp_path):
     assert set(words(shown).split()) <= set(words(done.stdout).split())
     told = re.search(r'(?m)^card.html: .*$', PAGES)[0]
     assert re.search(re.sub(r'\d+', r'\\d+', told), done.stdout), done.stdout
-    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|six|card)\.\w+', ' '.join(
+    files = set(re.findall(r'\b(?:routes|quick|robot|driven|map|six|card|today)\.\w+', ' '.join(
         text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 14 and all((tmp_path / file).stat().st_size for file in files)
+    assert len(files) == 15 and all((tmp_path / file).stat().st_size for file in files)
 
 
 @pytest.mark.slow

@@ -186,6 +186,39 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     assert re.fullmatch(r'route \d\n', run_here(draw, tmp_path / 'r.json').out)
 
 
+SLOTS = ('--slots', '8:00', '09:30', '11:00', '--window', 2)
+
+
+def test_departures_have_slots_and_files_name_them(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, '--crs', 'EPSG:32616', '-n', 40, *SLOTS, '--json', '-o',
+                    *(tmp_path / name for name in FILES))
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    slots = result['slots']
+    assert set(result) == documented_keys(plan) and slots['shares'] == {
+        '08:00': pytest.approx(0.5), '09:30': 0.0, '11:00': pytest.approx(0.5)}
+    for name in ('value', 'lower_bound'):
+        assert slots[name] == pytest.approx(result[name] / 2.0)
+    assert set(slots['drawn']) == {'08:00', '11:00'} and len(slots['drawn']) == 40
+    assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
+    assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']
+    names = [f'Departure {k}, {slot}' for k, slot in enumerate(slots['drawn'], start=1)]
+    assert list(geopandas.read_file(tmp_path / 'r.kml')['Name']) == names
+    gpx = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text()))
+    assert [track.name for track in gpx.tracks] == names
+
+
+def test_a_sheet_draws_a_slot_too(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, *FEW, 2, *SLOTS, '-o', tmp_path / 'r.json')
+    assert done.code == 0 and 'slots           08:00 50 %, 09:30 0 %, 11:00 50 %' in done.out
+    sheet, joint = read_route_sheet(tmp_path / 'r.json'), re.search(
+        'joint value ([.0-9]+), lower bound ([.0-9]+)', done.out)
+    assert [slot for slot, _ in sheet.slots] == ['08:00', '09:30', '11:00']
+    assert (sheet.value, sheet.lower_bound) == pytest.approx([*map(float, joint.groups())],
+                                                             rel=1e-3)
+    assert re.fullmatch(r'route \d, (08:00|11:00)\n', run_here(draw, tmp_path / 'r.json').out)
+
+
 def test_equal_shares_are_a_die(plain, tmp_path):
     done = run_here(plan, plain, *ENDS, *FEW, 6, '--equal', '-o', tmp_path / 'r.png')
     assert done.code == 0, done.err
@@ -235,6 +268,9 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
     (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
     (('--equal',), 2, '--equal needs --routes K'),
+    (('--window', 2), 2, '--window needs --slots HH:MM'),
+    (('--slots', '8:00', '7:00'), 2, 'slots must go forwards in time, but 07:00 follows 08:00'),
+    (('--slots', 'noon'), 2, "slots must be times HH:MM, got 'noon'"),
     (('-o', 'r.json'), 2, 'r.json: only --routes K writes such a file'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
 from ..planning.route_layers import few_table, strategy_tables
 from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ..planning.slots import SlotMixture
 from ..route_files import Drawn
 from .cli import Console, count, write_private
 from .report_words import percent, travel
@@ -126,8 +127,9 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     axes.grid(color='0.92')
 
 
-def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path) -> None:
-    """Write route sheets with mode 0600."""
+def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path,
+                 slots: Sequence[str], day: SlotMixture | None) -> None:
+    """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any."""
     few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
     start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
     routes = tuple(sheet_route(k, float(share), path, crs)
@@ -135,6 +137,9 @@ def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path) -> None
     game = drawn.strategy.game.options
     sheet = RouteSheet(map_file.absolute(), crs, start, goal, tuple(stops), game.held_radius,
                        game.ambush_radius, few.value, few.lower_bound, routes)
+    if day:
+        sheet = replace(sheet, value=day.value, lower_bound=day.lower_bound,
+                        slots=tuple(zip(slots, day.shares.tolist(), strict=True)))
     for path in paths:
         write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
 
