@@ -22,8 +22,16 @@ import shapely
 from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
 from pyproj import CRS, Geod, Transformer
 
-from ambush_planner import InvalidOption, NetworkOptions, PlanningOptions, RiskMap, plan_trip
-from ambush_planner.commands import draw, export, plan, terrain
+from ambush_planner import (
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    plan_trip,
+    read_risk_map,
+    risk_from_terrain,
+)
+from ambush_planner.commands import card, draw, export, plan, terrain
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.planning.route_sheet import read_route_sheet
@@ -85,6 +93,9 @@ def test_the_whole_chain_is_exact_to_a_centimetre(tmp_path, latitude, longitude,
         done = run_here(terrain, dem, '-o', tmp_path / 'map.yaml', *options[1:])
         assert done.code == 0 and f'EPSG:{zone}' in done.err, done.err
         dem, options = tmp_path / f'map.{way}', []
+        relief = read_risk_map(dem).heights
+        assert (relief is None) == (way == 'yaml')
+        assert relief is None or 65.0 < np.nanmin(relief) < 75.0 < 130.0 < np.nanmax(relief) < 135.0
     done = run_here(plan, dem, *options, '-n', 3, '--json', '-o', *(tmp_path / f for f in FILES),
                     '--set', 'network.spacing=400',
                     '--start', '{:.9f},{:.9f}'.format(*ends[0]),
@@ -217,6 +228,24 @@ def test_a_sheet_draws_a_slot_too(plain, tmp_path):
     assert (sheet.value, sheet.lower_bound) == pytest.approx([*map(float, joint.groups())],
                                                              rel=1e-3)
     assert re.fullmatch(r'route \d, (08:00|11:00)\n', run_here(draw, tmp_path / 'r.json').out)
+
+
+def test_a_sheet_from_an_elevation_model_has_its_risk_map_beside(tmp_path):
+    dem, sheet = write_dem(tmp_path / 'dem.tif', 36.5, -84.3), tmp_path / 'r.json'
+    done = run_here(plan, dem, '--terrain', '--resolution', 90, '--start', '36.52,-84.288',
+                    '--goal', '36.533,-84.262', '--reach', 300, '--set', 'network.spacing=400',
+                    '--routes', 2, '-o', sheet, '--json')
+    assert done.code == 0, done.err
+    assert [name.rpartition('/')[2] for name in json.loads(done.out)['files']] == [
+        'r.json', 'r_map.npz']
+    made = read_risk_map(read_route_sheet(sheet).map)
+    expected = risk_from_terrain(dem, resolution=90.0)
+    for name in ('alpha', 'obstacles', 'unknown', 'heights'):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+    assert (made.resolution, made.origin, made.crs) == (
+        expected.resolution, expected.origin, expected.crs)
+    done = run_here(card, sheet, '--route', 1, '--speed', 20, '-o', tmp_path / 'card.html')
+    assert done.code == 0, done.err
 
 
 def test_equal_shares_are_a_die(plain, tmp_path):

@@ -17,7 +17,16 @@ from matplotlib.ticker import MaxNLocator
 from scipy.spatial import cKDTree
 
 from ..colours import AMBUSHER, ROUTES
-from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, number_badge, risk_bar
+from ..figures import (
+    HALO,
+    HELD_DASHES,
+    WIDTH,
+    draw_ground,
+    ground_key,
+    number_badge,
+    risk_bar,
+)
+from ..maps.risk_map_file import npz_bytes
 from ..planning.few_routes import FewRoutes
 from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
@@ -92,12 +101,12 @@ class FewDrawn(Drawn):
                 'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
 
     def _route(self, axes: Axes, k: int) -> None:
-        """Draw a route with its number where it is farthest from the others."""
+        """Draw a route with its number where it is farthest from the others and the ambush."""
         path = self.paths[k][:, :2]
         axes.plot(*path.T, **self._style(k), solid_joinstyle='round', zorder=4)
         others = [other[:, :2] for other in (*self.paths[:k], *self.paths[k + 1 :])]
         others = others or [path[[0, -1]]]
-        away, _ = cKDTree(np.concatenate(others)).query(path)
+        away, _ = cKDTree(np.concatenate((*others, [self.few.worst_xy]))).query(path)
         at = away.argmax() if away.any() else len(path) // 2
         number_badge(axes, k + 1, path[at], self._style(k)['color'])
 
@@ -108,8 +117,9 @@ class FewDrawn(Drawn):
                        markeredgecolor='white', label='worst ambush')
         held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
                       label='held ground')
-        axes.legend(handles=[*lines, worst, held], title='route and share', frameon=False,
-                    loc='upper left', alignment='left', ncols=1 + len(lines) // 11,
+        axes.legend(handles=[*lines, worst, held, *ground_key(self.risk_map)], frameon=False,
+                    title='route and share', loc='upper left', alignment='left',
+                    ncols=1 + len(lines) // 11, labelspacing=0.3,
                     fontsize='medium' if len(lines) < 11 else 'small')
         axes.set_axis_off()
 
@@ -119,35 +129,46 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
     axes.axhline(few.lower_bound, color='0.45', linestyle=':')
     low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
-    axes.annotate("plan's lower bound", (1.0, few.lower_bound), xycoords=('axes fraction', 'data'),
-                  xytext=(-2, 4 if low else -4), textcoords='offset points', ha='right',
-                  va='bottom' if low else 'top', color='0.35', fontsize='small', path_effects=HALO)
+    axes.annotate("plan's lower bound", (0.0, few.lower_bound), xycoords=('axes fraction', 'data'),
+                  xytext=(3, 3 if low else -3), textcoords='offset points', va='bottom' if low
+                  else 'top', color='0.35', fontsize='small', path_effects=HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')
 
 
-def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path,
+def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path | None,
                  slots: Sequence[str], day: SlotMixture | None) -> None:
-    """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any."""
+    """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any.
+
+    Without a file of the map, each sheet gets one next to it, by ``map_beside``.
+    """
     few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
     start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
     routes = tuple(sheet_route(k, float(share), path, crs)
                    for k, (share, path) in enumerate(zip(few.shares, few.paths, strict=True), 1))
     game = drawn.strategy.game.options
-    sheet = RouteSheet(map_file.absolute(), crs, start, goal, tuple(stops), game.held_radius,
-                       game.ambush_radius, few.value, few.lower_bound, routes)
+    sheet = RouteSheet((map_file or Path()).absolute(), crs, start, goal, tuple(stops),
+                       game.held_radius, game.ambush_radius, few.value, few.lower_bound, routes)
     if day:
         sheet = replace(sheet, value=day.value, lower_bound=day.lower_bound,
                         slots=tuple(zip(slots, day.shares.tolist(), strict=True)))
     for path in paths:
+        if map_file is None:
+            sheet = replace(sheet, map=map_beside(path).absolute())
+            write_private(path.parent, {sheet.map.name: npz_bytes(drawn.risk_map)})
         write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
+
+
+def map_beside(sheet: Path) -> Path:
+    """The map of a sheet that was planned on an elevation model."""
+    return sheet.with_name(f'{sheet.stem}_map.npz')
 
 
 def tell_few(plan: Plan, few: FewRoutes, console: Console) -> None:
     """Print the value and how to draw, and put all but the paths into the result."""
     draws, tube = random_draws(plan), plan.strategy.game.options.tube
-    price = few.value / few.lower_bound
+    price = float(few.value / few.lower_bound)
     below = (f'; it may be below, because the bound lets convoys stray {tube:.3g} m from their '
              'routes, and these are fixed') * (price < 1.0)
     console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.3g} times '

@@ -21,7 +21,7 @@ from ..planning.slots import SlotMixture, mix_slots
 from ..planning.trip import ORDERS
 from ..route_files import SUFFIXES, Drawn, draw, write_routes
 from . import cli
-from .few_files import SHEET, FewDrawn, tell_few, write_sheets
+from .few_files import SHEET, FewDrawn, map_beside, tell_few, write_sheets
 from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
 from .inputs import (
     MAP_HELP,
@@ -40,7 +40,8 @@ from .terrain import add_terrain, terrain_from
 
 EPILOG = f"""\
 {MAP_HELP}
-With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush terrain does.
+With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush terrain does. Next
+to a FILE.json there is then the risk map, FILE_map.npz.
 
 {POSITION_HELP}
 {FORMATS_HELP}
@@ -109,13 +110,14 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     write_routes([path for path in arguments.output if path not in sheets], drawn)
     _tell(plan, console)
     if isinstance(drawn, FewDrawn):
-        write_sheets(sheets, drawn, arguments.map, slots, day)
+        write_sheets(sheets, drawn, None if arguments.terrain else arguments.map, slots, day)
         tell_few(plan, drawn.few, console)
     if day:
         _tell_slots(slots, day, drawn, console)
     for text in concerns(plan):
         console.say(f'Warning: {text}.')
-    tell_outputs(arguments.output, drawn, console)
+    maps = [map_beside(path) for path in sheets if arguments.terrain]
+    tell_outputs([*arguments.output, *maps], drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
 
 

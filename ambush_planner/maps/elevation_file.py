@@ -16,8 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from .coordinates import InvalidCoordinates, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
+
+HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
 
 
 def read_raster(path: Path, name: str = 'elevation', nearest: bool = False) -> Raster:
@@ -105,9 +108,13 @@ def _band(path: Path, dataset: Any, crs: str | None) -> Raster:
     if grid.b or grid.d or grid.a <= 0.0 or grid.e >= 0.0:
         raise InvalidTerrain(f'{path}: rows must run from north to south and columns from west to '
                              'east; convert the raster with gdalwarp')
-    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
+    def read(band: int) -> FloatArray:
+        north_up = dataset.read(band, masked=True).astype(np.float64).filled(np.nan)
+        return np.asarray(north_up[::-1])
+
     corner = dataset.bounds.left, dataset.bounds.bottom
-    return Raster(north_up[::-1], -grid.e, grid.a, corner, crs)
+    heights = read(2).astype(np.float32) if dataset.descriptions[1:] == (HEIGHTS,) else None
+    return Raster(read(1), -grid.e, grid.a, corner, crs, heights=heights)
 
 
 def _check_size(path: Path, dataset: Any) -> None:
