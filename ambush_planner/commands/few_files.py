@@ -73,7 +73,7 @@ class FewDrawn(Drawn):
         """An overview with the curve of values, and up to six panels of a route each."""
         panels = len(self.paths) if len(self.paths) <= MAX_PANELS else 0
         rows, (width, height) = -(-panels // 3), self.risk_map.size
-        tall = rows * (0.5 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
+        tall = rows * (0.8 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
         figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
         top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
                       else (figure.subfigures(), None))

@@ -118,7 +118,7 @@ def _tell(found: Holding, rows: list[dict[str, Any]], count: int, console: cli.C
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
     figure = Figure(figsize=(WIDTH, 8.4), layout='compressed')
-    ground, curve = figure.subplots(2, 1, height_ratios=(3, 1))
+    ground, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
     draw_strategy(ground, found.strategies[-1], risk_map)
     held = f'{cli.count(len(found.steps), "place")} held (green)'
     ground.set_title(f'{held}\n{ground.get_title(loc="left")}', fontsize='medium', loc='left',
