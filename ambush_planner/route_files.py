@@ -8,7 +8,7 @@ import io
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
@@ -41,17 +41,19 @@ _STRAIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``."""
+    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot."""
 
     strategy: Strategy
     risk_map: RiskMap
     paths: Sequence[FloatArray]
     times: Sequence[datetime]
+    slots: Sequence[str] = field(default=(), kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
         """What files say of each route, by column."""
-        return route_columns(self.paths, self.times)
+        slots = {'slot': self.slots} if self.slots else {}
+        return {**route_columns(self.paths, self.times), **slots}
 
     @cached_property
     def routes(self) -> Any:
@@ -60,8 +62,9 @@ class Drawn:
 
     @property
     def names(self) -> list[str]:
-        """The departures by number."""
-        return [f'Departure {k}' for k in range(1, len(self.paths) + 1)]
+        """The departures by number, with their slots."""
+        slots = [f', {slot}' for slot in self.slots] or [''] * len(self.paths)
+        return [f'Departure {k}{slot}' for k, slot in enumerate(slots, start=1)]
 
     @cached_property
     def tables(self) -> Mapping[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import re
 import shutil
 import subprocess
@@ -47,6 +48,7 @@ TUTORIAL = ('--start', '4', '20', '--goal', '56', '20', '--set', 'game.ambush_ra
 # The paper's pictures that docs/paper.md shows, by their names in out/paper.
 PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
          'figure_7_threshold': 'figure_7'}
+YARD = ('judge', 'hold')
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
@@ -196,18 +198,23 @@ def tutorial(folder: Path) -> None:
             shutil.copyfile(f'{place}/{name}.png', folder / f'tutorial_{name}.png')
 
 
-def judge(folder: Path) -> None:
-    """What the command of docs/operations.md draws of tracks in the yard."""
-    line = re.search(r'(?m)^ambush (judge .*) -o', (DOCS / 'operations.md').read_text())[1]
-    subprocess.run([Path(sys.executable).with_name('ambush'), *line.split(), '-o',
-                    folder / 'judge.png'], cwd=DOCS.parent, check=True)
+def yard(folder: Path, name: str) -> None:
+    """What the commands of docs/operations.md draw that write a picture of that name."""
+    blocks = re.findall(r'(?ms)^```sh\n(.*?)^```$', (DOCS / 'operations.md').read_text())
+    script = next(block for block in blocks if f'-o {name}.png' in block)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
+    with TemporaryDirectory() as place:
+        Path(place, 'docs').symlink_to(DOCS)
+        subprocess.run(['bash', '-ec', script], cwd=place, env={**os.environ, 'PATH': path},
+                       check=True)
+        shutil.copyfile(f'{place}/{name}.png', folder / f'{name}.png')
 
 
 def main() -> None:
     """Draw the named pictures, or all."""
     still = {'strategy': strategy, 'routes': routes, 'trip': trip}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'judge',
+    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', *YARD,
                                                     'paper'])
     parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
     options = parser.parse_args()
@@ -218,8 +225,10 @@ def main() -> None:
             (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp')
-        elif name in ('tutorial', 'judge'):
-            {'tutorial': tutorial, 'judge': judge}[name](folder)
+        elif name == 'tutorial':
+            tutorial(folder)
+        elif name in YARD:
+            yard(folder, name)
         else:
             for drawn, shown in PAPER.items():
                 shutil.copyfile(f'out/paper/{drawn}.png', folder / f'paper_{shown}.png')

@@ -3,12 +3,10 @@
 
 import csv
 import json
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import run_here, run_script
+from commands import run_here
 from games import examples, planar_network, routes_of, value_by_routes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,7 +27,6 @@ from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
-DOCS = Path(__file__).resolve().parent.parent / 'docs'
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.0),
                           game=GameOptions(ambush_radius=2.0, secured_radius=6.0),
@@ -170,19 +167,6 @@ def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
     places = done.out.partition("--set '")[2].partition("'")[0]
     done = run(inputs, places, '--radius', 5, '-k', 1, '--json')
     assert json.loads(done.out)['value'] == pytest.approx(float(row['value']), rel=1e-6)
-
-
-@pytest.mark.slow
-def test_the_example_of_the_questions_prints_what_they_say(tmp_path):
-    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
-    (tmp_path / 'docs').symlink_to(DOCS)
-    script, printed = re.findall(r'(?ms)^```\w+\n(.*?)^```$', (DOCS / 'faq.md').read_text())
-    done = run_script(script, tmp_path)
-    assert done.returncode == 0, done.stderr
-    number = r'\b\d\.\d{2,4}\b'
-    assert re.sub(number, '', done.stdout) == re.sub(number, '', printed)
-    assert list(map(float, re.findall(number, done.stdout))) == pytest.approx(
-        list(map(float, re.findall(number, printed))), rel=0.01)
 
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [

@@ -22,8 +22,16 @@ import shapely
 from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
 from pyproj import CRS, Geod, Transformer
 
-from ambush_planner import InvalidOption, NetworkOptions, PlanningOptions, RiskMap, plan_trip
-from ambush_planner.commands import draw, export, plan, terrain
+from ambush_planner import (
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    plan_trip,
+    read_risk_map,
+    risk_from_terrain,
+)
+from ambush_planner.commands import card, draw, export, plan, terrain
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.planning.route_sheet import read_route_sheet
@@ -85,6 +93,9 @@ def test_the_whole_chain_is_exact_to_a_centimetre(tmp_path, latitude, longitude,
         done = run_here(terrain, dem, '-o', tmp_path / 'map.yaml', *options[1:])
         assert done.code == 0 and f'EPSG:{zone}' in done.err, done.err
         dem, options = tmp_path / f'map.{way}', []
+        relief = read_risk_map(dem).heights
+        assert (relief is None) == (way == 'yaml')
+        assert relief is None or 65.0 < np.nanmin(relief) < 75.0 < 130.0 < np.nanmax(relief) < 135.0
     done = run_here(plan, dem, *options, '-n', 3, '--json', '-o', *(tmp_path / f for f in FILES),
                     '--set', 'network.spacing=400',
                     '--start', '{:.9f},{:.9f}'.format(*ends[0]),
@@ -186,6 +197,57 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     assert re.fullmatch(r'route \d\n', run_here(draw, tmp_path / 'r.json').out)
 
 
+SLOTS = ('--slots', '8:00', '09:30', '11:00', '--window', 2)
+
+
+def test_departures_have_slots_and_files_name_them(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, '--crs', 'EPSG:32616', '-n', 40, *SLOTS, '--json', '-o',
+                    *(tmp_path / name for name in FILES))
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    slots = result['slots']
+    assert set(result) == documented_keys(plan) and slots['shares'] == {
+        '08:00': pytest.approx(0.5), '09:30': 0.0, '11:00': pytest.approx(0.5)}
+    for name in ('value', 'lower_bound'):
+        assert slots[name] == pytest.approx(result[name] / 2.0)
+    assert set(slots['drawn']) == {'08:00', '11:00'} and len(slots['drawn']) == 40
+    assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
+    assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']
+    names = [f'Departure {k}, {slot}' for k, slot in enumerate(slots['drawn'], start=1)]
+    assert list(geopandas.read_file(tmp_path / 'r.kml')['Name']) == names
+    gpx = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text()))
+    assert [track.name for track in gpx.tracks] == names
+
+
+def test_a_sheet_draws_a_slot_too(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, *FEW, 2, *SLOTS, '-o', tmp_path / 'r.json')
+    assert done.code == 0 and 'slots           08:00 50 %, 09:30 0 %, 11:00 50 %' in done.out
+    sheet, joint = read_route_sheet(tmp_path / 'r.json'), re.search(
+        'joint value ([.0-9]+), lower bound ([.0-9]+)', done.out)
+    assert [slot for slot, _ in sheet.slots] == ['08:00', '09:30', '11:00']
+    assert (sheet.value, sheet.lower_bound) == pytest.approx([*map(float, joint.groups())],
+                                                             rel=1e-3)
+    assert re.fullmatch(r'route \d, (08:00|11:00)\n', run_here(draw, tmp_path / 'r.json').out)
+
+
+def test_a_sheet_from_an_elevation_model_has_its_risk_map_beside(tmp_path):
+    dem, sheet = write_dem(tmp_path / 'dem.tif', 36.5, -84.3), tmp_path / 'r.json'
+    done = run_here(plan, dem, '--terrain', '--resolution', 90, '--start', '36.52,-84.288',
+                    '--goal', '36.533,-84.262', '--reach', 300, '--set', 'network.spacing=400',
+                    '--routes', 2, '-o', sheet, '--json')
+    assert done.code == 0, done.err
+    assert [name.rpartition('/')[2] for name in json.loads(done.out)['files']] == [
+        'r.json', 'r_map.npz']
+    made = read_risk_map(read_route_sheet(sheet).map)
+    expected = risk_from_terrain(dem, resolution=90.0)
+    for name in ('alpha', 'obstacles', 'unknown', 'heights'):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+    assert (made.resolution, made.origin, made.crs) == (
+        expected.resolution, expected.origin, expected.crs)
+    done = run_here(card, sheet, '--route', 1, '--speed', 20, '-o', tmp_path / 'card.html')
+    assert done.code == 0, done.err
+
+
 def test_equal_shares_are_a_die(plain, tmp_path):
     done = run_here(plan, plain, *ENDS, *FEW, 6, '--equal', '-o', tmp_path / 'r.png')
     assert done.code == 0, done.err
@@ -237,6 +299,9 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
     (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
     (('--equal',), 2, '--equal needs --routes K'),
+    (('--window', 2), 2, '--window needs --slots HH:MM'),
+    (('--slots', '8:00', '7:00'), 2, 'slots must go forwards in time, but 07:00 follows 08:00'),
+    (('--slots', 'noon'), 2, "slots must be times HH:MM, got 'noon'"),
     (('-o', 'r.json'), 2, 'r.json: only --routes K writes such a file'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,

@@ -133,7 +133,9 @@ def _notes(card: Card) -> list[str]:
         ('true north; a compass differs by the local declination',
          ' Positions are WGS 84; N or S after the UTM zone is the hemisphere.')
         if card.risk_map.crs else ("the map's y axis", ''))
-    return [held, 'On the map, the darker the ground, the more dangerous it is; black: obstacles.',
+    colour = 'darker' if card.risk_map.heights is None else 'browner'
+    return [held,
+            f'On the map, the {colour} the ground, the more dangerous it is; black: obstacles.',
             f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
             f'follow the path.{systems}']
 

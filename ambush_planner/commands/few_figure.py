@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.spatial import cKDTree
 
 from ..colours import AMBUSHER, ROUTES
-from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, number_badge, risk_bar
+from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, ground_key, number_badge, risk_bar
 from ..planning.few_routes import FewRoutes
 from .few_files import FewDrawn
 
@@ -29,7 +29,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
     """An overview with the curve of values, and up to ``MAX_PANELS`` panels of a route each."""
     panels = len(drawn.paths) if len(drawn.paths) <= MAX_PANELS else 0
     rows, (width, height) = -(-panels // 3), drawn.risk_map.size
-    tall = rows * (0.5 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
+    tall = rows * (0.8 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
     figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
     top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
                   else (figure.subfigures(), None))
@@ -59,12 +59,12 @@ def _style(k: int) -> dict[str, Any]:
 
 
 def _route(drawn: FewDrawn, axes: Axes, k: int) -> None:
-    """Draw a route with its number where it is farthest from the others."""
+    """Draw a route with its number where it is farthest from the others and the ambush."""
     path = drawn.paths[k][:, :2]
     axes.plot(*path.T, **_style(k), solid_joinstyle='round', zorder=4)
     others = [other[:, :2] for other in (*drawn.paths[:k], *drawn.paths[k + 1 :])]
     others = others or [path[[0, -1]]]
-    away, _ = cKDTree(np.concatenate(others)).query(path)
+    away, _ = cKDTree(np.concatenate((*others, [drawn.few.worst_xy]))).query(path)
     at = away.argmax() if away.any() else len(path) // 2
     number_badge(axes, k + 1, path[at], _style(k)['color'])
 
@@ -76,8 +76,9 @@ def _key(drawn: FewDrawn, axes: Axes) -> None:
                    markeredgecolor='white', label='worst ambush')
     held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
                   label='held ground')
-    axes.legend(handles=[*lines, worst, held], title='route and share', frameon=False,
-                loc='upper left', alignment='left', ncols=1 + len(lines) // 11,
+    axes.legend(handles=[*lines, worst, held, *ground_key(drawn.risk_map)], frameon=False,
+                title='route and share', loc='upper left', alignment='left',
+                ncols=1 + len(lines) // 11, labelspacing=0.3,
                 fontsize='medium' if len(lines) < 11 else 'small')
     axes.set_axis_off()
 
@@ -87,9 +88,9 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
     axes.axhline(few.lower_bound, color='0.45', linestyle=':')
     low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
-    axes.annotate("plan's lower bound", (1.0, few.lower_bound), xycoords=('axes fraction', 'data'),
-                  xytext=(-2, 4 if low else -4), textcoords='offset points', ha='right',
-                  va='bottom' if low else 'top', color='0.35', fontsize='small', path_effects=HALO)
+    axes.annotate("plan's lower bound", (0.0, few.lower_bound), xycoords=('axes fraction', 'data'),
+                  xytext=(3, 3 if low else -3), textcoords='offset points', va='bottom' if low
+                  else 'top', color='0.35', fontsize='small', path_effects=HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')

@@ -4,16 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..maps.risk_map_file import npz_bytes
 from ..planning.few_routes import FewRoutes
 from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
 from ..planning.route_layers import lengths, strategy_tables
 from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ..planning.slots import SlotMixture
 from ..route_files import Drawn
 from .cli import Console, count, write_private
 from .console import percent, travel
@@ -57,23 +59,38 @@ class FewDrawn(Drawn):
         return few_figure(self)
 
 
-def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path) -> None:
-    """Write route sheets with mode 0600."""
+def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path | None,
+                 slots: Sequence[str], day: SlotMixture | None) -> None:
+    """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any.
+
+    Without a file of the map, each sheet gets one next to it, by ``map_beside``.
+    """
     few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
     start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
     routes = tuple(sheet_route(k, float(share), path, crs)
                    for k, (share, path) in enumerate(zip(few.shares, few.paths, strict=True), 1))
     game = drawn.strategy.game.options
-    sheet = RouteSheet(map_file.absolute(), crs, start, goal, tuple(stops), game.held_radius,
-                       game.ambush_radius, few.value, few.lower_bound, routes)
+    sheet = RouteSheet((map_file or Path()).absolute(), crs, start, goal, tuple(stops),
+                       game.held_radius, game.ambush_radius, few.value, few.lower_bound, routes)
+    if day:
+        sheet = replace(sheet, value=day.value, lower_bound=day.lower_bound,
+                        slots=tuple(zip(slots, day.shares.tolist(), strict=True)))
     for path in paths:
+        if map_file is None:
+            sheet = replace(sheet, map=map_beside(path).absolute())
+            write_private(path.parent, {sheet.map.name: npz_bytes(drawn.risk_map)})
         write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
+
+
+def map_beside(sheet: Path) -> Path:
+    """The map of a sheet that was planned on an elevation model."""
+    return sheet.with_name(f'{sheet.stem}_map.npz')
 
 
 def tell_few(plan: Plan, few: FewRoutes, console: Console) -> None:
     """Print the value and how to draw, and put all but the paths into the result."""
     draws, tube = random_draws(plan), plan.strategy.game.options.tube
-    price = few.value / few.lower_bound
+    price = float(few.value / few.lower_bound)
     below = (f'; it may be below, because the bound lets convoys stray {tube:.3g} m from their '
              'routes, and these are fixed') * (price < 1.0)
     console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.2f} times '

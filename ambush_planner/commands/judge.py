@@ -17,7 +17,7 @@ from ..figures import as_png
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track, read_tracks
-from ..planning.concerns import assumptions, concerns
+from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
@@ -87,7 +87,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.error('no track has a trip from start to goal')
         return cli.Exit.TOO_FEW
     with console.waiting('solving the game'), warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # the concerns tell more
+        warnings.simplefilter('ignore')  # rounding at values of 0
         habits = judge(risk_map, trips, options.planning)
     cli.write_private(output.parent, {output.name: as_png(judge_figure(habits, risk_map))})
     _tell(habits, risk_map, console)
@@ -95,7 +95,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.say(f'Warning: {text}.')
     console.line(f'{cli.place(output)}: secret, so only this user can read it.')
     console.result['picture'] = cli.place(output)
-    return cli.Exit.HOLDS
+    return cli.Exit.HOLDS if is_sound(habits.plan) else cli.Exit.FINDING
 
 
 def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:

@@ -25,7 +25,7 @@ _LEGEND = (
            markeredgewidth=2.0, color=AMBUSHER, label='worst place, and how far he reaches'),
     Line2D([], [], color=_HIT, linewidth=3.6, label='50 % of departures, hit there'),
     Line2D([], [], color=_CONVOY, linewidth=1.2, label='10 % of departures, not hit there'),
-    figures.SITES, figures.HELD_GROUND, figures.OBSTACLE,
+    figures.SITES, figures.HELD_GROUND, figures.OBSTACLE, figures.UNKNOWN,
 )
 
 

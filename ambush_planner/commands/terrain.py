@@ -35,7 +35,7 @@ seen, how close a person can come unseen, and slope. ambush_planner.maps has the
 A GeoTIFF in degrees is reprojected to its UTM zone, and the map keeps the coordinate system.
 
 It also writes MAP.pgm, in map_server's mode raw, a preview, MAP.png, and, if the coordinate system
-is known, a GeoTIFF, MAP.tif.
+is known, a GeoTIFF, MAP.tif, whose second band has the heights: pictures show the relief then.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
 
@@ -86,7 +86,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     files[-1].write_bytes(as_png(terrain_figure(elevation, ground)))
     if grid.crs:
         files.append(arguments.output.with_suffix('.tif'))
-        write_geotiff(files[-1], grid)
+        write_geotiff(files[-1], grid, ground.heights)
     console.line(_summary(ground))
     console.result = {'files': [cli.place(path) for path in files]}
     console.line(', '.join(console.result['files']))

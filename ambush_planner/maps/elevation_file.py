@@ -17,12 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from .coordinates import InvalidCoordinates, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
+
+HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
 
 
 def read_raster(path: Path, name: str = 'elevation', nearest: bool = False) -> Raster:
     """Read the array ``name`` of an .npz file, or the band of a GeoTIFF.
+
+    A risk map has its heights in a second band, if it has them.
 
     A GeoTIFF whose units are not metres on the ground (degrees, feet, Web Mercator) is reprojected
     to its UTM zone, by bilinear interpolation or, if ``nearest``, with the values of nearest cells.
@@ -85,7 +90,7 @@ def _read_geotiff(path: Path, nearest: bool) -> Raster:
 def _raster_of(path: Path, dataset: Any, nearest: bool) -> Raster:
     """The band of an open rasterio dataset, in metres."""
     _check_size(path, dataset)
-    if dataset.count != 1:
+    if dataset.count != 1 and not _has_heights(dataset):
         raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
                              'gdal_translate -b')
     if dataset.transform.is_identity:
@@ -116,9 +121,17 @@ def _band(path: Path, dataset: Any, crs: str | None) -> Raster:
     if grid.b or grid.d or grid.a <= 0.0 or grid.e >= 0.0:
         raise InvalidTerrain(f'{path}: rows must run from north to south and columns from west to '
                              'east; convert the raster with gdalwarp')
-    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
+    def read(band: int) -> FloatArray:
+        north_up = dataset.read(band, masked=True).astype(np.float64).filled(np.nan)
+        return np.asarray(north_up[::-1])
+
     corner = dataset.bounds.left, dataset.bounds.bottom
-    return Raster(north_up[::-1], -grid.e, grid.a, corner, crs)
+    heights = read(2).astype(np.float32) if _has_heights(dataset) else None
+    return Raster(read(1), -grid.e, grid.a, corner, crs, heights=heights)
+
+
+def _has_heights(dataset: Any) -> bool:
+    return bool(dataset.descriptions[1:] == (HEIGHTS,))
 
 
 def _check_size(path: Path, dataset: Any) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -20,8 +21,8 @@ from ..maps.track_file import Track
 from ..network.construction import build_network
 from .options import PlanningOptions
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan
-from .trip import plan_trip
+from .plan import Plan, make_plan
+from .solving import solve_on_network
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
@@ -67,13 +68,14 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     The plan's ``max_detour`` is that of the trips, at least ``MIN_DETOUR``. Raises InvalidOption if
     nobody can wait anywhere, and the errors of ``plan_trip`` and ``PathMixtures``.
     """
-    start, goal = trips[0].xy[[0, -1]]
+    begin, (start, goal) = time.monotonic(), trips[0].xy[[0, -1]]
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
     network = build_network(risk_map, start, goal, options.network)
     detour = max(mean / least_cost(network, network.lengths), MIN_DETOUR)
-    plan = plan_trip(risk_map, start, goal, replace(
-        options, strategy=replace(options.strategy, max_detour=detour)))
+    options = replace(options, strategy=replace(options.strategy, max_detour=detour))
+    strategy = solve_on_network(risk_map, network, options)
+    plan = make_plan(risk_map, strategy, options, begin)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('held ground covers everything around start and goal, so that nobody '
                             'can wait there: choose a smaller radius (--held)')

@@ -206,7 +206,7 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
         drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
         different = different_paths(corridors, drawn)
     return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
-                time.monotonic() - begin)
+                time.monotonic() - begin, risk_map=risk_map)
 
 
 def plan_corridors(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
