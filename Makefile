@@ -53,7 +53,7 @@ lint: $(VENV)/.test
 
 # A missed latency target does not stop the benchmarks that follow.
 benchmark: $(VENV)/.test
-	$(BIN)/python benchmarks/solver.py --peers
+	$(BIN)/python benchmarks/solver.py --early --changes 50 --peers
 	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/few.py
 	$(BIN)/python benchmarks/random_games.py --count 200

@@ -3,53 +3,68 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from .arrays import FloatArray
 from .errors import InvalidOption
-from .figures import WIDTH, as_png, draw_strategy
 from .game.strategy import Strategy
 from .maps.coordinates import WGS84, InvalidCoordinates
 from .maps.risk_map import RiskMap
 from .planning.plan import Plan
-from .planning.route_layers import route_table, strategy_tables
+from .planning.route_layers import line_table, lines_in_system, route_columns, strategy_tables
 from .recordings.durable_files import make_private_folders, write_durably
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _DEGREES_ONLY = ('.gpx', '.kml')
-SUFFIXES = ('.gpkg', '.geojson', *_DEGREES_ONLY, '.csv', '.png')
+# The libraries that each format needs.
+NEEDS: dict[str, tuple[str, ...]] = {
+    '.gpkg': ('geopandas', 'rasterio'), '.geojson': ('geopandas', 'rasterio'),
+    '.gpx': ('geopandas', 'gpxpy'), '.kml': ('geopandas',), '.csv': (), '.png': ('matplotlib',)}
+SUFFIXES = tuple(NEEDS)
 # Points of a GPX route that are nearer to the line through the others are left out [m].
 _STRAIGHT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``."""
+    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot."""
 
     strategy: Strategy
     risk_map: RiskMap
     paths: Sequence[FloatArray]
     times: Sequence[datetime]
+    slots: Sequence[str] = field(default=(), kw_only=True)
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """What files say of each route, by column."""
+        slots = {'slot': self.slots} if self.slots else {}
+        return {**route_columns(self.paths, self.times), **slots}
 
     @cached_property
     def routes(self) -> Any:
         """The table of routes."""
-        return route_table(self.paths, self.times, self.risk_map.crs)
+        return line_table(self.columns, self.paths, self.risk_map.crs)
 
     @property
     def names(self) -> list[str]:
-        """The departures by number."""
-        return [f'Departure {k}' for k in range(1, len(self.paths) + 1)]
+        """The departures by number, with their slots."""
+        slots = [f', {slot}' for slot in self.slots] or [''] * len(self.paths)
+        return [f'Departure {k}{slot}' for k, slot in enumerate(slots, start=1)]
 
     @cached_property
     def tables(self) -> Mapping[str, Any]:
@@ -58,6 +73,10 @@ class Drawn:
 
     def picture(self) -> Figure:
         """Draw map, strategy and routes."""
+        from matplotlib.figure import Figure
+
+        from .figures import WIDTH, draw_strategy
+
         figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
         draw_strategy(figure.subplots(), self.strategy, self.risk_map,
                       [path[:, :2] for path in self.paths])
@@ -96,7 +115,11 @@ def _content(path: Path, drawn: Drawn) -> bytes:
             f'{path}: {suffix[1:].upper()} holds latitude and longitude, but the coordinate system '
             "of the map is unknown; name it (--crs), or the robot's frame (--datum)")
     if suffix == '.png':
+        from .figures import as_png
+
         return as_png(drawn.picture())
+    if suffix == '.csv':
+        return _csv(drawn)
     if suffix == '.geojson':
         return _geojson(drawn.tables)
     if suffix == '.gpx':
@@ -108,11 +131,20 @@ def _content(path: Path, drawn: Drawn) -> bytes:
         if suffix == '.gpkg':
             for name, table in drawn.tables.items():
                 table.to_file(file, layer=name, driver='GPKG')
-        elif suffix == '.kml':
-            drawn.routes.assign(Name=drawn.names).to_crs(WGS84).to_file(file, driver='KML')
         else:
-            drawn.routes.to_file(file, driver='CSV', GEOMETRY='AS_WKT')
+            drawn.routes.assign(Name=drawn.names).to_crs(WGS84).to_file(file, driver='KML')
         return file.read_bytes()
+
+
+def _csv(drawn: Drawn) -> bytes:
+    columns, text = drawn.columns, io.StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow(['WKT', *columns])
+    for line, *row in zip(lines_in_system(drawn.paths, drawn.risk_map.crs), *columns.values(),
+                          strict=True):
+        corners = ','.join(f'{x:.4f} {y:.4f}' for x, y in line)
+        writer.writerow([f'LINESTRING ({corners})', *row])
+    return text.getvalue().encode()
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:

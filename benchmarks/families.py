@@ -28,7 +28,7 @@ DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
 CELLS_PER_NODE = 1.3, 6.0
-# Largest reach, as a share of the distance from start to goal: held ground leaves some ground.
+# Maximum reach, as a share of the distance from start to goal: held ground leaves some ground.
 MAX_REACH = 0.2
 
 Position = tuple[float, float]
@@ -44,8 +44,8 @@ class Problem:
     words: str
 
 
-def draw(name: str) -> Problem:
-    """The problem ``kind:family:nodes:seed``."""
+def draw(name: str, time_limit: float = math.inf) -> Problem:
+    """The problem ``kind:family:nodes:seed``, within a time limit [s]."""
     kind, family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
     fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
@@ -63,7 +63,8 @@ def draw(name: str) -> Problem:
                          secured_radius=None if held < 0.0 else held * spacing,
                          ambushers=2 if kind == 'two' else 1),
         strategy=StrategyOptions(max_detour=detour,
-                                 max_exposure=1.1 if kind == 'budgets' else math.inf),
+                                 max_exposure=1.1 if kind == 'budgets' else math.inf,
+                                 time_limit=time_limit),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '

@@ -19,6 +19,7 @@ from report import conditions, publish, quantiles, table
 from ambush_planner import AmbushPlannerError, plan_trip
 from ambush_planner.planning.few_routes import CURVE, few_routes
 
+# Minimum and maximum number of nodes to aim for.
 MIN_NODES, MAX_NODES = 400, 1000
 
 

@@ -136,10 +136,10 @@ class Robot:
     def _step(self, seconds: float) -> None:
         """Drive or turn for some time, to a place ahead on the path."""
         least, most, ahead = LOOKAHEAD
-        gaps = np.hypot(*(self.path - self.place).T)
-        nearest = int(gaps.argmin())
+        away = np.hypot(*(self.path - self.place).T)
+        nearest = int(away.argmin())
         self.path = self.path[nearest:]
-        beyond = np.flatnonzero(gaps[nearest:] >= np.clip(self._speed * ahead, least, most))
+        beyond = np.flatnonzero(away[nearest:] >= np.clip(self._speed * ahead, least, most))
         aim = self.path[int(beyond[0]) if len(beyond) else -1] - self.place
         if (distance := float(np.hypot(*aim))) < 1e-3 or self._blocked():
             return

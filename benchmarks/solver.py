@@ -13,6 +13,7 @@ import subprocess
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from ambush_planner import (
     AmbushPlannerError,
     Network,
     Plan,
+    RiskMap,
     Strategy,
     TimeLimit,
     plan_trip,
@@ -39,15 +41,18 @@ SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds
 PLACES = 500, 2500  # smallest and largest number of places of a trip
 TRIP_FAMILIES = ('hills-coarse', 'hills-obstacles', 'hills-fine', 'city', 'maze')
 WITHIN = 0.0101  # gap that counts as closed, for a slack of 0.01
+USABLE = 0.1  # gap of a first strategy
+EARLY = 1 / 3  # its time limit, as a share of the median of its size
 SHIFT = 1.0  # s, of the geometric means
 SAME_VALUE = 1e-5  # relative difference by which HiGHS' value may be outside bound and value
 # There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
 REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlocked'
+OBSTACLE = 3  # cells along a side of what appears on the map
 
 
-def planned(name: str) -> Answer:
-    """A plan."""
-    problem = draw(name)
+def planned(name: str, time_limit: float = math.inf) -> Answer:
+    """A plan within a time limit [s]."""
+    problem = draw(name, time_limit)
     return timed(problem, lambda: planned_on(problem).strategy)
 
 
@@ -79,10 +84,10 @@ def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
             'nats': strategy.route_entropy, 'nodes': len(strategy.network.points)}
 
 
-def planned_on(problem: Problem) -> Plan:
+def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Plan:
     scenario = problem.scenario
-    return plan_trip(scenario.risk_map, scenario.start, scenario.goal, problem.options,
-                     stops=problem.stops)
+    return plan_trip(risk_map or scenario.risk_map, scenario.start, scenario.goal, problem.options,
+                     stops=problem.stops, **options)
 
 
 def refused(error: AmbushPlannerError) -> Answer:
@@ -108,6 +113,37 @@ def losses_at_nodes(network: Network, held: float) -> csr_matrix:
     loss: FloatArray = np.where((apart > held).all(axis=1), network.alpha, 0.0)[network.heads]
     edge = np.arange(len(loss))
     return csr_matrix((loss, (network.heads, edge)), (len(network.points), len(loss)))
+
+
+def replanned(name: str, changes: int) -> Answer:
+    """Plans on maps on which an obstacle is somewhere else each time, each from the one before."""
+    from ambush_planner.planning.solving import WarmStart  # not public, so only where it is used
+
+    problem, rng, warm = draw(name), np.random.default_rng(changes), None
+    seconds, gaps, risk_map = [], [], problem.scenario.risk_map
+    while len(seconds) <= changes:
+        begin = time.process_time()
+        try:
+            plan = planned_on(problem, risk_map, warm=warm)
+        except AmbushPlannerError as error:
+            if not seconds:
+                return refused(error)
+        else:
+            seconds.append(time.process_time() - begin)
+            gaps.append(gap_of(plan.strategy))
+            multipliers = plan.strategy.multipliers
+            warm = WarmStart(plan.network, multipliers) if multipliers else None
+        risk_map = changed(problem.scenario.risk_map, rng)  # may close the only way
+    return {'seconds': sum(seconds), 'status': 'solved', 'cold': seconds[0], 'warm': seconds[1:],
+            'gaps': gaps[1:]}
+
+
+def changed(risk_map: RiskMap, rng: np.random.Generator) -> RiskMap:
+    """The map with an obstacle on ground that was free."""
+    row, column = rng.choice(np.argwhere(~risk_map.obstacles))
+    obstacles = risk_map.obstacles.copy()
+    obstacles[row : row + OBSTACLE, column : column + OBSTACLE] = True
+    return replace(risk_map, obstacles=obstacles)
 
 
 def names_of(kind: str, sizes: list[int] | None, seeds: range,
@@ -141,6 +177,23 @@ def measure(name: str, checkout: Path, options: Any) -> Answer:
     return ours
 
 
+def first_strategies(rows: list[Answer], checkout: Path, options: Any) -> None:
+    """Plan again within a share of the median time; the answers are added to their rows."""
+    solved = [row for row in rows if 'failed' not in row]
+    soon = EARLY * float(np.median([row['seconds'] for row in solved])) if solved else math.nan
+    for row in solved:
+        row['early'] = run('solver.planned', row['name'], options.limit, checkout,
+                           time_limit=soon)
+
+
+def after_changes(rows: list[Answer], checkout: Path, options: Any) -> None:
+    """Plan again on changed maps, ``--changes`` of them on all problems of a size together."""
+    solved = [row for row in rows if 'failed' not in row]
+    for row in solved:
+        row['replanned'] = run('solver.replanned', row['name'], 4.0 * options.limit, checkout,
+                               changes=math.ceil(options.changes / len(solved)))
+
+
 def summary(label: str, rows: list[Answer]) -> dict[str, str]:
     """The figures of one row of the table; a problem that did not end counts with the limit."""
     asked = [row for row in rows if 'failed' not in row or row['status'] not in REFUSED]
@@ -163,6 +216,19 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
         'the slowest': f"`{worst['name']}` {worst.get('words', worst['status'])}",
         '% of the time': ', '.join(f'{m} {share * s:.0f}' for m, s in modules.most_common(5)),
     }
+    early = [row['early'] for row in solved if 'early' in row]
+    if early:
+        usable = np.mean([answer.get('gap', math.inf) <= USABLE for answer in early])
+        found['10 % gap after a third of the median'] = f'{usable:.0%}'
+    again = [row['replanned'] for row in solved if 'replanned' in row]
+    ended = [answer for answer in again if 'warm' in answer]
+    if ended:
+        warm = [second for answer in ended for second in answer['warm']]
+        found['changed map: median / 95 % / worst'] = quantiles(warm)
+        gaps = [100.0 * gap for answer in ended for gap in answer['gaps']]
+        found['gap then [%]'] = quantiles(gaps)
+    if again:
+        found['not ended then'] = str(len(again) - len(ended))
     theirs = [row['peer']['seconds'] for row in solved if 'peer' in row]
     if theirs:
         ours = [row['seconds'] for row in solved if 'peer' in row]
@@ -184,6 +250,9 @@ def main() -> None:
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
     parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plan and nodes')
     parser.add_argument('--checkout', type=Path, nargs='+', default=[HERE], metavar='FOLDER')
+    parser.add_argument('--early', action='store_true',
+                        help='plan again within a third of the median time, on an idle machine')
+    parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
     parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
     options = parser.parse_args()
     first, sections = options.seed, []
@@ -194,7 +263,11 @@ def main() -> None:
             for name in names:
                 for own, checkout in zip(rows, options.checkout, strict=True):
                     own.append(measure(name, checkout, options))
-            for own, label in zip(rows, labels, strict=True):
+            for own, checkout, label in zip(rows, options.checkout, labels, strict=True):
+                if options.early and kind == 'plan':
+                    first_strategies(own, checkout, options)
+                if options.changes and kind == 'plan':
+                    after_changes(own, checkout, options)
                 where = f'{kind} {size or ""}'.strip()
                 sections.append(summary(f'{where}, {label}' if len(labels) > 1 else where, own))
     head = list(dict.fromkeys(key for row in sections for key in row))

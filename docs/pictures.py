@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import re
 import shutil
 import subprocess
@@ -47,6 +48,7 @@ TUTORIAL = ('--start', '4', '20', '--goal', '56', '20', '--set', 'game.ambush_ra
 # The paper's pictures that docs/paper.md shows, by their names in out/paper.
 PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
          'figure_7_threshold': 'figure_7'}
+YARD = ('judge', 'hold')
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
@@ -125,10 +127,10 @@ class Panel:
 
     def night(self, route: IndexArray, row: int, limit: str) -> None:
         """Count the day's loss, and keep the route as a thin line."""
-        met = (self.game.hits[[row]] @ route_strategy(self.game.network, route))[0] > 0.0
+        hit = (self.game.hits[[row]] @ route_strategy(self.game.network, route))[0] > 0.0
         site = self.game.sites[row]
-        self.losses.append(float(self.game.loss[site]) if met else 0.0)
-        if met:
+        self.losses.append(float(self.game.loss[site]) if hit else 0.0)
+        if hit:
             self.hit.set_offsets(self.points[site])
             self.name.set_text('ambushed')
         self.axes.plot(*self.points[route].T, color=PROBABILITY[1], linewidth=0.9, alpha=0.6,
@@ -139,7 +141,7 @@ class Panel:
 
 
 def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
-    """The same route met every day, next to drawn routes and the ambusher who plays best.
+    """The same route ambushed every day, next to drawn routes and the ambusher who plays best.
 
     Both panels use the game's own hits; the routes and the ambusher's places come from seed 1.
     """
@@ -148,12 +150,14 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     left, right = (
         Panel(axes, demo, title) for axes, title in zip(figure.subplots(1, 2), (
             'The shortest route, every day\nThe ambusher waits at its worst place',
-            'A route drawn for every departure\nThe ambusher knows all but the draw',
+            'A random route for every departure\nThe ambusher knows all but the next route',
         ), strict=True)
     )
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
     figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle.\n'
                      'Dashed: held ground, where nobody can wait.', fontsize=9)
+    figure.draw_without_rendering()
+    figure.set_layout_engine('none')  # labels near the edge would move the panels
     same = energy_efficient_route(chosen.game)
     worst = int(largest_losses(chosen.game, route_strategy(chosen.network, same))[1][0])
     q = chosen.ambush_probability[chosen.game.sites]
@@ -194,18 +198,23 @@ def tutorial(folder: Path) -> None:
             shutil.copyfile(f'{place}/{name}.png', folder / f'tutorial_{name}.png')
 
 
-def judge(folder: Path) -> None:
-    """What the command of docs/gis.md draws of tracks in the yard."""
-    line = re.search(r'(?m)^ambush (judge .*) -o', (DOCS / 'gis.md').read_text())[1]
-    subprocess.run([Path(sys.executable).with_name('ambush'), *line.split(), '-o',
-                    folder / 'judge.png'], cwd=DOCS.parent, check=True)
+def yard(folder: Path, name: str) -> None:
+    """What the commands of docs/operations.md draw that write a picture of that name."""
+    blocks = re.findall(r'(?ms)^```sh\n(.*?)^```$', (DOCS / 'operations.md').read_text())
+    script = next(block for block in blocks if f'-o {name}.png' in block)
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
+    with TemporaryDirectory() as place:
+        Path(place, 'docs').symlink_to(DOCS)
+        subprocess.run(['bash', '-ec', script], cwd=place, env={**os.environ, 'PATH': path},
+                       check=True)
+        shutil.copyfile(f'{place}/{name}.png', folder / f'{name}.png')
 
 
 def main() -> None:
     """Draw the named pictures, or all."""
     still = {'strategy': strategy, 'routes': routes, 'trip': trip}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'judge',
+    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', *YARD,
                                                     'paper'])
     parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
     options = parser.parse_args()
@@ -216,8 +225,10 @@ def main() -> None:
             (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp')
-        elif name in ('tutorial', 'judge'):
-            {'tutorial': tutorial, 'judge': judge}[name](folder)
+        elif name == 'tutorial':
+            tutorial(folder)
+        elif name in YARD:
+            yard(folder, name)
         else:
             for drawn, shown in PAPER.items():
                 shutil.copyfile(f'out/paper/{drawn}.png', folder / f'paper_{shown}.png')

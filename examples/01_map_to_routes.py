@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ambush_planner import GameOptions, PlanningOptions, plan_trip
-from ambush_planner.maps.risk_map_file import read_risk_map
+from ambush_planner import GameOptions, PlanningOptions, plan_trip, read_risk_map
 
 risk_map = read_risk_map(Path(__file__).parents[1] / 'docs/yard.yaml')
 # An ambush reaches 2 m; by default, nobody can wait that near to start and goal.

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ambush_planner import GameOptions, PlanningOptions, plan_trip
-from ambush_planner.maps.risk_map_file import read_risk_map
+from ambush_planner import GameOptions, PlanningOptions, plan_trip, read_risk_map
 
 REACH = 2.0  # [m]
 # Corners of tracks: two of three days through the gate in the middle, else the northern one.

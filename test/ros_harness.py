@@ -233,7 +233,7 @@ def stage(directory=None, parameters=None, domain=None, **planner_arguments):
         domain = stack.enter_context(free_domain()) if domain is None else domain
         own, other = (stack.enter_context(ros_context(domain)) for _ in range(2))
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
-        stack.enter_context(mock.patch.object(dispatcher, '_SHUTDOWN_TIME', TIMEOUT))
+        stack.enter_context(mock.patch.object(dispatcher, '_MAX_SHUTDOWN', TIMEOUT))
         planner = PlannerNode(context=own, parameter_overrides=overrides, **planner_arguments)
         stack.enter_context(spinning(planner, SingleThreadedExecutor(context=own)))
         node = Node('client', context=other, namespace=planner.get_namespace())

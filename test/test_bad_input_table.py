@@ -175,8 +175,8 @@ ROWS = {
     'orientation not a unit quaternion': plans(
         (turned(w=0.0), pose(*GOAL), 'start: orientation')),
     'start or goal outside the map': plans(
-        (pose(-1, 5), pose(*GOAL), 'start (-1.000, 5.000) is outside the map, which is 10 m x'),
-        (pose(*START), pose(5, 11), 'goal (5.000, 11.000) is outside the map, which is 10 m x')),
+        (pose(-1, 5), pose(*GOAL), 'start (-1.000, 5.000) is outside the map, which has x from 0'),
+        (pose(*START), pose(5, 11), 'goal (5.000, 11.000) is outside the map, which has x from 0')),
     'start or goal in an obstacle': plans(
         (pose(*BLOCK), pose(*GOAL), 'start (5.000, 5.500) lies in an obstacle'),
         (pose(*START), pose(*BLOCK), 'goal (5.000, 5.500) lies in an obstacle')),

@@ -22,7 +22,7 @@ SCRIPTS = {
     'random_games': '--first 57 --count 1',
     'routes': '--maps maze --departures 2 --nodes 300',
     'solver': '--kinds plan nodes --sizes 100 --each 1 --families gates --seed 1 --limit 60 '
-              '--peers',
+              '--early --changes 1 --peers',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',

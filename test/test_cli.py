@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,8 +48,27 @@ def test_missing_package_is_named(missing, tmp_path):
         f'from ambush_planner.commands import cli\nsys.exit(cli.main(["demo", "-o", "{tmp_path}"]))'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 3 and f'{missing} is not installed; try: pip install' in done.stderr
-    assert 'Traceback' not in done.stderr
+    extra = {'rclpy': 'jazzy', 'matplotlib': 'figures'}[missing]
+    assert done.returncode == 2 and done.stderr.endswith(
+        f"{missing} is not installed: pip install 'ambush_planner[{extra}]'\n")
+
+
+def test_a_table_of_routes_needs_no_extra_and_other_files_name_all(tmp_path):
+    """Extras are missed before anything is solved, in one line."""
+    yard = Path(__file__).resolve().parent.parent / 'docs/yard.yaml'
+    run = (f"cli.main(['plan', '{yard}', *'--start 4 20 --goal 56 20 --set network.spacing=2'"
+           '.split(), "-o", *sys.argv[1:]])')
+    hidden = ('geopandas', 'gpxpy', 'matplotlib', 'pyproj', 'rasterio', 'shapely')
+    code = (f'import sys\nsys.modules |= dict.fromkeys({hidden})\n'
+            f'from ambush_planner.commands import cli\nsys.exit({run})')
+    for files, returned, words in (
+        (['r.csv'], 0, ''),
+        (['r.png', 'r.gpx'], 2, "pip install 'ambush_planner[figures,gis]'\n"),
+    ):
+        done = subprocess.run([sys.executable, '-c', code, *files], capture_output=True, text=True,
+                              timeout=60, cwd=tmp_path)
+        assert done.returncode == returned and done.stderr.endswith(words), done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ['r.csv']
 
 
 def test_broken_pipe_is_silent(tmp_path):

@@ -46,4 +46,4 @@ def test_names_a_passage_far_from_the_ends():
     wall[:, 15] = True
     wall[9:11, 15] = False
     (text,) = concerns(plan(2.0, None, obstacles=wall))
-    assert text.startswith('one place meets every route, ') and 'hold' not in text
+    assert text.startswith('one place hits every route, ') and 'hold' not in text

@@ -254,7 +254,7 @@ def test_no_route_names_both_ends_and_the_spacing(method):
     ((101, 51), (105, 51), GoalBlocked, r'goal \(105\.000, 51\.000\)'),
     ((104, 51), (101, 51), StartBlocked, r'start \(104\.000'),  # on the obstacle's rim
     ((103.5, 51), (101, 59), StartBlocked, r'clearance 1 m'),
-    ((99, 51), (101, 51), StartOutsideMap, r'start \(99\.000.*10 m x 10 m'),
+    ((99, 51), (101, 51), StartOutsideMap, r'start \(99\.000.*x from 100 to 110'),
     ((101, 51), (101, 61), GoalOutsideMap, r'goal \(101\.000, 61\.000\)'),
     ((np.nan, 51), (101, 51), StartBlocked, 'start'),
     ((101, 51), (np.inf, 51), GoalBlocked, 'goal'),

@@ -167,7 +167,7 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
 def test_a_costmap_has_obstacles_from_99_on():
     values = FLAT.copy()
     values[4:16, 8:12] = 99
-    presets = (('alpha', True, 'mean loss'), ('costmap', False, 'chance to be met'),
+    presets = (('alpha', True, 'mean loss'), ('costmap', False, 'probability of being hit'),
                ('costmap_risk', False, 'mean loss'))
     for preset, crosses, meaning in presets:
         with stage(parameters={'map.preset': preset}) as running:

@@ -110,7 +110,7 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
 @pytest.mark.parametrize(('name', 'arguments', 'reason'), [
     ('map.yaml', ('--detour', '0.5'), 'max_detour'),
     ('map.yaml', ('--detours', '0.5'), 'max_detour'),
-    ('map.yaml', ('--goal', '95', '95'), 'goal'), ('map.yaml', ('-o', 'f.png'), '.csv'),
+    ('map.yaml', ('--goal', '95', '95'), 'one position'), ('map.yaml', ('-o', 'f.png'), '.csv'),
     ('half.npz', (), "no 'obstacles'"), ('no.npz', (), 'no.npz'), ('not', (), 'not'),
 ])
 def test_bad_input_ends_with_one_line(map_file, tmp_path, name, arguments, reason):

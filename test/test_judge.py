@@ -70,7 +70,7 @@ def test_habits_cost_at_least_their_best_shares_and_about_the_bound(seed):
 def test_the_interval_is_that_of_drawn_resamples():
     trips, _ = find(tracks_of(habit(2)))
     found, rng = judge(ground(), trips, OPTIONS), np.random.default_rng(0)
-    losses = found.driven.met * found.driven.value / found.driven.met.mean()
+    losses = found.driven.hit * found.driven.value / found.driven.hit.mean()
     means = rng.choice(losses, (20_000, len(trips))).mean(axis=1)
     assert found.interval == pytest.approx(np.quantile(means, (0.025, 0.975)), rel=1e-9)
 
@@ -104,7 +104,7 @@ def test_a_track_of_a_day_has_several_trips():
     ([LINE + (0.0, 9.0)], 'track 1 never comes within 2.6 m of the start'),
     ([LINE[:9]], 'track 1 never comes within 2.6 m of the goal'),
     ([LINE[::-1]], 'track 1 leads from the goal to the start'),
-    ([np.delete(LINE, np.s_[5:14], axis=0)], 'track 1 has a gap of 2'),
+    ([np.delete(LINE, np.s_[5:14], axis=0)], 'track 1 has a jump of 2'),
     ([LINE, LINE], 'track 2 is a copy of track 1'),
 ])
 def test_tracks_that_are_left_out_are_named_with_the_reason(tracks, reason):
@@ -223,6 +223,15 @@ def test_a_file_is_judged_like_its_arrays(map_file, tmp_path):
     np.testing.assert_allclose(at, result['driven']['worst_xy'], atol=0.2)
     assert (tmp_path / 'judge.png').read_bytes().startswith(b'\x89PNG')
     assert (tmp_path / 'judge.png').stat().st_mode & 0o077 == 0
+
+
+def test_a_value_of_0_is_a_finding(map_file, tmp_path):
+    alpha = np.zeros((40, 60))
+    alpha[:2, 28:32] = 1.0  # south of the wall
+    np.savez(tmp_path / 'map.npz', **{**map_file, 'alpha': alpha})
+    (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y}\n' for x, y in LINE))
+    done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *QUICK)
+    assert done.code == 1 and 'Warning: the value is 0' in done.err
 
 
 def test_recordings_are_judged(tmp_path):

@@ -132,7 +132,7 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
             report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
             assert 'the disk does not respond' in report['message']
             # Nobody waits any more: this would not be answered in time.
-            monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
+            monkeypatch.setattr(recordings_module, '_MAX_WAIT', 10 * TIMEOUT)
             for _ in range(5):
                 departs(client)
         finally:

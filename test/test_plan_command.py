@@ -22,8 +22,16 @@ import shapely
 from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
 from pyproj import CRS, Geod, Transformer
 
-from ambush_planner import InvalidOption, NetworkOptions, PlanningOptions, RiskMap, plan_trip
-from ambush_planner.commands import draw, export, plan, terrain
+from ambush_planner import (
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    plan_trip,
+    read_risk_map,
+    risk_from_terrain,
+)
+from ambush_planner.commands import card, draw, export, plan, terrain
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.planning.route_sheet import read_route_sheet
@@ -85,6 +93,9 @@ def test_the_whole_chain_is_exact_to_a_centimetre(tmp_path, latitude, longitude,
         done = run_here(terrain, dem, '-o', tmp_path / 'map.yaml', *options[1:])
         assert done.code == 0 and f'EPSG:{zone}' in done.err, done.err
         dem, options = tmp_path / f'map.{way}', []
+        relief = read_risk_map(dem).heights
+        assert (relief is None) == (way == 'yaml')
+        assert relief is None or 65.0 < np.nanmin(relief) < 75.0 < 130.0 < np.nanmax(relief) < 135.0
     done = run_here(plan, dem, *options, '-n', 3, '--json', '-o', *(tmp_path / f for f in FILES),
                     '--set', 'network.spacing=400',
                     '--start', '{:.9f},{:.9f}'.format(*ends[0]),
@@ -186,6 +197,57 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     assert re.fullmatch(r'route \d\n', run_here(draw, tmp_path / 'r.json').out)
 
 
+SLOTS = ('--slots', '8:00', '09:30', '11:00', '--window', 2)
+
+
+def test_departures_have_slots_and_files_name_them(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, '--crs', 'EPSG:32616', '-n', 40, *SLOTS, '--json', '-o',
+                    *(tmp_path / name for name in FILES))
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    slots = result['slots']
+    assert set(result) == documented_keys(plan) and slots['shares'] == {
+        '08:00': pytest.approx(0.5), '09:30': 0.0, '11:00': pytest.approx(0.5)}
+    for name in ('value', 'lower_bound'):
+        assert slots[name] == pytest.approx(result[name] / 2.0)
+    assert set(slots['drawn']) == {'08:00', '11:00'} and len(slots['drawn']) == 40
+    assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
+    assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']
+    names = [f'Departure {k}, {slot}' for k, slot in enumerate(slots['drawn'], start=1)]
+    assert list(geopandas.read_file(tmp_path / 'r.kml')['Name']) == names
+    gpx = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text()))
+    assert [track.name for track in gpx.tracks] == names
+
+
+def test_a_sheet_draws_a_slot_too(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, *FEW, 2, *SLOTS, '-o', tmp_path / 'r.json')
+    assert done.code == 0 and 'slots           08:00 50 %, 09:30 0 %, 11:00 50 %' in done.out
+    sheet, joint = read_route_sheet(tmp_path / 'r.json'), re.search(
+        'joint value ([.0-9]+), lower bound ([.0-9]+)', done.out)
+    assert [slot for slot, _ in sheet.slots] == ['08:00', '09:30', '11:00']
+    assert (sheet.value, sheet.lower_bound) == pytest.approx([*map(float, joint.groups())],
+                                                             rel=1e-3)
+    assert re.fullmatch(r'route \d, (08:00|11:00)\n', run_here(draw, tmp_path / 'r.json').out)
+
+
+def test_a_sheet_from_an_elevation_model_has_its_risk_map_beside(tmp_path):
+    dem, sheet = write_dem(tmp_path / 'dem.tif', 36.5, -84.3), tmp_path / 'r.json'
+    done = run_here(plan, dem, '--terrain', '--resolution', 90, '--start', '36.52,-84.288',
+                    '--goal', '36.533,-84.262', '--reach', 300, '--set', 'network.spacing=400',
+                    '--routes', 2, '-o', sheet, '--json')
+    assert done.code == 0, done.err
+    assert [name.rpartition('/')[2] for name in json.loads(done.out)['files']] == [
+        'r.json', 'r_map.npz']
+    made = read_risk_map(read_route_sheet(sheet).map)
+    expected = risk_from_terrain(dem, resolution=90.0)
+    for name in ('alpha', 'obstacles', 'unknown', 'heights'):
+        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
+    assert (made.resolution, made.origin, made.crs) == (
+        expected.resolution, expected.origin, expected.crs)
+    done = run_here(card, sheet, '--route', 1, '--speed', 20, '-o', tmp_path / 'card.html')
+    assert done.code == 0, done.err
+
+
 def test_equal_shares_are_a_die(plain, tmp_path):
     done = run_here(plan, plain, *ENDS, *FEW, 6, '--equal', '-o', tmp_path / 'r.png')
     assert done.code == 0, done.err
@@ -217,16 +279,18 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
 
 
 @pytest.mark.parametrize(('arguments', 'code', 'reason'), [
-    (('--start', '36.5,-84.2'), 3, '36.5,-84.2 is a latitude and longitude, but the coordinate '
+    (('--start', '36.5,-84.2'), 2, '36.5,-84.2 is a latitude and longitude, but the coordinate '
                                    'system of the map is unknown'),
     (('--start', 5000, 5), 2, r'start \(5000.000, 5.000\) is outside the map'),
-    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 2, 'outside the map.* spans latitudes'),
-    (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 3, 'the unit of a map must be the metre'),
-    (('--crs', 'EPSG:99'), 3, "not a coordinate system: 'EPSG:99'"),
-    (('--start', 0, 50), 2, 'start .* lies in an obstacle'),
-    (('-o', 'r.gpx'), 3, 'GPX holds latitude and longitude, but'),
+    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 2, r'36.6,-84.2 is outside .*\(latitude'),
+    (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 2, 'the unit of a map must be the metre'),
+    (('--crs', 'EPSG:99'), 2, "not a coordinate system: 'EPSG:99'"),
+    (('--start', 0, 50), 2, r'start .* lies in an obstacle; move it to \(-?\d'),
+    (('--set', 'max_planning_time=5'), 2, 'strategy.time_limit'),
+    (('--set', 'game.ambush_radius=far'), 2, "game.ambush_radius must be a number, got 'far'"),
+    (('-o', 'r.gpx'), 2, 'GPX holds latitude and longitude, but'),
     (('-o', 'r.shp'), 2, 'suffix must be one of .gpkg'),
-    (('--start', 'here'), 2, r"--start: must be X Y \[m\] or LAT,LON \[degrees\], got 'here'"),
+    (('--start', 'here'), 2, r"--start: must be X Y .*LAT,LON .*MGRS.* got 'here'"),
     (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
     (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
@@ -235,6 +299,9 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
     (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
     (('--equal',), 2, '--equal needs --routes K'),
+    (('--window', 2), 2, '--window needs --slots HH:MM'),
+    (('--slots', '8:00', '7:00'), 2, 'slots must go forwards in time, but 07:00 follows 08:00'),
+    (('--slots', 'noon'), 2, "slots must be times HH:MM, got 'noon'"),
     (('-o', 'r.json'), 2, 'r.json: only --routes K writes such a file'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
@@ -248,6 +315,33 @@ def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch,
     done = run_here(plan, plain, *(() if '-o' in arguments else ('-o', 'r.geojson')), *arguments)
     assert done.code == code and re.search(reason, done.err), done.err
     assert 'Traceback' not in done.err and sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize('start', ['18.5,-33.95', '33.95,18.5', '-18.5,33.95'])
+def test_latitude_and_longitude_of_another_order_or_sign_get_a_hint(plain, tmp_path, start):
+    datum = ('--datum', -33.95, 18.5, 0)
+    done = run_here(plan, plain, '--start', start, *ENDS[3:], *datum, '-o', tmp_path / 'r.csv')
+    assert done.code == 2 and 'did you mean -33.95,18.5?' in done.err, done.err
+    assert done.err.count('\n') == 1
+
+
+def test_a_position_can_be_an_mgrs_reference(tmp_path):
+    grid = OccupancyMap(np.full((40, 40), 20), 10.0, (734800.0, 4046900.0, 0.0), 'EPSG:32616')
+    write_map(tmp_path / 'm.yaml', grid)
+    done = run_here(plan, tmp_path / 'm.yaml', '--start', '16S', 'GF', '34950', '47050', '--goal',
+                    '16SGF3510047150', '-o', tmp_path / 'r.csv')
+    assert done.code == 0, done.err
+    first = (tmp_path / 'r.csv').read_text().splitlines()[1]
+    x, y = map(float, re.search(r'\((\S+) ([^,]+)', first).groups())
+    assert (x, y) == pytest.approx((734950.0, 4047050.0), abs=1.0)
+
+
+def test_a_file_that_exists_is_named_when_it_is_overwritten(plain, tmp_path):
+    files = [tmp_path / name for name in ('r.csv', 'r.geojson')]
+    files[0].write_text('precious')
+    done = run_here(plan, plain, *ENDS, '-o', *files)
+    named = [file for file in files if f'{file} is overwritten' in done.err]
+    assert done.code == 0 and named == files[:1]
 
 
 def test_recorded_departures_are_exported(tmp_path):

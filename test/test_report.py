@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 from test_driven_certificate import dense
 
 from ambush_planner.commands import console, report, report_words
+from ambush_planner.game.spotter import worst_spotter
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.recordings import recordings_in
@@ -113,8 +114,9 @@ def test_the_numbers_are_those_of_the_strategy(made):
              *(cell for row in report_words.measures(strategy) for cell in row)]
     assert all(text in page.text for text in texts)
     assert f'{rows["energy_efficient"].v_repeated:.3g}' in report_words.tiles(section)[0][1]
-    assert f'{strategy.value:.3g}' in texts[0] and f'{strategy.lower_bound:.3g}' in texts[1]
-    assert 'At whichever node' in texts[0] and 'within 40 m of start and goal' in texts[2]
+    assert f'{strategy.value:.3g}' in texts[0] and f'{strategy.lower_bound:.3g}' in texts[2]
+    assert 'At whichever node' in texts[0] and 'within 40 m of start and goal' in texts[3]
+    assert f'the mean loss to {worst_spotter(strategy).loss:.3g}, ' in texts[1]
 
 
 @pytest.mark.parametrize(('metres', 'said'), [

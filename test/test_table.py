@@ -81,7 +81,7 @@ def test_options_have_the_names_of_parameters():
     assert options.network == NetworkOptions(method='uniform_grid8', spacing=10.0, target_nodes=99)
     for assignment, reason in (('network.spacing', 'network.spacing=VALUE'),
                                ('spacing=3', 'did you mean'),
-                               ('network.target_nodes=2.5', 'of type int'),
+                               ('network.target_nodes=2.5', 'a whole number'),
                                ('strategy.max_detour=0.5', 'max_detour')):
         with pytest.raises(InvalidOption, match=reason):
             options_of([assignment])

@@ -186,7 +186,7 @@ def test_the_command_says_what_is_wrong(tmp_path):
     pytest.importorskip('matplotlib', reason='the preview takes the extra "figures"')
     dem = save(tmp_path / 'dem.npz', elevation=np.zeros((9, 9)), resolution=500.0)
     for arguments, code, reason in (
-        ((tmp_path / 'no.npz', '-o', tmp_path / 'm.yaml'), 3, 'No such file'),
+        ((tmp_path / 'no.npz', '-o', tmp_path / 'm.yaml'), 3, 'no.npz: No such file'),
         ((dem, '-o', tmp_path / 'm.yaml'), 3, 'weapon range'),
         ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), 2, '.yaml'),
     ):

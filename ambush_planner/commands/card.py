@@ -35,20 +35,14 @@ def parser() -> argparse.ArgumentParser:
                           EPILOG)
     made.add_argument('departure', type=Path, metavar='FILE', help='a recording, or few routes')
     made.add_argument('--route', type=int, metavar='NUMBER', help='the route in a .json FILE')
-    made.add_argument('-o', '--output', type=_page, required=True, metavar='CARD.html',
-                      help='the page to write')
+    made.add_argument('-o', '--output', type=cli.file_of('.html'), required=True,
+                      metavar='CARD.html', help='the page to write')
     made.add_argument('--speed', type=cli.number(0.01, 1000.0), required=True, metavar='KM/H',
                       help='mean speed')
     made.add_argument('--start-time', type=_time, metavar='HH:MM',
                       help='when the convoy leaves (default: times are minutes from departure)')
     add_crs(made)
     return made
-
-
-def _page(text: str) -> Path:
-    if Path(text).suffix != '.html':
-        raise argparse.ArgumentTypeError(f'{text}: its suffix must be .html')
-    return Path(text)
 
 
 def _time(text: str) -> datetime:

@@ -28,8 +28,10 @@ from .console import distance, rounded
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
 _KILOMETRES = 2000.0
-# Margin around the route on the map, and the map's shorter side, as shares of the longer one.
-_MARGIN, _MIN_SIDE = 0.12, 0.7
+# Margin around the route on the map, as a share of the map's longer side.
+_MARGIN = 0.12
+# Minimum of the map's shorter side, as a share of the longer one.
+_MIN_SIDE = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +133,9 @@ def _notes(card: Card) -> list[str]:
         ('true north; a compass differs by the local declination',
          ' Positions are WGS 84; N or S after the UTM zone is the hemisphere.')
         if card.risk_map.crs else ("the map's y axis", ''))
-    return [held, 'On the map, the darker the ground, the more dangerous it is; black: obstacles.',
+    colour = 'darker' if card.risk_map.heights is None else 'browner'
+    return [held,
+            f'On the map, the {colour} the ground, the more dangerous it is; black: obstacles.',
             f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
             f'follow the path.{systems}']
 

@@ -14,25 +14,27 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from .. import __version__
 from ..errors import (
     AmbushPlannerError,
     BudgetInfeasible,
     GoalBlocked,
+    InvalidNetwork,
     InvalidOption,
     NoRoute,
     StartBlocked,
     StopBlocked,
     TimeLimit,
 )
+from ..maps.coordinates import InvalidCoordinates
 from .console import Console as Console
 from .console import count as count
 from .console import place as place
@@ -63,6 +65,12 @@ EXIT_CODES = (
     'Exit codes: 0 success; 1 a finding; 2 wrong usage; 3 a file cannot be read or written;\n'
     '4 not enough data to decide. A finding takes precedence.'
 )
+# The extras of setup.py that bring the libraries which commands import; ``jazzy`` has all others.
+_EXTRAS = {
+    'figures': ('matplotlib',),
+    'gis': ('geopandas', 'gpxpy', 'mgrs', 'pyogrio', 'pyproj', 'rasterio', 'shapely'),
+    'recordings': ('lz4', 'mcap', 'mcap_ros2', 'zstandard'),
+}
 _SOUTHERN = re.compile(r'-[\d.]+,-?[\d.]*$')  # LAT,LON
 _BROKEN_PIPE, _INTERRUPTED = 141, 130  # exit codes of a shell after SIGPIPE and SIGINT
 
@@ -81,9 +89,14 @@ class UsageError(AmbushPlannerError):
     """The arguments contradict each other or the files that exist."""
 
 
+class MissingPackages(AmbushPlannerError):
+    """A command needs packages that are not installed."""
+
+
 # Exit codes of errors; all others are files that cannot be used.
 _CODES = (
-    ((InvalidOption, StartBlocked, StopBlocked, GoalBlocked), Exit.USAGE),
+    ((InvalidOption, InvalidCoordinates, InvalidNetwork, StartBlocked, StopBlocked, GoalBlocked,
+      MissingPackages), Exit.USAGE),
     ((NoRoute, BudgetInfeasible, TimeLimit), Exit.FINDING),
 )
 Work = Callable[[argparse.Namespace, Console], Exit]
@@ -136,8 +149,26 @@ def add_output(parser: argparse.ArgumentParser, what: str, required: bool = Fals
 
 def add_table(parser: argparse.ArgumentParser) -> None:
     """Add the option of a command that writes a table."""
-    parser.add_argument('-o', '--output', type=Path, required=True, metavar='TABLE.csv',
+    parser.add_argument('-o', '--output', type=file_of('.csv'), required=True, metavar='TABLE.csv',
                         help='the table to write')
+
+
+def file_of(*suffixes: str) -> Callable[[str], Path]:
+    """Return a parser of file names with one of the suffixes."""
+    def file(text: str) -> Path:
+        if Path(text).suffix not in suffixes:
+            one_of = 'one of ' * (len(suffixes) > 1)
+            raise argparse.ArgumentTypeError(
+                f'{text}: its suffix must be {one_of}{", ".join(suffixes)}')
+        return Path(text)
+
+    return file
+
+
+def require(packages: Collection[str]) -> None:
+    """Raise MissingPackages if one of the packages is not installed."""
+    if missing := [name for name in packages if not _imports(name)]:
+        raise MissingPackages(_missing(missing))
 
 
 def number(least: float, most: float, kind: type = float) -> Callable[[str], Any]:
@@ -177,11 +208,18 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     except (AmbushPlannerError, OSError) as error:
-        console.error(error)
+        console.error(_words(error))
         return next((code for kinds, code in _CODES if isinstance(error, kinds)), Exit.UNREADABLE)
     except KeyboardInterrupt:
         console.error('interrupted')
         return _INTERRUPTED
+
+
+def _words(error: AmbushPlannerError | OSError) -> str:
+    """Say what is wrong; with an OSError, with which file."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f'{place(Path(error.filename))}: {error.strerror}'
+    return str(error)
 
 
 def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
@@ -217,9 +255,16 @@ def resource(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text('utf-8')
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(Exit.USAGE, f'{self.prog}: {message} (see {self.prog} --help)\n')
+
+
 def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=program, description=description, epilog=epilog,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = _Parser(prog=program, description=description, epilog=epilog,
+                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--version', action='version', version=f'ambush_planner {__version__}')
     return parser
 
@@ -241,9 +286,25 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         return _module(name).main(arguments)
     except ModuleNotFoundError as error:
         package = str(error.name).partition('.')[0]
-        print(f"ambush {name}: {package} is not installed; try: pip install "
-              "'ambush_planner[jazzy,figures,gis]'", file=sys.stderr)
-        return Exit.UNREADABLE
+        print(f'ambush {name}: {_missing([package])}', file=sys.stderr)
+        return Exit.USAGE
+
+
+def _imports(package: str) -> bool:
+    try:
+        importlib.import_module(package)
+    except ModuleNotFoundError:
+        return False
+    return True
+
+
+def _missing(packages: Sequence[str]) -> str:
+    """Say which packages are missing, and which extras have them."""
+    extras = {next((extra for extra, names in _EXTRAS.items() if name in names), 'jazzy')
+              for name in packages}
+    verb = 'are' if len(packages) > 1 else 'is'
+    return (f'{", ".join(packages)} {verb} not installed: '
+            f"pip install 'ambush_planner[{','.join(sorted(extras))}]'")
 
 
 def _module(name: str) -> Any:

@@ -43,10 +43,10 @@ class Console:
         if not (self._json or self._quiet):
             print(text, flush=True)
 
-    def item(self, text: str, indent: int = 7) -> None:
+    def item(self, text: str, indent: int = 7, hang: int = 2) -> None:
         """Print wrapped text, by default as details of the line before."""
         self.line(fill(text, WIDTH, initial_indent=' ' * indent, break_long_words=False,
-                       subsequent_indent=' ' * (indent + 2), break_on_hyphens=False))
+                       subsequent_indent=' ' * (indent + hang), break_on_hyphens=False))
 
     def say(self, text: str) -> None:
         """Print a progress message."""

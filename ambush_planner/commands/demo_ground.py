@@ -4,7 +4,7 @@
 The elevations are ``jacksboro_fault_dem.npz`` of matplotlib's sample data: 344 x 403 heights on a
 grid of 1/1200 degree, northernmost row first, 74.4 m from west to east and 92.7 m from south to
 north. They are resampled to cells of 90 m: 354 x 333 cells, 31.9 km x 30.0 km. The weapon range is
-500 m (a rifle). 8 % of the cells are too steep: the flanks of the ridges, with gaps at streams.
+500 m (a rifle). 8 % of the cells are too steep: the flanks of the ridges, with openings at streams.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush draw``: draw one of a few routes, for a departure."""
+"""``ambush draw``: draw one of a few routes, and perhaps a slot, for a departure."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ FILE holds a few routes and their shares; ambush plan MAP ... --routes K -o FILE
 draw takes the operating system's entropy and is not recorded. The file is one JSON object:
 {"format": "ambush routes 1", "map", "crs", "start": [x, y], "goal": [x, y], "stops": [[x, y]],
 "held_radius", "reach", "value", "lower_bound", "routes": [{"number", "share", "length",
-"path": [[x, y]], "lat_lon": [[latitude, longitude]]}]}
+"path": [[x, y]], "lat_lon": [[latitude, longitude]]}], "slots": [["HH:MM", share]]}
 Positions are the map's [m]; crs and lat_lon are null if its coordinate system is unknown.
-map is relative to FILE's folder. Routes are secret: the file has mode 0600.
---json: {"verdict", "route", "share", "length"}
+map is relative to FILE's folder; slots is empty without --slots. Routes are secret: the file has
+mode 0600.
+--json: {"verdict", "route", "share", "length", "slot"}
 """ + cli.EXIT_CODES
 
 
@@ -31,9 +32,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    route = read_route_sheet(options.file).draw(np.random.default_rng())
-    console.line(f'route {route.number}')
-    console.result = {'route': route.number, 'share': route.share, 'length': route.length}
+    route, slot = read_route_sheet(options.file).draw(np.random.default_rng())
+    console.line(f'route {route.number}' + (f', {slot}' if slot else ''))
+    console.result = {'route': route.number, 'share': route.share, 'length': route.length,
+                      'slot': slot}
     return cli.Exit.HOLDS
 
 

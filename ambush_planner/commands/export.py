@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 
 from ..route_files import Drawn, write_routes
 from . import cli
-from .geo_files import FORMATS_HELP, add_outputs, tell_outputs
+from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
 from .inputs import add_crs, crs_text
 
 EPILOG = f"""\
@@ -30,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    check_outputs(options.output)
     departures, unreadable = cli.read_all(options.recordings, console)
     for error in unreadable:
         console.error(error)
@@ -40,6 +41,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     risk_map = replace(last.risk_map, crs=crs_text(options) or last.risk_map.crs)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
     drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times)
+    tell_overwritten(options.output, console)
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

@@ -4,34 +4,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
-from scipy.spatial import cKDTree
-
-from ..colours import AMBUSHER, ROUTES
-from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, number_badge, risk_bar
+from ..maps.risk_map_file import npz_bytes
 from ..planning.few_routes import FewRoutes
 from ..planning.plan import Plan
 from ..planning.random_draws import RandomDraw, random_draws
-from ..planning.route_layers import few_table, strategy_tables
+from ..planning.route_layers import lengths, strategy_tables
 from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ..planning.slots import SlotMixture
 from ..route_files import Drawn
 from .cli import Console, count, write_private
 from .console import percent, travel
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 SHEET = '.json'
-# Maximum number of routes with a panel each, and in the legend.
-MAX_PANELS, MAX_KEYS = 6, 20
-# Line styles, one after another when all colours have been used.
-_STYLES = ('solid', 'dashed', 'dotted', 'dashdot')
 # Tables of a plan that also hold for few of its routes.
 _GROUND = ('held_ground', 'forbidden')
 
@@ -42,10 +34,11 @@ class FewDrawn(Drawn):
 
     few: FewRoutes
 
-    @cached_property
-    def routes(self) -> Any:
-        """The table of routes."""
-        return few_table(self.few, self.risk_map.crs)
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Number, share and length [m] of each route."""
+        return {'route': range(1, len(self.paths) + 1), 'share': self.few.shares,
+                'length': lengths(self.paths)}
 
     @property
     def names(self) -> list[str]:
@@ -61,91 +54,46 @@ class FewDrawn(Drawn):
 
     def picture(self) -> Figure:
         """An overview with the curve of values, and up to six panels of a route each."""
-        panels = len(self.paths) if len(self.paths) <= MAX_PANELS else 0
-        rows, (width, height) = -(-panels // 3), self.risk_map.size
-        tall = rows * (0.5 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
-        figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
-        top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
-                      else (figure.subfigures(), None))
-        grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
-        overview = top.add_subplot(grid[:, 0])
-        title = f'Mean loss {self.few.value:#.3g}'
-        risk_bar(top, draw_ground(overview, self.strategy, self.risk_map, title), overview,
-                 location='bottom', shrink=0.6, aspect=30)
-        self._key(top.add_subplot(grid[0, 1]))
-        _curve(top.add_subplot(grid[1, 1]), self.few)
-        for k in range(len(self.paths)):
-            self._route(overview, k)
-        overview.plot(*self.few.worst_xy, marker='o', markersize=9, color=AMBUSHER,
-                      markeredgecolor='white', zorder=9)
-        for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
-            if k < panels:
-                draw_ground(axes, self.strategy, self.risk_map, self.names[k])
-                self._route(axes, k)
-            else:
-                axes.set_axis_off()
-        return figure
+        from .few_figure import few_figure
 
-    def _style(self, k: int) -> dict[str, Any]:
-        return {'color': ROUTES[k % len(ROUTES)], 'linewidth': 1.9, 'path_effects': HALO,
-                'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
-
-    def _route(self, axes: Axes, k: int) -> None:
-        """Draw a route with its number where it is farthest from the others."""
-        path = self.paths[k][:, :2]
-        axes.plot(*path.T, **self._style(k), solid_joinstyle='round', zorder=4)
-        others = [other[:, :2] for other in (*self.paths[:k], *self.paths[k + 1 :])]
-        others = others or [path[[0, -1]]]
-        away, _ = cKDTree(np.concatenate(others)).query(path)
-        at = away.argmax() if away.any() else len(path) // 2
-        number_badge(axes, k + 1, path[at], self._style(k)['color'])
-
-    def _key(self, axes: Axes) -> None:
-        lines = [Line2D([], [], **self._style(k), label=name.removeprefix('Route '))
-                 for k, name in enumerate(self.names[:MAX_KEYS])]
-        worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
-                       markeredgecolor='white', label='worst ambush')
-        held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
-                      label='held ground')
-        axes.legend(handles=[*lines, worst, held], title='route and share', frameon=False,
-                    loc='upper left', alignment='left', ncols=1 + len(lines) // 11,
-                    fontsize='medium' if len(lines) < 11 else 'small')
-        axes.set_axis_off()
+        return few_figure(self)
 
 
-def _curve(axes: Axes, few: FewRoutes) -> None:
-    """The value over the number of routes, and the lower bound."""
-    axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
-    axes.axhline(few.lower_bound, color='0.45', linestyle=':')
-    low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
-    axes.annotate("plan's lower bound", (1.0, few.lower_bound), xycoords=('axes fraction', 'data'),
-                  xytext=(-2, 4 if low else -4), textcoords='offset points', ha='right',
-                  va='bottom' if low else 'top', color='0.35', fontsize='small', path_effects=HALO)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
-    axes.grid(color='0.92')
+def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path | None,
+                 slots: Sequence[str], day: SlotMixture | None) -> None:
+    """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any.
 
-
-def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path) -> None:
-    """Write route sheets with mode 0600."""
+    Without a file of the map, each sheet gets one next to it, by ``map_beside``.
+    """
     few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
     start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
     routes = tuple(sheet_route(k, float(share), path, crs)
                    for k, (share, path) in enumerate(zip(few.shares, few.paths, strict=True), 1))
     game = drawn.strategy.game.options
-    sheet = RouteSheet(map_file.absolute(), crs, start, goal, tuple(stops), game.held_radius,
-                       game.ambush_radius, few.value, few.lower_bound, routes)
+    sheet = RouteSheet((map_file or Path()).absolute(), crs, start, goal, tuple(stops),
+                       game.held_radius, game.ambush_radius, few.value, few.lower_bound, routes)
+    if day:
+        sheet = replace(sheet, value=day.value, lower_bound=day.lower_bound,
+                        slots=tuple(zip(slots, day.shares.tolist(), strict=True)))
     for path in paths:
+        if map_file is None:
+            sheet = replace(sheet, map=map_beside(path).absolute())
+            write_private(path.parent, {sheet.map.name: npz_bytes(drawn.risk_map)})
         write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
+
+
+def map_beside(sheet: Path) -> Path:
+    """The map of a sheet that was planned on an elevation model."""
+    return sheet.with_name(f'{sheet.stem}_map.npz')
 
 
 def tell_few(plan: Plan, few: FewRoutes, console: Console) -> None:
     """Print the value and how to draw, and put all but the paths into the result."""
     draws, tube = random_draws(plan), plan.strategy.game.options.tube
-    price = few.value / few.lower_bound
+    price = float(few.value / few.lower_bound)
     below = (f'; it may be below, because the bound lets convoys stray {tube:.3g} m from their '
              'routes, and these are fixed') * (price < 1.0)
-    console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.3g} times '
+    console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.2f} times '
                  f'the lower bound{below}')
     console.line('value by routes ' + ', '.join(f'{k}: {value:.4g}' for k, value in few.curve))
     console.line(_as_text(plan, few, draws))

@@ -13,15 +13,24 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ..colours import AMBUSHER
-from ..errors import InvalidOption
 from ..figures import HALO, PROBABILITY, WIDTH, as_png
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli
-from .inputs import MAP_HELP, OPTIONS_HELP, add_options, options_from, risk_map_from
+from .inputs import (
+    MAP_HELP,
+    OPTIONS_HELP,
+    POSITION_HELP,
+    add_options,
+    add_places,
+    options_from,
+    places_on,
+    risk_map_from,
+)
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = f"""\
 {MAP_HELP}
+{POSITION_HELP}
 Solves a strategy for each of --detours, all with --slack, and for each of --slacks, all with
 --detour.
 The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
@@ -38,9 +47,7 @@ def parser() -> argparse.ArgumentParser:
         'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.', EPILOG
     )
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
-    for end in ('--start', '--goal'):
-        made.add_argument(end, type=float, nargs=2, required=True, metavar=('X', 'Y'),
-                          help='world position [m]')
+    add_places(made, stops=False)
     cli.add_table(made)
     made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
                       help="length budgets, as multiples of the shortest route's length "
@@ -53,13 +60,11 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options, output = options_from(arguments), arguments.output
-    if output.suffix == '.png':
-        raise InvalidOption(f'{output}: the picture gets this name; name the table .csv')
     risk_map = risk_map_from(arguments.map, options.map, console)
-    ends = tuple(arguments.start), tuple(arguments.goal)
+    (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)
-    rows = trip_frontier(risk_map, *ends, options.planning, detours, slacks,
+    rows = trip_frontier(risk_map, (x, y), (to_x, to_y), options.planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
     write_frontier(output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     console.line(_as_text(rows))
@@ -120,7 +125,8 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
                        xytext=(4, -14), textcoords='offset points', path_effects=HALO)
         value.set_title(title, loc='left')
     for axes, label in zip(panels[:, 0], (
-        'mean loss\nby the best ambush', 'mean exposure\nover the least', 'route entropy [nats]',
+        'mean loss\nby the best ambush', 'exposure, relative to\nthe least exposed route',
+        'route entropy [nats]',
     ), strict=True):
         axes.set_ylabel(label)
         bottom, top = axes.get_ylim()

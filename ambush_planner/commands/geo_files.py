@@ -7,8 +7,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..route_files import SUFFIXES, Drawn
-from .cli import Console, count, place
+from ..route_files import NEEDS, SUFFIXES, Drawn
+from .cli import Console, count, file_of, place, require
 
 FORMATS_HELP = """\
 FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
@@ -22,14 +22,20 @@ map's coordinates (WKT); .png is a picture. Routes are secret: files have mode 0
 def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the routes',
                 suffixes: Sequence[str] = SUFFIXES) -> None:
     """Add the argument ``--output``, a list of files with one of the suffixes each."""
-    def output(text: str) -> Path:
-        if Path(text).suffix not in suffixes:
-            raise argparse.ArgumentTypeError(
-                f'{text}: its suffix must be one of {", ".join(suffixes)}')
-        return Path(text)
+    parser.add_argument('-o', '--output', type=file_of(*suffixes), nargs='+', required=True,
+                        metavar='FILE', help=f'{what}: ' + ', '.join(suffixes))
 
-    parser.add_argument('-o', '--output', type=output, nargs='+', required=True, metavar='FILE',
-                        help=f'{what}: ' + ', '.join(suffixes))
+
+def check_outputs(paths: Sequence[Path]) -> None:
+    """Raise MissingPackages if a format needs some."""
+    require(sorted({name for path in paths for name in NEEDS.get(path.suffix, ())}))
+
+
+def tell_overwritten(paths: Sequence[Path], console: Console) -> None:
+    """Name the files that are about to be overwritten."""
+    for path in paths:
+        if path.exists():
+            console.say(f'{place(path)} is overwritten.')
 
 
 def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:

@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from ..colours import AMBUSHER
-from ..figures import HALO, WIDTH, as_png, draw_strategy
+from ..figures import WIDTH, as_png, draw_strategy, number_badge
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
-from .geo_files import add_outputs
+from .geo_files import add_outputs, check_outputs, tell_overwritten
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
@@ -31,6 +33,7 @@ from .table import PLACES_HELP, in_metres, read_places
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
+NAME_WIDTH = 12  # characters in a line below the curve
 EPILOG = f"""\
 {MAP_HELP}
 {POSITION_HELP}
@@ -65,6 +68,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     given = read_places(arguments.candidates) if arguments.candidates else None
     risk_map = risk_map_from(arguments.map, options.map, console)
+    check_outputs(arguments.output)
     start, goal, stops = places_on(arguments, risk_map)
     with console.waiting('solving games'):
         found = places_to_hold(
@@ -75,6 +79,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     contents = {path: cli.as_csv(columns, rows) if path.suffix == '.csv' else
                 as_png(hold_figure(found, arguments.radius, risk_map))
                 for path in arguments.output}
+    tell_overwritten(arguments.output, console)
     for path, data in contents.items():
         cli.write_private(path.parent, {path.name: data})
     _tell(found, rows, arguments.count, console)
@@ -114,18 +119,21 @@ def _tell(found: Holding, rows: list[dict[str, Any]], count: int, console: cli.C
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    figure = Figure(figsize=(WIDTH, 8.4), layout='constrained')
-    ground, curve = figure.subplots(2, 1, height_ratios=(3, 1))
+    figure = Figure(figsize=(WIDTH, 8.4), layout='compressed')
+    ground, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
     draw_strategy(ground, found.strategies[-1], risk_map)
+    held = f'{cli.count(len(found.steps), "place")} held (green)'
+    ground.set_title(f'{held}\n{ground.get_title(loc="left")}', fontsize='medium', loc='left',
+                     linespacing=1.4)
     for number, step in enumerate(found.steps, 1):
         ground.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
-        ground.annotate(str(number), step.xy, ha='center', va='center', weight='bold',
-                        path_effects=HALO, zorder=10)
+        number_badge(ground, number, np.array(step.xy), HELD)
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
                label='lower bound', **style)
     curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
-    names = [f'{number}\n{step.name}'.strip() for number, step in enumerate(found.steps, 1)]
+    names = [fill(f'{number} {step.name}', NAME_WIDTH)
+             for number, step in enumerate(found.steps, 1)]
     curve.set_xticks(range(len(found.strategies)), ['0', *names])
     curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
               ylabel='mean loss\nby the best ambush')

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,20 @@ import numpy as np
 import yaml
 
 from ..arrays import FloatArray
-from ..errors import GoalOutsideMap, InvalidOption, StartOutsideMap, StopOutsideMap
+from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.coordinates import Coordinates, InvalidCoordinates
+from ..maps.grid_references import MGRS_REFERENCE, from_mgrs
 from ..maps.occupancy import NO_RISK, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
+from ..network.trip_graph import position_errors
 from ..planning.options import DriveOptions, PlanningOptions
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
+from .cli import file_of
 from .console import Console
 
 MAP_HELP = """\
@@ -39,11 +43,16 @@ The options of --set are named like the node's parameters (map., network., game.
 route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
 that strategy.time_limit is 60 s."""
 POSITION_HELP = """\
-A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west."""
+A position is X Y, world coordinates [m], LAT,LON [degrees], negative in the south and west, or an
+MGRS reference."""
 # Time limit of each solve [s], as the node's.
 TIME_LIMIT = 60.0
 # Options that a plan or an argument of its own sets.
 SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads')
+# What the node calls an option that has another name here.
+OTHER_NAMES = {'max_planning_time': 'strategy.time_limit'}
+KINDS = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'text',
+         tuple: 'a list of lists'}
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
@@ -85,33 +94,51 @@ class Position:
     numbers: tuple[float, float]
     in_degrees: bool
 
+    def __str__(self) -> str:
+        return ('{:g},{:g}' if self.in_degrees else '{:g} {:g}').format(*self.numbers)
+
     def xy(self, risk_map: RiskMap) -> FloatArray:
         """World position [m]; raises InvalidCoordinates."""
         if not self.in_degrees:
             return np.array(self.numbers)
         if not risk_map.crs:
             raise InvalidCoordinates(
-                f'{self.numbers[0]:g},{self.numbers[1]:g} is a latitude and longitude, but the '
-                'coordinate system of the map is unknown; name it (--crs), or give X Y [m]')
+                f'{self} is a latitude and longitude, but the coordinate system of the map is '
+                'unknown; name it (--crs), or give X Y [m]')
         return Coordinates(risk_map.crs).from_lat_lon(self.numbers)
+
+    def is_on(self, risk_map: RiskMap) -> bool:
+        """Whether the position lies on a map with a coordinate system."""
+        try:
+            return bool(risk_map.contains(risk_map.to_map_axes(self.xy(risk_map))))
+        except InvalidCoordinates:
+            return False
 
 
 class _Positions(argparse.Action):
-    """Parse ``X Y`` and ``LAT,LON``, one or several, and append them."""
+    """Parse ``X Y``, ``LAT,LON`` and MGRS references, one or several, and append them."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
-        in_degrees = any(',' in text for text in values)
+        texts = [''.join(values)] if MGRS_REFERENCE.match(''.join(values)) else values
+        in_degrees = any(',' in text or MGRS_REFERENCE.match(text) for text in texts)
         try:
-            numbers = [float(part) for text in values for part in text.split(',') if part]
+            numbers = [float(part) for text in texts for part in _parts(text)]
             pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
         except ValueError:
-            parser.error(f'argument {option_string}: must be X Y [m] or LAT,LON [degrees], got '
-                         f'{" ".join(values)!r}')
-        if self.dest != 'via' and len(pairs) != 1:
-            parser.error(f'argument {option_string}: must be one position')
+            parser.error(f'argument {option_string}: must be X Y [m], LAT,LON [degrees] or an MGRS '
+                         f'reference, got {" ".join(values)!r}')
         before = getattr(namespace, self.dest) or []
+        if self.dest != 'via' and len(before) + len(pairs) != 1:
+            parser.error(f'argument {option_string}: must be one position')
         setattr(namespace, self.dest, before + [Position(pair, in_degrees) for pair in pairs])
+
+
+def _parts(text: str) -> Sequence[str | float]:
+    """The numbers of a position, or of a part of it."""
+    if MGRS_REFERENCE.match(text):
+        return from_mgrs(text)
+    return [part for part in text.split(',') if part]
 
 
 def add_places(parser: argparse.ArgumentParser, stops: bool = True) -> None:
@@ -119,7 +146,7 @@ def add_places(parser: argparse.ArgumentParser, stops: bool = True) -> None:
     for end in ('--start', '--goal', *['--via'] * stops):
         parser.add_argument(end, nargs='+', action=_Positions, required=end != '--via',
                             metavar='X Y',
-                            help=('stops, ' if end == '--via' else '') + 'X Y [m] or LAT,LON')
+                            help=('stops, ' if end == '--via' else '') + 'X Y [m], LAT,LON or MGRS')
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -140,7 +167,8 @@ def add_crs(parser: argparse.ArgumentParser) -> None:
 
 def add_map_output(parser: argparse.ArgumentParser) -> None:
     """Add the option of a command that writes a map."""
-    parser.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
+    parser.add_argument('-o', '--output', type=file_of('.yaml', '.yml'), required=True,
+                        metavar='MAP.yaml',
                         help='the map to write')
 
 
@@ -174,10 +202,35 @@ def options_from(arguments: argparse.Namespace) -> SolveOptions:
 
 def places_on(arguments: argparse.Namespace,
               risk_map: RiskMap) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """Start, goal and stops (x, y) [m] of ``add_places``; raises InvalidCoordinates."""
-    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
-                         for end in ('start', 'goal'))
-    return start, goal, [place.xy(risk_map) for place in getattr(arguments, 'via', None) or ()]
+    """Start, goal and stops (x, y) [m] of ``add_places``.
+
+    Raises InvalidCoordinates, and the errors of ``position_errors`` if a position is off the map.
+    """
+    (start,), (goal,) = arguments.start, arguments.goal
+    stops = enumerate(getattr(arguments, 'via', None) or (), start=1)
+    return (_xy('start', start, risk_map), _xy('goal', goal, risk_map),
+            [_xy(f'stop {k}', stop, risk_map) for k, stop in stops])
+
+
+def _xy(name: str, given: Position, risk_map: RiskMap) -> FloatArray:
+    if not risk_map.crs or given.is_on(risk_map):
+        return given.xy(risk_map)
+    low, high = Coordinates(risk_map.crs).to_lat_lon(risk_map.bounds)
+    (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
+    extent = (f'latitude {low[0]:.4f} to {high[0]:.4f}, longitude {low[1]:.4f} to {high[1]:.4f}'
+              if given.in_degrees else f'x {left:.0f} to {right:.0f}, y {bottom:.0f} to {top:.0f}')
+    raise position_errors(name)[0](
+        f'{name} {given} is outside the map ({extent}){_hint(given, risk_map)}')
+
+
+def _hint(given: Position, risk_map: RiskMap) -> str:
+    """The latitude and longitude on the map that was meant: other signs, or the other order."""
+    a, b = given.numbers
+    for (one, other), north, east in product(((a, b), (b, a)), (1.0, -1.0), (1.0, -1.0)):
+        meant = Position((north * one, east * other), True)
+        if meant.is_on(risk_map):
+            return f'; did you mean {meant}? Write LAT,LON, negative in the south and west'
+    return ''
 
 
 def options_of(assignments: Sequence[str]) -> SolveOptions:
@@ -205,7 +258,8 @@ def options_of(assignments: Sequence[str]) -> SolveOptions:
 def _similar(name: str, names: Iterable[str]) -> str:
     """The option that is meant, or all of them."""
     near = [f'--{name}'] if name in WORDS else [each for each in names if each.endswith(f'.{name}')]
-    near = near or get_close_matches(name, names, 1)
+    near = near or ([OTHER_NAMES[name]] if name in OTHER_NAMES
+                    else get_close_matches(name, names, 1))
     return f'did you mean {near[0]}?' if near else f'choose from {", ".join(sorted(names))}'
 
 
@@ -222,16 +276,11 @@ def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningO
             console: Console, **more: Any) -> Plan:
     """The plan between the places of ``add_places``; ``more`` as ``plan_trip`` takes it."""
     start, goal, stops = places_on(arguments, risk_map)
-    try:
-        with console.waiting('solving the game') as progress, warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # the concerns tell more
-            return plan_trip(risk_map, start, goal, options, stops=stops, progress=progress, **more)
-    except (StartOutsideMap, GoalOutsideMap, StopOutsideMap) as error:
-        if not risk_map.crs:
-            raise
-        low, high = Coordinates(risk_map.crs).to_lat_lon(risk_map.bounds)
-        raise type(error)(f'{error}; it spans latitudes {low[0]:.4f} to {high[0]:.4f} and '
-                          f'longitudes {low[1]:.4f} to {high[1]:.4f}') from error
+    limit = options.strategy.time_limit
+    what = f'solving the game, at most {limit:g} s (strategy.time_limit)'
+    with console.waiting(what) as progress, warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # the concerns tell more
+        return plan_trip(risk_map, start, goal, options, stops=stops, progress=progress, **more)
 
 
 def _value(name: str, text: str, kind: type) -> Any:
@@ -244,5 +293,5 @@ def _value(name: str, text: str, kind: type) -> Any:
     except (yaml.YAMLError, TypeError, ValueError):
         value = None
     if type(value) is not kind:
-        raise InvalidOption(f'{name} must be of type {kind.__name__}, got {text!r}')
+        raise InvalidOption(f'{name} must be {KINDS[kind]}, got {text!r}')
     return value

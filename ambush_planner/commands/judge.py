@@ -17,7 +17,7 @@ from ..figures import as_png
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track, read_tracks
-from ..planning.concerns import assumptions, concerns
+from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
@@ -60,8 +60,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
     add_places(made, stops=False)
-    made.add_argument('-o', '--output', type=Path, required=True, metavar='PICTURE.png',
-                      help='the picture to write')
+    made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
+                      metavar='PICTURE.png', help='the picture to write')
     add_crs(made)
     add_options(made)
     return made
@@ -87,7 +87,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.error('no track has a trip from start to goal')
         return cli.Exit.TOO_FEW
     with console.waiting('solving the game'), warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # the concerns tell more
+        warnings.simplefilter('ignore')  # rounding at values of 0
         habits = judge(risk_map, trips, options.planning)
     cli.write_private(output.parent, {output.name: as_png(judge_figure(habits, risk_map))})
     _tell(habits, risk_map, console)
@@ -95,7 +95,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.say(f'Warning: {text}.')
     console.line(f'{cli.place(output)}: secret, so only this user can read it.')
     console.result['picture'] = cli.place(output)
-    return cli.Exit.HOLDS
+    return cli.Exit.HOLDS if is_sound(habits.plan) else cli.Exit.FINDING
 
 
 def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:
@@ -113,7 +113,7 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
 
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
-    strategy, met, shares = habits.plan.strategy, habits.driven.met, habits.best.shares
+    strategy, hit, shares = habits.plan.strategy, habits.driven.hit, habits.best.shares
     (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
     named = [{'track': habits.trips[k].name, 'share': float(shares[k])}
              for k in np.argsort(-shares) if shares[k] >= MIN_SHARE]
@@ -125,7 +125,7 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
              for row in (rows['driven'], rows['reweighted'])]
     console.line(f'{"mean loss":>21}{"mean length":>13}')
     for (name, row), text in zip(rows.items(), (
-        f'{worst[0]}: {met.sum()} of {len(met)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
+        f'{worst[0]}: {hit.sum()} of {len(hit)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
         f'at most {detour:.3g} times the shortest; no strategy is below {strategy.lower_bound:.4g}',
     ), strict=True):
         console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')

@@ -17,15 +17,15 @@ from ..maps.risk_map import RiskMap
 from ..planning.habits import Habits
 from .console import distance
 
-# Trips and edges with smaller shares are not shown.
+# Minimum share of trips and edges that are shown.
 MIN_SHARE = 0.001
-_CONVOY, _MET = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
+_CONVOY, _HIT = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
 _LEGEND = (
     Line2D([], [], linestyle='none', marker='o', markersize=11, markerfacecolor='none',
            markeredgewidth=2.0, color=AMBUSHER, label='worst place, and how far he reaches'),
-    Line2D([], [], color=_MET, linewidth=3.6, label='50 % of departures, met there'),
-    Line2D([], [], color=_CONVOY, linewidth=1.2, label='10 % of departures, not met there'),
-    figures.SITES, figures.HELD_GROUND, figures.OBSTACLE,
+    Line2D([], [], color=_HIT, linewidth=3.6, label='50 % of departures, hit there'),
+    Line2D([], [], color=_CONVOY, linewidth=1.2, label='10 % of departures, not hit there'),
+    figures.SITES, figures.HELD_GROUND, figures.OBSTACLE, figures.UNKNOWN,
 )
 
 
@@ -45,7 +45,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     panels = figure.subplots(1, 3)
     for axes, name, value, length, text in (
         (panels[0], 'as driven', driven.value, float(driven.shares @ habits.lengths),
-         f'{driven.met.sum()} of {len(paths)} trips\npass the worst place\n95 %: '
+         f'{driven.hit.sum()} of {len(paths)} trips\npass the worst place\n95 %: '
          '{:.3g} to {:.3g}'.format(*habits.interval)),
         (panels[1], 'the same, reweighted', best.value, float(best.shares @ habits.lengths),
          f'{_less(best.value, driven.value)}\nthe best {len(used)} of the {len(paths)} trips\n'
@@ -63,7 +63,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),
                       textcoords='offset points', fontsize=28, weight='bold', color=AMBUSHER)
     for axes, mixture in zip(panels, (driven, best), strict=False):
-        _draw_lines(axes, paths, mixture.shares, mixture.met)
+        _draw_lines(axes, paths, mixture.shares, mixture.hit)
         axes.add_patch(Circle(mixture.worst_xy, strategy.game.options.ambush_radius, linewidth=2.0,
                               facecolor=f'{AMBUSHER}55', edgecolor=AMBUSHER, zorder=9))
     _draw_lines(panels[2], list(edges), p, np.zeros(len(p), dtype=bool))
@@ -78,9 +78,9 @@ def _less(value: float, driven: float) -> str:
     return f'{100.0 * (1.0 - value / driven):.0f} % less' if value < driven else 'no less'
 
 
-def _draw_lines(axes: Axes, lines: list[FloatArray], shares: FloatArray, met: BoolArray) -> None:
-    """Draw lines (L, 2) as wide as their shares, those that are met in another colour."""
-    shown = [k for k in np.argsort(met, kind='stable') if shares[k] >= MIN_SHARE]
+def _draw_lines(axes: Axes, lines: list[FloatArray], shares: FloatArray, hit: BoolArray) -> None:
+    """Draw lines (L, 2) as wide as their shares, those that are hit in another colour."""
+    shown = [k for k in np.argsort(hit, kind='stable') if shares[k] >= MIN_SHARE]
     axes.add_collection(LineCollection(
-        [lines[k] for k in shown], colors=[_MET if met[k] else _CONVOY for k in shown],
+        [lines[k] for k in shown], colors=[_HIT if hit[k] else _CONVOY for k in shown],
         linewidths=0.6 + 6.0 * shares[shown], capstyle='round', joinstyle='round', zorder=2))

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from ..game.bottleneck import DECISIVE_SHARE
+from ..game.spotter import worst_spotter
 from ..game.strategy import Strategy
 from ..planning.evaluation import evaluate
 from ..planning.parameters import PARAMETERS
@@ -26,7 +27,7 @@ OPTIMAL = 1e-5
 def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
-        _guarantee(section), _optimality(section.strategy),
+        _guarantee(section), *_spotter(section.strategy), _optimality(section.strategy),
         ' '.join(filter(None, (_assumptions(section.strategy), held(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
@@ -41,6 +42,16 @@ def _guarantee(section: Section) -> str:
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
             f'{rounded(strategy.value)} per departure, even if he knows the map, the probabilities '
             'and all earlier routes. He must not know the next route.')
+
+
+def _spotter(strategy: Strategy) -> list[str]:
+    """What somebody is worth to him who sees whether the convoy passes; empty if nothing."""
+    if (seen := worst_spotter(strategy)) is None:
+        return []
+    return [f'A spotter can tell him more: one at the worst place, ({rounded(seen.x, 6)}, '
+            f'{rounded(seen.y, 6)}), who reports whether the convoy passes before he chooses where '
+            f'to wait, raises the mean loss to {rounded(seen.loss)}, {rounded(seen.factor)} times '
+            'as much.']
 
 
 def _optimality(strategy: Strategy) -> str:
@@ -89,8 +100,8 @@ def tiles(section: Section) -> list[tuple[str, str]]:
     return [
         (rounded(strategy.value), 'mean loss per departure from the best ambush, instead of '
          f'{rounded(fixed.v_repeated)} on always the shortest route'),
-        (rounded(chance, 2), 'ambushes met per departure, on average') if several else
-        (percent(chance), 'of departures meet the best ambush, instead of '
+        (rounded(chance, 2), 'ambushes hit a departure, on average') if several else
+        (percent(chance), 'of departures are hit by the best ambush, instead of '
          f'{percent(fixed.p_repeated)} on a fixed route that he has learnt'),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),
         (f'{rounded(strategy.expected_length / strategy.shortest_length)} times',

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import InvalidOption
-from ..planning.concerns import concerns
+from ..planning.concerns import concerns, is_sound
 from ..planning.slots import mix_slots
 from . import cli
 from .inputs import (
@@ -37,7 +38,7 @@ that lasts --window slots in a row.
 _TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 
 
-def checked_slots(slots: list[str]) -> list[str]:
+def checked_slots(slots: Sequence[str]) -> list[str]:
     """The times as HH:MM; raises InvalidOption if one is none, or they do not go forwards."""
     for text in slots:
         if not _TIME.fullmatch(text):
@@ -49,16 +50,22 @@ def checked_slots(slots: list[str]) -> list[str]:
     return times
 
 
+def add_slots(parser: argparse.ArgumentParser, required: bool = False) -> None:
+    """Add the arguments ``--slots``, for ``checked_slots``, and ``--window``."""
+    parser.add_argument('--slots', nargs='+', required=required, default=(), metavar='HH:MM',
+                        help='times of departure to draw from')
+    parser.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
+                        help='number of consecutive slots that an ambush lasts (default: 1)')
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('slots', 'Choose how likely each time of departure is.', EPILOG)
     made.add_argument('maps', type=Path, nargs='+', metavar='MAP',
                       help='the risk map, or one for each slot')
-    made.add_argument('--slots', nargs='+', required=True, metavar='HH:MM',
-                      help='times of departure to draw from')
-    made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
-                      help='number of consecutive slots that an ambush lasts (default: 1)')
-    made.add_argument('-o', '--output', type=Path, metavar='TABLE.csv', help='the table to write')
+    add_slots(made, required=True)
+    made.add_argument('-o', '--output', type=cli.file_of('.csv'), metavar='TABLE.csv',
+                      help='the table to write')
     add_places(made)
     add_crs(made)
     add_options(made)
@@ -92,7 +99,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                           {arguments.output.name: cli.as_csv(COLUMNS, rows)})
         console.result['table'] = cli.place(arguments.output)
         console.line(console.result['table'])
-    return cli.Exit.HOLDS
+    return cli.Exit.HOLDS if all(map(is_sound, plans)) else cli.Exit.FINDING
 
 
 main = cli.command(parser, _work)

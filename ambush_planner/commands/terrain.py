@@ -7,9 +7,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
 from ..maps import (
     Elevation,
     TerrainMap,
@@ -21,7 +19,7 @@ from ..maps import (
 )
 from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
-from ..maps.occupancy import OccupancyMap, OccupancyOptions
+from ..maps.occupancy import OccupancyMap
 from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
 from .inputs import add_datum, add_map_output, crs_text
@@ -37,7 +35,7 @@ seen, how close a person can come unseen, and slope. ambush_planner.maps has the
 A GeoTIFF in degrees is reprojected to its UTM zone, and the map keeps the coordinate system.
 
 It also writes MAP.pgm, in map_server's mode raw, a preview, MAP.png, and, if the coordinate system
-is known, a GeoTIFF, MAP.tif.
+is known, a GeoTIFF, MAP.tif, whose second band has the heights: pictures show the relief then.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
 
@@ -71,6 +69,11 @@ def add_terrain(made: argparse._ActionsContainer) -> None:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    raster = arguments.elevation.suffix != '.npz'
+    cli.require(('matplotlib', *('pyproj', 'rasterio') * raster))
+    from ..figures import as_png
+    from .terrain_figure import terrain_figure
+
     elevation, ground = terrain_from(arguments, arguments.elevation, console)
     grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
     if arguments.datum:
@@ -83,7 +86,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     files[-1].write_bytes(as_png(terrain_figure(elevation, ground)))
     if grid.crs:
         files.append(arguments.output.with_suffix('.tif'))
-        write_geotiff(files[-1], grid)
+        write_geotiff(files[-1], grid, ground.heights)
     console.line(_summary(ground))
     console.result = {'files': [cli.place(path) for path in files]}
     console.line(', '.join(console.result['files']))
@@ -112,32 +115,11 @@ def terrain_from(arguments: argparse.Namespace, path: Path,
 def _summary(ground: TerrainMap) -> str:
     values = ground.values
     risk = values[(values >= 0) & (values < 100)]
-    spread = ', '.join(f'{v:.0f}' for v in np.percentile(risk, [10, 50, 90])) if risk.size else '-'
+    low, middle, high = np.percentile(risk, [10, 50, 90]) if risk.size else (0.0, 0.0, 0.0)
     return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
             f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
-            f' % unknown; risk of the rest (10 %, 50 %, 90 %) {spread}')
-
-
-def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
-    """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
-    figure = Figure(figsize=(WIDTH, 9.8), layout='compressed')
-    *panels, last = figure.subplots(3, 2).ravel()
-    risk_map = ground.risk_map(elevation.corner, OccupancyOptions(crs=elevation.crs))
-    for axes, (layer, title, colours) in zip(panels, (
-        (elevation.heights, 'Height [m]', 'cividis'),
-        (ground.slope, 'Slope, rise over run', 'magma_r'),
-        (ground.depth, 'Depth below the ground in range [m]', 'magma_r'),
-        (ground.exposure, 'Share of ground in range with sight', 'magma_r'),
-        (ground.approach, 'Mean distance to hidden ground [m]', 'magma'),
-    ), strict=True):
-        frame(axes, risk_map, title)
-        shown = draw_cells(axes, risk_map, np.ma.masked_invalid(layer), cmap=colours)
-        figure.colorbar(shown, ax=axes, shrink=0.7)
-    risk_bar(figure, draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
-    if ground.roads.any():
-        draw_cells(last, risk_map, np.ma.masked_equal(ground.roads, False), cmap='winter',
-                   alpha=0.8)
-    return figure
+            f' % unknown; risk of drivable cells, 0 to 99: half are below {middle:.0f}, '
+            f'a tenth below {low:.0f}, a tenth above {high:.0f}')
 
 
 main = cli.command(parser, _work)

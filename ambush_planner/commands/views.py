@@ -42,7 +42,7 @@ _RVIZ_VIEW, _PANEL_ASPECT = (900, 700), 1.2
 _LINE = 0.008
 _ARROW = {'Shaft Length': 0.05, 'Shaft Radius': 0.005, 'Head Length': 0.025, 'Head Radius': 0.0125}
 # Maximum height of the path in RViz [m], whose camera is at 500 m.
-_HIGHEST = 200.0
+_MAX_HEIGHT = 200.0
 _UPDATES = '_updates'
 
 
@@ -76,7 +76,7 @@ def rviz_text(scene: Scene) -> str:
     for display in manager['Displays']:
         if 'Line Width' in display:
             display['Line Width'] = _short(_LINE * scale)
-            display['Offset']['Z'] = _short(min(0.02 * scale, _HIGHEST))
+            display['Offset']['Z'] = _short(min(0.02 * scale, _MAX_HEIGHT))
         for name in _ARROW.keys() & display.keys():
             display[name] = _short(_ARROW[name] * scale)
     return header + yaml.safe_dump(config, sort_keys=False, width=100)

@@ -21,7 +21,7 @@ from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
 from .risk_map import to_map_axes, to_world
 
-# Projections that stretch lengths by more, such as Web Mercator, are not used for maps.
+# Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
 MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
 _TERMS = 8  # of a polynomial, in each direction

@@ -15,9 +15,9 @@ from ..errors import AmbushPlannerError
 
 HeightArray = npt.NDArray[np.float32]
 
-# Largest grid [cells]; a larger one would not fit in memory and suggests a wrong resolution.
+# Maximum size of a grid [cells]; a larger one would not fit in memory: a wrong resolution?
 MAX_CELLS = 100_000_000
-# Smaller interpolation weights are rounding of a sample's position.
+# Minimum interpolation weight; smaller ones are rounding of a sample's position.
 _MIN_WEIGHT = 1e-6
 
 
@@ -71,6 +71,7 @@ class Raster:
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east. ``corner`` is the world position of the lower left
     corner [m], in the coordinate system ``crs``; ``note`` says whether the raster was reprojected.
+    ``heights`` (H, W) are those of a risk map whose file has them, too.
     """
 
     values: FloatArray
@@ -79,6 +80,7 @@ class Raster:
     corner: tuple[float, float] = (0.0, 0.0)
     crs: str | None = None
     note: str = ''
+    heights: HeightArray | None = None
 
 
 def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:

@@ -9,6 +9,7 @@ GeoTIFF, NaN if unknown; and the cell size, either ``resolution`` [m] or ``dx`` 
 from __future__ import annotations
 
 import math
+import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from .coordinates import InvalidCoordinates, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
 
+HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
+
 
 def read_raster(path: Path, name: str = 'elevation', nearest: bool = False) -> Raster:
-    """Read the array ``name`` of an .npz file, or the first band of a GeoTIFF.
+    """Read the array ``name`` of an .npz file, or the band of a GeoTIFF.
+
+    A risk map has its heights in a second band, if it has them.
 
     A GeoTIFF whose units are not metres on the ground (degrees, feet, Web Mercator) is reprojected
     to its UTM zone, by bilinear interpolation or, if ``nearest``, with the values of nearest cells.
@@ -71,15 +77,25 @@ def _read_geotiff(path: Path, nearest: bool) -> Raster:
         raise InvalidTerrain(f'{path}: not an .npz file; other formats need rasterio: '
                              "pip install 'ambush_planner[gis]'") from None
     try:
-        with rasterio.open(path) as dataset:
-            return _checked(path, _raster_of(path, dataset, nearest))
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)
+            with rasterio.open(path) as dataset:
+                return _checked(path, _raster_of(path, dataset, nearest))
     except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
-        raise InvalidTerrain(f'{path}: {error}') from error
+        hint = ('; it looks like a map for map_server, not like an elevation model'
+                if path.suffix in ('.yaml', '.yml') else '')
+        raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}{hint}') from error
 
 
 def _raster_of(path: Path, dataset: Any, nearest: bool) -> Raster:
-    """The first band of an open rasterio dataset, in metres."""
+    """The band of an open rasterio dataset, in metres."""
     _check_size(path, dataset)
+    if dataset.count != 1 and not _has_heights(dataset):
+        raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
+                             'gdal_translate -b')
+    if dataset.transform.is_identity:
+        raise InvalidTerrain(f'{path}: has no georeference: neither a position nor a cell size; '
+                             'give it one with gdal_translate -a_ullr and -a_srs')
     if not (dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic)):
         return _band(path, dataset, None)
     left, bottom, right, top = dataset.bounds
@@ -105,9 +121,17 @@ def _band(path: Path, dataset: Any, crs: str | None) -> Raster:
     if grid.b or grid.d or grid.a <= 0.0 or grid.e >= 0.0:
         raise InvalidTerrain(f'{path}: rows must run from north to south and columns from west to '
                              'east; convert the raster with gdalwarp')
-    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
+    def read(band: int) -> FloatArray:
+        north_up = dataset.read(band, masked=True).astype(np.float64).filled(np.nan)
+        return np.asarray(north_up[::-1])
+
     corner = dataset.bounds.left, dataset.bounds.bottom
-    return Raster(north_up[::-1], -grid.e, grid.a, corner, crs)
+    heights = read(2).astype(np.float32) if _has_heights(dataset) else None
+    return Raster(read(1), -grid.e, grid.a, corner, crs, heights=heights)
+
+
+def _has_heights(dataset: Any) -> bool:
+    return bool(dataset.descriptions[1:] == (HEIGHTS,))
 
 
 def _check_size(path: Path, dataset: Any) -> None:

@@ -3,10 +3,25 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from ..arrays import FloatArray
 from .coordinates import WGS84, utm_zone
+
+MGRS_REFERENCE = re.compile(r'(?i)\d{1,2}[C-X][A-Z]{2}(\d\d){1,5}$')
+
+
+def from_mgrs(text: str) -> tuple[float, float]:
+    """Latitude and longitude of the south-west corner of the square of an MGRS reference.
+
+    Raises ModuleNotFoundError without the package mgrs.
+    """
+    from mgrs import MGRS
+
+    latitude, longitude = MGRS().toLatLon(text.upper())
+    return latitude, longitude
 
 
 def utm_references(lat_lon: FloatArray) -> list[str]:

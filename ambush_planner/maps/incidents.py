@@ -19,8 +19,10 @@ from .vector_file import InvalidFeatures, attribute, attribute_values
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# Bandwidths that cross-validation compares, and the number of incidents that it uses.
-BANDWIDTHS, MAX_VALIDATED = 24, 3000
+# Number of bandwidths that cross-validation compares.
+BANDWIDTHS = 24
+# Maximum number of incidents that cross-validation uses.
+MAX_VALIDATED = 3000
 
 
 def weighted_incidents(features: GeoDataFrame,

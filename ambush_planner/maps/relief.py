@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter1d
 
 from .elevation import Elevation, HeightArray
 
-# Largest number of rectangles that approximate a disc.
+# Maximum number of rectangles that approximate a disc.
 MAX_RECTANGLES = 16
 
 

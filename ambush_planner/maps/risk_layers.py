@@ -108,8 +108,12 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
     Raises InvalidLayers, whose message names the layer, InvalidOption or OSError.
     """
     if not isinstance(description, Mapping):
-        folder, description = folder or Path(description).parent, _read(Path(description))
-    top = _with_defaults('the file', description, _TOP)
+        file = Path(description)
+        folder, description = folder or file.parent, _read(file)
+        if 'layers' not in description:
+            hint = '; it is a map for map_server' * ('image' in description)
+            raise InvalidLayers(f'{file}: layers is missing{hint}; see docs/risk_layers.md')
+    top = _with_defaults('the top of the file', description, _TOP)
     if not isinstance(top['layers'], list) or not top['layers']:
         raise InvalidLayers('layers must be a list with a line for each layer')
     lines = [_line(k, line) for k, line in enumerate(top['layers'], start=1)]
@@ -259,9 +263,10 @@ class _Joined:
         thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
         if full < FEW or thin > 0.5:
             self.remarks.append(
-                f'{name}: few incidents, {len(places)} with the weight of {full:.3g} new ones; '
-                f'{100.0 * thin:.0f} % of the ground that they make costly has fewer than '
-                f'{FEW_NEAR} within {near:.0f} m, so their pattern may be chance')
+                f'{name}: few incidents: {len(places)}, which by age and weight count as '
+                f'{full:.3g} new ones ({FEW:g} would do), and {100.0 * thin:.0f} % of the ground '
+                f'that they make costly has fewer than {FEW_NEAR} within {near:.0f} m. Their '
+                'pattern may be chance')
         added = _number('loss', values['loss']) * density / density.max()
         self.loss = self.loss + added
         self.layers += [Layer(f'{name}: loss', added, features.geometry),

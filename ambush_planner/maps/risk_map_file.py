@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -13,7 +14,8 @@ import numpy as np
 
 from ..errors import InvalidRiskMap
 from .coordinates import Coordinates, InvalidCoordinates
-from .elevation_file import read_raster
+from .elevation import HeightArray
+from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
 from .occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from .risk_map import RiskMap, to_map_axes
@@ -24,8 +26,8 @@ _UNKNOWN = 255  # in a GeoTIFF
 def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> RiskMap:
     """Read a map of map_server, a GeoTIFF of its values (nodata: unknown), or an npz file.
 
-    The npz file has the fields of ``RiskMap``. A file without a coordinate system gets
-    ``options.crs``.
+    The npz file has the fields of ``RiskMap``, as ``npz_bytes`` writes it. A file without a
+    coordinate system gets ``options.crs``.
 
     Raises
     ------
@@ -41,22 +43,25 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
     path, options = Path(path), options or OccupancyOptions()
     if path.suffix == '.npz':
         return _read_npz(path, options.crs)
-    grid = _read_geotiff(path) if path.suffix in ('.tif', '.tiff') else read_map(path)
+    grid, heights = (_read_geotiff(path) if path.suffix in ('.tif', '.tiff')
+                     else (read_map(path), None))
     try:
         options = replace(options, crs=agreed_crs(grid.crs, options.crs))
-        return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+        return replace(risk_from_occupancy(grid.values, grid.resolution, grid.origin, options),
+                       heights=heights)
     except InvalidRiskMap as error:
         hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
 
 
-def _read_geotiff(path: Path) -> OccupancyMap:
+def _read_geotiff(path: Path) -> tuple[OccupancyMap, HeightArray | None]:
     raster = read_raster(path, nearest=True)
     if not np.isclose(raster.row_step, raster.column_step):
         raise InvalidRiskMap(f'{path}: the cells are not square: {raster.column_step:g} m x '
                              f'{raster.row_step:g} m')
-    return OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
+    grid = OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
                         (*raster.corner, 0.0), raster.crs)
+    return grid, raster.heights
 
 
 def agreed_crs(known: str | None, given: str | None) -> str | None:
@@ -75,11 +80,20 @@ def _read_npz(path: Path, crs: str | None) -> RiskMap:
             content = dict(file)
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
         return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
-                       (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs))
+                       (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs),
+                       content.get('unknown'), content.get('heights'))
     except KeyError as error:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
     except (BadZipFile, EOFError, TypeError, ValueError) as error:
         raise InvalidRiskMap(f'{path}: {error}') from error
+
+
+def npz_bytes(risk_map: RiskMap) -> bytes:
+    """Return the content of an npz file of a map."""
+    stream = BytesIO()
+    np.savez_compressed(stream, **{name: value for name, value in vars(risk_map).items()
+                                   if value is not None})
+    return stream.getvalue()
 
 
 def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
@@ -97,8 +111,10 @@ def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
     return replace(grid, origin=(x, y, yaw), crs=crs)
 
 
-def write_geotiff(path: Path, grid: OccupancyMap) -> None:
+def write_geotiff(path: Path, grid: OccupancyMap, heights: HeightArray | None = None) -> None:
     """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
+
+    With ``heights`` (H, W) [m], these are the second band, from which pictures have their relief.
 
     Raises InvalidCoordinates if the map has no such system.
     """
@@ -106,11 +122,15 @@ def write_geotiff(path: Path, grid: OccupancyMap) -> None:
 
     system = Coordinates(grid.crs or '')
     rows, columns = grid.values.shape
-    values = np.where(grid.values < 0, _UNKNOWN, grid.values).astype(np.uint8)[::-1]
-    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, count=1,
-                       dtype='uint8', crs=system.crs.to_wkt(), transform=cell_transform(grid),
-                       nodata=_UNKNOWN, compress='deflate') as file:
+    kind, unknown = (np.uint8, _UNKNOWN) if heights is None else (np.float32, np.nan)
+    values = np.where(grid.values < 0, unknown, grid.values).astype(kind)[::-1]
+    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=kind,
+                       count=1 if heights is None else 2, crs=system.crs.to_wkt(),
+                       transform=cell_transform(grid), nodata=unknown, compress='deflate') as file:
         file.write(values, 1)
+        if heights is not None:
+            file.write(heights[::-1], 2)
+            file.set_band_description(2, HEIGHTS)
 
 
 def cell_transform(grid: OccupancyMap | RiskMap) -> Any:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Decimals to which vertices are rounded, about 1 mm each; equal vertices are one place.
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
-# Connected parts that have colours of their own in pictures.
+# Maximum number of connected parts with colours of their own in pictures.
 MAX_NAMED = 9
 # Values of ``oneway`` in OpenStreetMap, osmnx and Geofabrik's extracts (F, T, B).
 ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1,

@@ -49,7 +49,7 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
         ]
         frame = pyogrio.read_dataframe(path, layer=layers[0]) if len(layers) == 1 else None
     except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
-        raise InvalidFeatures(f'{path}: {error}') from error
+        raise InvalidFeatures(f'{path}: not a vector file ({str(error).split("; ")[0]})') from error
     if len(layers) > 1:
         raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with NAME '
                               f'one of {", ".join(layers)}')

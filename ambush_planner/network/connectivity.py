@@ -48,7 +48,7 @@ def delaunay_pairs(points: FloatArray, mirrored: FloatArray) -> tuple[IndexArray
 
 def lattice_delaunay_pairs(free: BoolArray, others: FloatArray,
                            method: str) -> tuple[IndexArray, IndexArray]:
-    """Delaunay triangulation of a lattice with gaps and a few additional nodes.
+    """Delaunay triangulation of a lattice with holes and a few additional nodes.
 
     ``free`` (rows, columns) marks the existing lattice nodes, numbered row by row; the ``others``
     (K, 2), in spacings from the map's corner, are numbered last. The lattice is continued beyond
@@ -56,10 +56,10 @@ def lattice_delaunay_pairs(free: BoolArray, others: FloatArray,
 
     A lattice is periodic, so its triangulation is computed once for a tile (Qhull) and repeated
     over the map. Its triangles are kept if all their corners exist and their circumcircles contain
-    none of the others. The gaps between them are triangulated separately, from the nodes on their
+    none of the others. The holes between them are triangulated separately, from the nodes on their
     rims: a triangle there can have no other corners.
 
-    Returns the edges (E, 2) and the triangles (G, 3) in the gaps.
+    Returns the edges (E, 2) and the triangles (G, 3) in the holes.
     """
     exists = np.pad(free, FRAME, constant_values=True)
     number = np.full(exists.shape, -1, dtype=np.int64)
@@ -76,11 +76,11 @@ def lattice_delaunay_pairs(free: BoolArray, others: FloatArray,
     rim = np.zeros(len(places), dtype=bool)
     rim[triangles[~kept]] = True
     rim[-len(others):] = True
-    gaps = _gap_triangles(places, present, rim)
-    joined = number[_triangle_edges(np.concatenate((triangles[kept], gaps)))]
+    holes = _hole_triangles(places, present, rim)
+    joined = number[_triangle_edges(np.concatenate((triangles[kept], holes)))]
     pairs = _unique_pairs(joined[(joined >= 0).all(axis=1)])
-    gaps = number[gaps]
-    return pairs, gaps[(gaps >= 0).all(axis=1)]
+    holes = number[holes]
+    return pairs, holes[(holes >= 0).all(axis=1)]
 
 
 def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
@@ -157,14 +157,14 @@ def _circle_contains(places: FloatArray, triangles: IndexArray, others: FloatArr
     return contains
 
 
-def _gap_triangles(places: FloatArray, present: BoolArray, rim: BoolArray) -> IndexArray:
-    """Delaunay triangles of the nodes present that have all corners on the rim of gaps."""
+def _hole_triangles(places: FloatArray, present: BoolArray, rim: BoolArray) -> IndexArray:
+    """Delaunay triangles of the nodes present that have all corners on the rim of holes."""
     chosen = np.flatnonzero(rim & present)
     triangles = _triangles(places[chosen])
     if triangles.shape[1] == 2:
         return np.empty((0, 3), dtype=np.int64)
     triangles = chosen[triangles]
-    # Outside the gaps, circles contain nodes that are not on a rim.
+    # Outside the holes, circles contain nodes that are not on a rim.
     others = np.flatnonzero(present & ~rim)
     if len(others) == 0:
         return triangles

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute
-from ..maps.obstacles import ObstacleField
+from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph, read_roads
 from ..option_checks import check_at_least, check_flag, check_whole, none_for
@@ -90,8 +90,10 @@ class NetworkOptions:
         return self.graph if isinstance(self.graph, RoadGraph) and self.method == 'graph' else None
 
 
-# Largest number of lattice nodes; more suggest a mistyped spacing.
+# Maximum number of lattice nodes; more suggest a mistyped spacing.
 MAX_CANDIDATES = 20_000_000
+# Distance within which errors name the nearest free place [cells].
+SEARCHED = 50
 
 
 def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
@@ -261,15 +263,18 @@ def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, 
     where = f'{name} ({position[0]:.3f}, {position[1]:.3f})'
     uv = risk_map.to_map_axes(position)
     if not risk_map.contains(uv):
-        width, height = risk_map.size
-        raise off_map(f'{where} is outside the map, which is {width:g} m x {height:g} m from '
-                      f'(x, y, yaw) {risk_map.origin}')
+        (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
+        raise off_map(f'{where} is outside the map, which has x from {left:.10g} to {right:.10g} '
+                      f'and y from {bottom:.10g} to {top:.10g} [m]')
     clearance = options.clearance
     if not field.clear_points(uv[None], clearance)[0]:
         edge = " or of the map's edge" if options.clear_of_edge else ''
         near = f' or within the clearance {clearance:g} m of one{edge}' if clearance else ''
         lower = ', or lower the clearance' if clearance else ''
-        raise blocked(
-            f'{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles '
-            'unless they are given a loss'
-        )
+        free = nearest_free_cell(risk_map, (position[0], position[1]),
+                                 SEARCHED * risk_map.resolution, clearance, options.clear_of_edge)
+        place = f' to ({free[0]:.10g}, {free[1]:.10g})' * (tuple(position) != free)
+        unknown = risk_map.unknown is not None and risk_map.unknown[risk_map.cells(uv)]
+        ground = ('on unknown ground, an obstacle unless map.unknown_alpha gives it a loss'
+                  if unknown else f'in an obstacle{near}')
+        raise blocked(f'{where} lies {ground}; move it{place}{lower}')

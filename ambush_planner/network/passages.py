@@ -12,7 +12,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
 
-# Upper bound of the distance from any point to the nearest lattice node [spacings]. Along a line
+# Maximum distance from any point to the nearest lattice node [spacings]. Along a line
 # with that much free space around it, the nodes next to it are joined.
 MAX_NODE_DISTANCE = 1.1
 # Additional cost of the narrowest cells, relative to that of the widest.

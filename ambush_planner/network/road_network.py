@@ -197,7 +197,7 @@ def _check_connected(graph: TripGraph, ends: dict[str, Position], blocked: int) 
 
 
 def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:
-    """Why no road leads from one node to another: one-way roads, or a gap."""
+    """Why no road leads from one node to another: one-way roads, or parts apart."""
     count = len(graph.points)
     matrix = edge_matrix(graph.edges, np.ones(len(graph.edges)), count)
     parts, part = connected_components(matrix, directed=False)
@@ -207,10 +207,10 @@ def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:
     length = np.hypot(*(graph.points[pairs[:, 1]] - graph.points[pairs[:, 0]]).T)
     km = np.bincount(part[pairs[:, 0]], length, parts) / 1000.0
     here, there = (graph.points[part == part[node]] for node in (one, other))
-    gap, nearest = cKDTree(there).query(here)
-    k = int(np.argmin(gap))
+    distance, nearest = cKDTree(there).query(here)
+    k = int(np.argmin(distance))
     cut = f'; obstacles of the map block {blocked} pieces of road' if blocked else ''
     return (f'they are on two of {parts} separate parts, of {km[part[one]]:.3g} and '
-            f'{km[part[other]]:.3g} km, {gap[k]:.3g} m apart at ({here[k][0]:.1f}, '
+            f'{km[part[other]]:.3g} km, {distance[k]:.3g} m apart at ({here[k][0]:.1f}, '
             f'{here[k][1]:.1f}) and ({there[nearest[k]][0]:.1f}, {there[nearest[k]][1]:.1f}){cut}; '
             'lines meet only where they share a vertex (ambush risk draws the parts)')

@@ -29,7 +29,7 @@ from .options import parts_of_cells
 
 # A block of cells is divided into this many along each side.
 _DIVISION = 4
-# If more than this share of the cells has changed, their losses are computed from the whole map.
+# Maximum share of changed cells; beyond it losses are computed from the whole map.
 _MAX_CHANGED = 0.05
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
 

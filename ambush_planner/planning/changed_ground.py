@@ -30,9 +30,9 @@ from .plan import Plan, Route, depart
 # Maximum number of draws until a route is clear. If a tenth of the routes is clear, one departure
 # in 10^13 needs more.
 _MAX_DRAWS = 300
-# Solve again once more than this share of the routes is blocked.
+# Maximum share of blocked routes; beyond it the game is solved again.
 _MAX_BLOCKED = 0.01
-# Nobody departs before the next solve if a smaller share of the routes is clear.
+# Minimum share of clear routes; below it departures wait for the next solve.
 MIN_CLEAR = 0.1
 # Relative overrun of the length budget that is a solver's rounding.
 _LENGTH_TOLERANCE = 1e-6

@@ -17,8 +17,12 @@ _STRATEGY_NUMBERS = (
     'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
     'expected_length', 'shortest_length',
 )
-# Share of the routes that a single ambush meets from which they count as all.
+# Share of the routes that a single ambush hits from which they count as all.
 ALL_ROUTES = 0.99
+# Maximum spacing of nodes that goes without saying, as a share of the reach.
+MAX_SPACING = 0.25
+# Maximum share of the way on held ground that goes without saying.
+MAX_HELD = 0.5
 
 
 def concerns(plan: Plan) -> list[str]:
@@ -31,19 +35,38 @@ def assumptions(plan: Plan) -> list[str]:
     """Return what a plan's value takes for granted, one sentence each."""
     game = plan.strategy.game.options
     held = f'within {game.held_radius:.4g} m of' if game.held_radius else 'at'
+    share = _held_share(plan)
+    much = f', which is {share:.0%} of the straight way' if share > MAX_HELD else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and meets only routes through "
                  'it; give how far he reaches (--reach, game.ambush_radius)')
     else:
         places = ('anywhere else in free ground' if holds_anywhere(plan.options)
                   else "at the network's nodes only")
-        where = (f'ambushes are {places} and meet a convoy that passes within '
+        where = (f'ambushes are {places} and hit a convoy that passes within '
                  f'{game.ambush_radius:.4g} m')
         if game.tube:
             where += f'; it strays at most {game.tube:.3g} m from its drawn route'
     more = [f'nobody can wait within {radius:.4g} m of ({x:.6g}, {y:.6g})'
             for x, y, radius in game.held_places]
-    return [f'nobody can wait {held} start, stops and goal', *more, where]
+    return [f'nobody can wait {held} start, stops and goal{much}', *more, where, *_coarse(plan)]
+
+
+def _held_share(plan: Plan) -> float:
+    """Share of the straight way from start to goal, by the stops, that lies on held ground."""
+    network = plan.network
+    ends = network.points[[network.source, *network.stops, network.target]]
+    legs = np.hypot(*np.diff(ends, axis=0).T)
+    return float(np.minimum(legs, 2.0 * plan.strategy.game.options.held_radius).sum() / legs.sum())
+
+
+def _coarse(plan: Plan) -> list[str]:
+    """Say that a finer network could have a lower value, if the spacing is wide for the reach."""
+    reach, spacing = plan.options.game.ambush_radius, plan.spacing
+    if plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
+        return []
+    return [f'the convoy drives between nodes {spacing:.3g} m apart, {spacing / reach:.2f} times '
+            'the reach; on a finer network (network.spacing) the value can be lower']
 
 
 def is_sound(plan: Plan) -> bool:
@@ -62,8 +85,8 @@ def wide_gap(plan: Plan) -> str:
     if strategy.counting_gap:
         return (f'{wide}; no closer strategy or bound was found, and more time would not help; a '
                 'larger network.spacing or fewer stops may')
-    return (f'{wide}; the time limit (max_planning_time) ended the search: allow more time or a '
-            'larger network.spacing')
+    return (f'{wide}; the time limit (strategy.time_limit, or max_planning_time of the node) ended '
+            'the search: allow more time or a larger network.spacing')
 
 
 def _held_ground(plan: Plan) -> str:
@@ -74,7 +97,7 @@ def _held_ground(plan: Plan) -> str:
         return (f'the value is 0: nobody can wait within {held:.4g} m of start, stops and goal, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
     if not bottleneck.value > 0.0:
-        return 'the value is 0: some routes meet no ambush that causes a loss; check the map'
+        return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
     asked = plan.options.game.secured_radius
@@ -99,10 +122,10 @@ def _held_ground(plan: Plan) -> str:
 
 
 def _covers_all(plan: Plan) -> str:
-    """Which single place meets every route, '' if none does.
+    """Which single place lies on every route, '' if none does.
 
     Against a best strategy all sites that the ambusher uses cost the same, so that a site which
-    costs no more than the value if it meets a route meets them all.
+    costs no more than the value if it hits a route hits them all.
     """
     network, game = plan.network, plan.strategy.game
     sites = plan.bottleneck.sites
@@ -114,7 +137,7 @@ def _covers_all(plan: Plan) -> str:
     at = int(away.min(axis=0).argmin())
     name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
     if away.min() > game.options.held_radius + 2.0 * max(game.reach, plan.spacing):
-        return f'one place meets every route, {away.min():.3g} m from {name}'
+        return f'one place hits every route, {away.min():.3g} m from {name}'
     return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
 
 
@@ -133,7 +156,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
         ), '')
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
-        'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
+        'value_is': 'probability of being hit' if _is_chance(plan.strategy.game) else 'mean loss',
         _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
         'value_holds_at': ('anywhere in free ground'
                            if holds_anywhere(plan.options)

@@ -32,9 +32,12 @@ MAX_ROUTES = 100
 CURVE = (1, 2, 4, 6, 10, 20)
 # Drawn routes that are driven, to choose from.
 CANDIDATES = 150
-# Smallest share of a route; smallest gain of an exchange, and largest excess of the value on the
-# map over that at known sites, as shares of the value.
-MIN_SHARE, MIN_GAIN, MAX_EXCESS = 1e-9, 2e-3, 5e-3
+# Minimum share of a route.
+MIN_SHARE = 1e-9
+# Minimum gain of an exchange, as a share of the value.
+MIN_GAIN = 2e-3
+# Maximum excess of the value on the map over that at known sites, as a share of the value.
+MAX_EXCESS = 5e-3
 # In each exchange: routes that are tried in addition, and those tried to be left out for them.
 JOIN, LEAVE = 4, 3
 # Sites with which a linear program begins, those that join at once, and its relative precision.
@@ -131,11 +134,11 @@ def _promising(plan: Plan, routes: list[IndexArray],
     route = np.repeat(np.arange(len(edges)), list(map(len, edges)))
     uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
                       (len(network.edges), len(edges)))
-    met = csr_matrix(game.hits @ uses)
-    met.data[:] = 1.0  # however often a route comes back
+    hit = csr_matrix(game.hits @ uses)
+    hit.data[:] = 1.0  # however often a route comes back
     costs = np.array([budget.cost @ uses for budget in budgets])
     limits = np.array([[budget.limit or 1.0] for budget in budgets])
-    best = best_shares(met.multiply(game.loss[game.sites][:, None]).tocsr(), costs / limits)
+    best = best_shares(hit.multiply(game.loss[game.sites][:, None]).tocsr(), costs / limits)
     order = np.argsort(-best.shares, kind='stable')[:most]
     return [routes[k] for k in order], costs[:, order]
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -20,19 +21,29 @@ from ..maps.track_file import Track
 from ..network.construction import build_network
 from .options import PlanningOptions
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan
-from .trip import plan_trip
+from .plan import Plan, make_plan
+from .solving import solve_on_network
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
-MIN_STEP = 0.05  # a vehicle that moves less stands still; share of the reach
-USUAL = 0.75  # quantile of a track's steps
-# An outlier: most positions, least steps there and back in usual ones and over the direct way
-MAX_SPIKE, SPIKE_STEPS, SPIKE_DETOUR = 3, 5.0, 4.0
-# Longest step that is no gap: in usual ones, or as a share of the distance from start to goal
-GAP_STEPS, MAX_BRIDGED = 5.0, 0.1
-SAME_TIME = 0.5  # least overlap of two tracks of one trip, as a share of the shorter
-MIN_DETOUR = 1.05  # least length budget of the optimum, over the shortest route
+# Minimum step of a vehicle that moves, as a share of the reach.
+MIN_STEP = 0.05
+# Quantile of a track's steps that is a usual step.
+USUAL = 0.75
+# Maximum number of positions that are an outlier together.
+MAX_SPIKE = 3
+# Minimum steps to an outlier and back [usual steps].
+MIN_SPIKE_STEPS = 5.0
+# Minimum way over an outlier, as a multiple of the direct way.
+MIN_SPIKE_DETOUR = 4.0
+# Maximum step that does not break a track [usual steps].
+MAX_STEP = 5.0
+# Maximum step that does not break a track, as a share of the distance from start to goal.
+MAX_BRIDGED = 0.1
+# Minimum overlap in time of two tracks of one trip, as a share of the shorter one.
+MIN_OVERLAP = 0.5
+# Minimum length budget of the optimum, as a multiple of the shortest route.
+MIN_DETOUR = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +68,14 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     The plan's ``max_detour`` is that of the trips, at least ``MIN_DETOUR``. Raises InvalidOption if
     nobody can wait anywhere, and the errors of ``plan_trip`` and ``PathMixtures``.
     """
-    start, goal = trips[0].xy[[0, -1]]
+    begin, (start, goal) = time.monotonic(), trips[0].xy[[0, -1]]
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
     network = build_network(risk_map, start, goal, options.network)
     detour = max(mean / least_cost(network, network.lengths), MIN_DETOUR)
-    plan = plan_trip(risk_map, start, goal, replace(
-        options, strategy=replace(options.strategy, max_detour=detour)))
+    options = replace(options, strategy=replace(options.strategy, max_detour=detour))
+    strategy = solve_on_network(risk_map, network, options)
+    plan = make_plan(risk_map, strategy, options, begin)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('held ground covers everything around start and goal, so that nobody '
                             'can wait there: choose a smaller radius (--held)')
@@ -76,11 +88,11 @@ def _interval(driven: PathMixture) -> tuple[float, float]:
     """The bootstrap's interval over trips for the mean loss at the worst place.
 
     The place stays: if each resample had its own worst place, a few trips would look worse than the
-    habits behind them. An ambush there meets a binomial number of resampled trips, whose quantiles
+    habits behind them. An ambush there hits a binomial number of resampled trips, whose quantiles
     need no draws.
     """
-    count, met = len(driven.met), int(driven.met.sum())
-    low, high = driven.value * binom.ppf((0.025, 0.975), count, met / count) / max(met, 1)
+    count, hit = len(driven.hit), int(driven.hit.sum())
+    low, high = driven.value * binom.ppf((0.025, 0.975), count, hit / count) / max(hit, 1)
     return float(low), float(high)
 
 
@@ -89,8 +101,8 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
     """The trips from start to goal, which are their ends, and a sentence for each left out.
 
     A trip leads from the last approach to the start, within ``near`` [m], to the first approach to
-    the goal after it; a track can have several. Outliers are removed, short gaps are bridged. Trips
-    that were driven at the same time, within ``reach`` [m] of each other, and copies count once.
+    the goal after it; a track can have several. Outliers are removed, short jumps are bridged.
+    Trips driven at the same time, within ``reach`` [m] of each other, and copies count once.
     """
     trips: list[Track] = []
     left_out = []
@@ -124,11 +136,11 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
     if not (legs := _legs(away, end)):
         yield f'{track.name} leads from the goal to the start: the way back is another game'
     steps = _steps(xy)
-    most = max(GAP_STEPS * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
+    most = max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
     for number, (first, last) in enumerate(legs, start=1):
         name = track.name if len(legs) == 1 else f'trip {number} of {track.name}'
-        if (gap := steps[first:last].max()) > most:
-            yield f'{name} has a gap of {gap:.4g} m, more than {most:.4g} m'
+        if (jump := steps[first:last].max()) > most:
+            yield f'{name} has a jump of {jump:.4g} m, more than {most:.4g} m'
             continue
         when = np.pad(times[first : last + 1], 1, mode='edge')
         yield Track(name, np.vstack((start, xy[first : last + 1], goal)),
@@ -167,8 +179,8 @@ def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
         before, after = p[: -width - 1], p[width + 1 :]
         there, back, direct = (np.hypot(*step.T) for step in (
             p[1:-width] - before, after - p[width:-1], after - before))
-        spike = ((np.minimum(there, back) > SPIKE_STEPS * usual)
-                 & (there + back > SPIKE_DETOUR * direct))
+        spike = ((np.minimum(there, back) > MIN_SPIKE_STEPS * usual)
+                 & (there + back > MIN_SPIKE_DETOUR * direct))
         kept = np.delete(kept, np.flatnonzero(spike)[:, None] + 1 + np.arange(width)).tolist()
     return kept
 
@@ -178,7 +190,7 @@ def _is_one(one: Track, other: Track, reach: float) -> bool:
     if one.times is None or other.times is None:
         return np.array_equal(one.xy, other.xy)
     (a, b), (c, d) = one.times[[0, -1]], other.times[[0, -1]]
-    return min(b, d) - max(a, c) >= SAME_TIME * min(b - a, d - c) and all(
+    return min(b, d) - max(a, c) >= MIN_OVERLAP * min(b - a, d - c) and all(
         directed_hausdorff(line, _dense(wide, reach / 2.0))[0] <= reach
         for line, wide in ((one.xy, other.xy), (other.xy, one.xy)))
 

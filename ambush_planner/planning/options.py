@@ -13,14 +13,15 @@ from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, chosen_spacing
 from ..option_checks import check_at_least, none_for
 
-# Largest distance of a place from the site that stands for it, as a share of the reach, and the
-# most parts of a cell's side that this may take.
-WIDENED, MAX_PARTS = 0.02, 10
+# Maximum distance of a place from the site that stands for it, as a share of the reach.
+MAX_WIDENED = 0.02
+# Maximum number of parts of a cell's side, even if MAX_WIDENED would take more.
+MAX_PARTS = 10
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
 # Largest distance of paths from the line of a road, unless a tube is set [m].
 ROAD_TUBE = 1.0
-# Largest start tolerance, as a share of the reach: what held ground loses by it stays small.
+# Maximum start tolerance, as a share of the reach: what held ground loses by it stays small.
 MAX_TOLERANCE = 0.25
 
 
@@ -111,12 +112,12 @@ def holds_anywhere(options: PlanningOptions) -> bool:
 def parts_of_cells(resolution: float, game: GameOptions) -> int:
     """Into how many parts a side of each cell is divided, whose centres are the sites.
 
-    The farthest place of a part is within ``WIDENED`` times the reach from its centre, unless that
-    takes more than ``MAX_PARTS``. It is 1 if ambushers wait at nodes only.
+    The farthest place of a part is within ``MAX_WIDENED`` times the reach from its centre, unless
+    that takes more than ``MAX_PARTS``. It is 1 if ambushers wait at nodes only.
     """
     if game.ambush_radius == 0.0:
         return 1
-    farthest = WIDENED * (game.ambush_radius + game.tube)
+    farthest = MAX_WIDENED * (game.ambush_radius + game.tube)
     return min(math.ceil(resolution / (math.sqrt(2.0) * farthest)), MAX_PARTS)
 
 

@@ -53,7 +53,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'alpha',
         'Source of the map: alpha, a risk map for this planner; costmap, a costmap of Nav2, in '
         'which cells from 99 (inscribed) are obstacles and each ambush costs 1, so that the value '
-        'is the chance to be met; costmap_risk, the same obstacles, but losses from the costs.',
+        'is the probability of being hit; costmap_risk, the same obstacles, but losses from the '
+        'costs.',
         choices=('alpha', 'costmap', 'costmap_risk')),
     'map.costmap': Declaration(
         False,

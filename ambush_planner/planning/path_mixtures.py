@@ -25,9 +25,9 @@ from ..network.network import Network
 from .cell_losses import CellLosses, CellSearch
 from .plan import Plan
 
-# Largest relative gap between the best shares' value and that of the linear program.
+# Maximum relative gap between the best shares' value and that of the linear program.
 MAX_GAP = 1e-3
-# Largest distance of a path from a stop that it passes [m].
+# Maximum distance of a path from a stop that it passes [m].
 AT_STOP = 1e-6
 
 
@@ -36,14 +36,14 @@ class PathMixture:
     """Shares (K,) of given paths.
 
     ``value`` is the mean loss by the worst ambusher who knows the shares, wherever in free ground
-    outside held ground he waits; ``worst_xy`` (2,) is where that is [m], and ``met`` (K,) which
-    paths he meets there.
+    outside held ground he waits; ``worst_xy`` (2,) is where that is [m], and ``hit`` (K,) which
+    paths he hits there.
     """
 
     shares: FloatArray
     value: float
     worst_xy: FloatArray
-    met: BoolArray
+    hit: BoolArray
 
 
 class BestShares(NamedTuple):
@@ -61,7 +61,7 @@ class BestShares(NamedTuple):
 class PathMixtures:
     """All mixtures of paths (L, 2 or 3), x and y [m] first, from start to goal of a plan.
 
-    An ambush of the plan's reach meets a path that passes within it outside held ground, once
+    An ambush of the plan's reach hits a path that passes within it outside held ground, once
     however often it comes back. The robot's tracking error adds to the reach, but no tube: a given
     path is what is driven.
 
@@ -78,30 +78,30 @@ class PathMixtures:
         self._cells = CellLosses(risk_map, options.ambush_in_obstacles)
         self._exposed = self._game.exposed()
         self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
-        self._met = csr_matrix((0, len(paths)))
+        self._hit = csr_matrix((0, len(paths)))
         points = solved.network.points[solved.sites]
         self._add_sites(points, solved.loss[solved.sites])
 
     def judged(self, shares: FloatArray) -> PathMixture:
         """The mixture with given shares (K,), which add up to 1."""
-        least = float((self._loss * (self._met @ shares)).max(initial=0.0))
+        least = float((self._loss * (self._hit @ shares)).max(initial=0.0))
         used = self._uses @ shares
         # Only along the paths that have a share: of many paths, a best mixture needs few.
         search = CellSearch(self._cells, self._game, np.flatnonzero(used))
         found = search.worst(chain_of(self._network, used), least)
         self._add_sites(found.points, found.alpha)
-        losses = self._loss * (self._met @ shares)
+        losses = self._loss * (self._hit @ shares)
         worst = int(losses.argmax())
         return PathMixture(frozen_array(shares, np.float64), float(losses[worst]),
                            frozen_array(self._points[worst], np.float64),
-                           frozen_array(self._met[worst].toarray()[0], np.bool_))
+                           frozen_array(self._hit[worst].toarray()[0], np.bool_))
 
     def best(self, costs: FloatArray | None = None, budget: float = math.inf) -> PathMixture:
         """The shares of least value, up to ``MAX_GAP``, with mean ``costs`` (K,) within a budget.
 
         Raises BudgetInfeasible if every path costs more.
         """
-        costs = np.zeros(self._met.shape[1]) if costs is None else costs
+        costs = np.zeros(self._hit.shape[1]) if costs is None else costs
         if not costs.min() <= budget:
             raise BudgetInfeasible(f'the shortest path takes {costs.min():.6g}, more than the '
                                    f'budget of {budget:.6g}; raise max_detour')
@@ -115,14 +115,14 @@ class PathMixtures:
     @property
     def losses(self) -> csr_matrix:
         """What each path costs (S, K) at each of the sites so far, which include the worst."""
-        return self._met.multiply(self._loss[:, None]).tocsr()
+        return self._hit.multiply(self._loss[:, None]).tocsr()
 
     def _add_sites(self, points: FloatArray, loss: FloatArray) -> None:
-        met = csr_matrix(self._exposed.entering(points, self._game.reach) @ self._uses)
-        met.data[:] = 1.0  # however often a path comes back
+        hit = csr_matrix(self._exposed.entering(points, self._game.reach) @ self._uses)
+        hit.data[:] = 1.0  # however often a path comes back
         self._points = np.concatenate((self._points, points))
         self._loss = np.append(self._loss, loss)
-        self._met = csr_matrix(vstack((self._met, met)))
+        self._hit = csr_matrix(vstack((self._hit, hit)))
 
 
 def check_judged(options: GameOptions) -> None:

@@ -149,14 +149,15 @@ class Plan(Shown):
         return list(drawn.paths)
 
     def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
-        """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.
+        """Draw ``n`` routes and return their paths as a GeoDataFrame, as files have them.
 
         ``rng`` as in ``paths``.
         """
-        from .route_layers import route_table
+        from .route_layers import line_table, route_columns
 
-        times = [datetime.now(timezone.utc)] * n
-        return route_table(self.paths(n, rng), times, self.risk_map.crs if self.risk_map else None)
+        paths, times = self.paths(n, rng), [datetime.now(timezone.utc)] * n
+        return line_table(route_columns(paths, times), paths,
+                          self.risk_map.crs if self.risk_map else None)
 
     @cached_property
     def spotter(self) -> Spotter | None:
@@ -206,7 +207,7 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
         drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
         different = different_paths(corridors, drawn)
     return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
-                time.monotonic() - begin)
+                time.monotonic() - begin, risk_map=risk_map)
 
 
 def plan_corridors(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Corridors:

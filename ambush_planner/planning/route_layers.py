@@ -18,38 +18,36 @@ from ..game.strategy import Strategy
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import cell_transform
-from .few_routes import FewRoutes
 
-# Edges and sites with smaller probabilities are left out.
+# Minimum probability of edges and sites in files.
 MIN_PROBABILITY = 1e-6
 
 
-def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str | None) -> Any:
-    """Return paths (L, 2 or 3) [m] as lines with ``departure`` (from 1), ``length`` [m], ``time``.
-
-    ``time`` is when a route was drawn, as text (ISO 8601).
-    """
-    return _lines({'departure': np.arange(1, len(paths) + 1)}, paths, crs,
-                  {'time': [time.isoformat(timespec='seconds') for time in times]})
+def route_columns(paths: Sequence[FloatArray], times: Sequence[datetime]) -> dict[str, Any]:
+    """``departure`` (from 1), ``length`` [m] and the ``time`` of drawing (ISO 8601) of paths."""
+    return {'departure': range(1, len(paths) + 1), 'length': lengths(paths),
+            'time': [time.isoformat(timespec='seconds') for time in times]}
 
 
-def few_table(few: FewRoutes, crs: str | None) -> Any:
-    """Return few routes as lines with ``route`` (from 1), ``share`` and ``length`` [m]."""
-    return _lines({'route': np.arange(1, len(few.paths) + 1), 'share': few.shares}, few.paths, crs)
+def lengths(paths: Sequence[FloatArray]) -> list[float]:
+    """Lengths of paths (L, 2 or 3) [m]."""
+    return [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths]
 
 
-def _lines(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str | None,
-           more: Mapping[str, Any] | None = None) -> Any:
-    """A table of paths with their lengths, between the other columns."""
+def lines_in_system(paths: Sequence[FloatArray], crs: str | None) -> list[FloatArray]:
+    """Positions (L, 2) of paths (L, 2 or 3) in their coordinate system, if they have one."""
+    system = Coordinates(crs) if crs else None
+    return [system.to_crs(path[:, :2]) if system else path[:, :2] for path in paths]
+
+
+def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str | None) -> Any:
+    """Return paths (L, 2 or 3) [m] as lines with other columns."""
     import geopandas
     import shapely
 
-    system = Coordinates(crs) if crs else None
-    length = [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths]
-    columns = {**columns, 'length': length, **(more or {})}
-    lines = [shapely.LineString(system.to_crs(path[:, :2]) if system else path[:, :2])
-             for path in paths]
-    return geopandas.GeoDataFrame(columns, geometry=lines, crs=system and system.crs)
+    return geopandas.GeoDataFrame(
+        columns, geometry=[shapely.LineString(line) for line in lines_in_system(paths, crs)],
+        crs=Coordinates(crs).crs if crs else None)
 
 
 def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:

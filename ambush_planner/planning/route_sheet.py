@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from ..maps.coordinates import Coordinates
 FORMAT = 'ambush routes 1'
 # Digits after the decimal point: millimetres, and degrees of latitude as fine.
 _METRES, _DEGREES = 3, 8
-# Largest rounding of a sum of shares.
+# Maximum rounding of a sum of shares.
 MAX_ROUNDING = 1e-6
 
 Position = tuple[float, float]
@@ -50,9 +51,10 @@ class SheetRoute:
 class RouteSheet:
     """A few routes between two places.
 
-    ``map`` is the map's file. An ambusher who knows all of the sheet but the draw causes a mean
-    loss of ``value``; with any routes he causes at least ``lower_bound``. He meets a convoy within
-    ``reach`` [m], but cannot wait within ``held_radius`` [m] of start, stops and goal.
+    ``map`` is the map's file. An ambusher who knows all of the sheet but the draws causes a mean
+    loss of ``value``; with any routes he causes at least ``lower_bound``. He hits a convoy within
+    ``reach`` [m], but cannot wait within ``held_radius`` [m] of start, stops and goal. ``slots``
+    are times of departure (HH:MM) with their shares, if one is drawn, too.
     """
 
     map: Path
@@ -65,11 +67,19 @@ class RouteSheet:
     value: float
     lower_bound: float
     routes: tuple[SheetRoute, ...]
+    slots: tuple[tuple[str, float], ...] = ()
 
-    def draw(self, rng: np.random.Generator) -> SheetRoute:
-        """Draw one route by the shares."""
-        shares = np.array([route.share for route in self.routes])
-        return self.routes[int(rng.choice(len(shares), p=shares / shares.sum()))]
+    def draw(self, rng: np.random.Generator) -> tuple[SheetRoute, str | None]:
+        """Draw one route and, if there are any, one slot by the shares."""
+        route = self.routes[_drawn([route.share for route in self.routes], rng)]
+        if not self.slots:
+            return route, None
+        return route, self.slots[_drawn([share for _, share in self.slots], rng)][0]
+
+
+def _drawn(shares: Sequence[float], rng: np.random.Generator) -> int:
+    """Draw an index by shares that add up to 1 but for rounding."""
+    return int(rng.choice(len(shares), p=np.array(shares) / sum(shares)))
 
 
 def sheet_route(number: int, share: float, path: FloatArray, crs: str | None) -> SheetRoute:
@@ -98,14 +108,16 @@ def read_route_sheet(path: Path) -> RouteSheet:
         routes = tuple(_route(row) for row in content.pop('routes'))
         start, goal = _position(content.pop('start')), _position(content.pop('goal'))
         stops = tuple(map(_position, content.pop('stops')))
+        slots = tuple((str(slot), float(share)) for slot, share in content.pop('slots'))
         sheet = RouteSheet(map=path.parent / content.pop('map'), start=start, goal=goal,
-                           stops=stops, routes=routes, **content)
+                           stops=stops, routes=routes, slots=slots, **content)
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InvalidRouteSheet(f'{shown(path)}: not a file of routes as ambush plan --routes '
                                 'writes it (-o FILE.json)') from None
-    if not math.isclose(sum(route.share for route in routes), 1.0, abs_tol=MAX_ROUNDING):
-        raise InvalidRouteSheet(f"{shown(path)}: the routes' shares must add up to 1; write the "
-                                'file again with ambush plan --routes')
+    shares = [route.share for route in routes], [share for _, share in slots]
+    if not all(math.isclose(sum(each), 1.0, abs_tol=MAX_ROUNDING) for each in shares if each):
+        raise InvalidRouteSheet(f'{shown(path)}: the shares must add up to 1; write the file again '
+                                'with ambush plan --routes')
     return sheet
 
 

@@ -154,8 +154,7 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
     else:
         strategy, chosen, found = _StopOrderSearch(risk_map, graph, options, progress).run()
     made = make_plan(risk_map, strategy, options, begin)
-    return replace(made, order=tuple(place[k] for k in chosen), order_found=found,
-                   risk_map=risk_map)
+    return replace(made, order=tuple(place[k] for k in chosen), order_found=found)
 
 
 def plan_from_request(request: PlanRequest) -> Plan:

@@ -84,15 +84,15 @@ class TripUnderWay:
 
         None if it is not on what remains of the path.
         """
-        gaps, along = self._line.projected(place)
-        near = gaps <= self.tolerance
+        away, along = self._line.projected(place)
+        near = away <= self.tolerance
         ahead, behind = near & (along >= self.progress), near & (along >= self.progress - self.back)
         on_path = ahead if ahead.any() else behind
         if not on_path.any():
             return None
         first = int(on_path.argmax())  # the first stretch that is near enough
         end = first + int(np.append(on_path[first:], False).argmin())
-        at = float(along[first + int(gaps[first:end].argmin())])
+        at = float(along[first + int(away[first:end].argmin())])
         self.progress = max(self.progress, at)
         return at
 
@@ -103,8 +103,8 @@ class TripUnderWay:
         within a cell of its end.
         """
         at = self.follow(place) or 0.0
-        gaps, along = self._line.projected(place)
-        off = float(gaps[np.abs(along - at).argmin()])
+        away, along = self._line.projected(place)
+        off = float(away[np.abs(along - at).argmin()])
         ahead = self.path[self._line.along > at + off]
         rest = np.vstack(([(*place, 0.0)], ahead if len(ahead) else self.path[-1:]))
         if math.dist(rest[-1, :2], goal) <= self.destination.cell:
@@ -157,10 +157,10 @@ class TripUnderWay:
         steps = np.hypot(*np.diff(self.places, axis=0).T)
         found = [0.0]
         for place, step in zip(self.places[1:].tolist(), steps.tolist(), strict=True):
-            gaps, along = self._line.projected(place)
+            away, along = self._line.projected(place)
             # The path turns off at most a tube before and after each step of the route.
             near = (along >= found[-1]) & (along <= found[-1] + 2.0 * step + self.back)
-            found.append(float(along[near][gaps[near].argmin()]) if near.any() else found[-1])
+            found.append(float(along[near][away[near].argmin()]) if near.any() else found[-1])
         found[-1] = float(self._line.along[-1])
         return np.array(found)
 
@@ -191,6 +191,6 @@ class _Line:
         """Distance of each segment (L - 1,) from a place, and its nearest point's ``along`` [m]."""
         offset = place - self._tails
         share = np.clip((offset * self._steps).sum(axis=1) / self._lengths**2, 0.0, 1.0)
-        gaps = np.hypot(*(offset - share[:, None] * self._steps).T)
-        return gaps, self.along[:-1] + share * np.diff(self.along)
+        away = np.hypot(*(offset - share[:, None] * self._steps).T)
+        return away, self.along[:-1] + share * np.diff(self.along)
 

@@ -33,7 +33,7 @@ from ..errors import AmbushPlannerError
 from ..game.route_sampler import RouteSampler
 from ..game.strategy import Strategy
 
-# With fewer departures the test finds hardly anything but one route driven every time.
+# Minimum number of departures; with fewer the test finds little but one route driven every time.
 MIN_DEPARTURES = 5
 # False-positive rate: departures with a p-value up to this are a finding.
 LEVEL = 0.001
@@ -192,11 +192,11 @@ class _Group:
         first = int(route.min(initial=0))
         shape = int(route.max(initial=0)) - first + 1, len(self.p)
         driven = csr_matrix((np.ones(len(edge)), (route - first, edge)), shape)
-        met = (driven @ self.hits).tocoo()  # each route counts once, however often it comes back
-        drawn, member = np.divmod(met.row + first, len(self.members))
+        hit = (driven @ self.hits).tocoo()  # each route counts once, however often it comes back
+        drawn, member = np.divmod(hit.row + first, len(self.members))
         site_number = self.node_number[self.game.sites]
-        return (self.loss[met.col], drawn * n + np.array(self.members)[member],
-                site_number[met.col])
+        return (self.loss[hit.col], drawn * n + np.array(self.members)[member],
+                site_number[hit.col])
 
 
 def _grouped(departures: Sequence[Any]) -> tuple[list[_Group], list[Any]]:

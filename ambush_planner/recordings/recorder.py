@@ -24,7 +24,8 @@ from .recording_errors import RecordingFailed, recording_to
 from .recording_file import COMPRESSIONS, encode
 
 SESSION_PREFIX = 'ambush_planner_'
-# Recordings in one session folder; metadata.yaml, which lists them all, is written with each.
+# Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with
+# each.
 MAX_FILES = 500
 # Age [s] from which a temporary file was left by a kill: another node's write takes less.
 _ABANDONED = 60.0
@@ -66,7 +67,7 @@ class Recorder:
             data = encode(ordered, entries, attachments, self._compression)
         with self._lock:
             folder = self._session_folder()
-            # A number is never used twice: a gap is a departure whose recording failed.
+            # A number is never used twice: a missing one is a departure whose recording failed.
             path = folder / f'{folder.name}_{self._next}.mcap'
             self._next += 1
             with recording_to(path):

@@ -22,15 +22,16 @@ from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
-# Maximum cells of a map in each direction; of larger maps blocks show their worst loss.
+# Maximum number of cells of a map in each direction; of larger maps blocks of cells show their
+# worst loss.
 MAX_CELLS = 2000
 # Number of obstacle cells; smaller numbers are indices into the losses.
 OBSTACLE = 255
-# Edges with smaller probabilities do not count at the pointer.
+# Minimum probability of edges that count at the pointer.
 MIN_PROBABILITY = 1e-7
 # Accuracy of driven paths in the picture [cells of the map].
 PATH_ACCURACY = 0.1
-# Sites with a smaller share of the likeliest site's probability are left out.
+# Minimum probability of sites, as a share of the likeliest site's.
 MIN_SITE = 1e-3
 
 

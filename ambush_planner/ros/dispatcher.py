@@ -45,9 +45,9 @@ from .recordings import Recordings
 from .reporter import Reporter
 from .topics import Publishers
 
-# Time from the start of the shutdown to the end of the last recording [s]; half of the time in
-# which the node has to end.
-_SHUTDOWN_TIME = 1.0
+# Maximum time from the start of the shutdown to the end of the last recording [s]; half of the time
+# in which the node has to end.
+_MAX_SHUTDOWN = 1.0
 # Maximum number of solves for one departure while the map changes.
 _MAX_SOLVES = 4
 # Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
@@ -136,7 +136,7 @@ class Dispatcher:
         self.stop_solving()
         self._departures.close()
         began = self._shutdown_began or 0.0
-        if lost := self._recordings.close(began + _SHUTDOWN_TIME - time.monotonic()):
+        if lost := self._recordings.close(began + _MAX_SHUTDOWN - time.monotonic()):
             self._logger.error(f'recording: {lost} departures were not written before the shutdown')
 
     def map_changed(self) -> None:

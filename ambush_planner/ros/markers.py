@@ -17,8 +17,8 @@ from ..game.strategy import Strategy
 from ..network.network import Network
 from .cdr import marker_array
 
-# Probability below which edges and nodes, and sites relative to the likeliest one, are not drawn:
-# they would be almost transparent.
+# Minimum probability of edges and nodes that are drawn, and of sites relative to the likeliest one:
+# others would be almost transparent.
 _MIN_SHOWN = 1e-4
 # Height of a layer as a fraction of the network's extent, and its maximum [m]. In Foxglove, lines
 # must lie below the path, which is at 0, and discs above the map.

@@ -24,7 +24,8 @@ from ..maps.road_file import RoadGraph
 from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.parameters import PARAMETERS, Declaration
 
-_INT64_MAX = 2**63 - 1
+# Maximum of a whole number in ROS.
+_MAX_INT64 = 2**63 - 1
 # Stands for any file with roads.
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 
@@ -142,6 +143,6 @@ def _descriptor(declaration: Declaration) -> ParameterDescriptor:
         limits = FloatingPointRange(from_value=float(low), to_value=float(high))
         result.floating_point_range = [limits]
     elif isinstance(declaration.default, int) and not isinstance(declaration.default, bool):
-        ends = IntegerRange(from_value=int(low), to_value=int(min(high, _INT64_MAX)))
+        ends = IntegerRange(from_value=int(low), to_value=int(min(high, _MAX_INT64)))
         result.integer_range = [ends]
     return result

@@ -26,8 +26,10 @@ from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
 
-# Maximum number of plans kept, and of edges of all of them (1.1 kB each).
-_MAX_PLANS, _MAX_EDGES = 32, 300_000
+# Maximum number of plans kept.
+_MAX_PLANS = 32
+# Maximum number of edges of all plans kept (1.1 kB each).
+_MAX_EDGES = 300_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,10 @@ from ..recordings.recorder import remove_abandoned
 from ..worker.solve_errors import forget_frames, unexpected
 from .departure_record import Departure, attachments, metadata_entries, recorded_messages
 
-# Departures that may wait for the disk: few enough to be written when the node shuts down.
+# Maximum number of departures that wait for the disk: few enough to be written at shutdown.
 _MAX_WAITING = 4
-# Longest time [s] that a departure waits for room in the queue.
-_PATIENCE = 2.0
+# Maximum time [s] that a departure waits for room in the queue.
+_MAX_WAIT = 2.0
 
 
 class Recordings:
@@ -52,7 +52,7 @@ class Recordings:
         """Wait for room in the queue, but not for a stuck disk; call before a departure."""
         with self._condition:
             room = self._condition.wait_for(lambda: not self._full or self._hurry or self._stuck,
-                                            _PATIENCE)
+                                            _MAX_WAIT)
             self._stuck = self._stuck or not room
 
     def record(self, departure: Departure) -> Future[None]:

@@ -38,8 +38,8 @@ def with_new_obstacles(corridors: Corridors, cells: FloatArray, clearance: float
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     reach = np.hypot(length / 2 + wide, wide) + clearance + 2.0 * resolution
     middles = ends.mean(axis=1)
-    gaps, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
-    near = np.flatnonzero(gaps <= reach)
+    away, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
+    near = np.flatnonzero(away <= reach)
     narrowed = limit_to_cells(CorridorWidths(corridors.widths[near], corridors.beyond[near]),
                               corridors.uv, corridors.links[near], cells, clearance, resolution)
     return _with_widths(corridors, near, narrowed)

@@ -2,9 +2,9 @@
 """Corridors: how far the driven path may leave the drawn route.
 
 Along each edge lie two *strips*, rectangles of its length and of the ``widths`` left and right.
-Where a route turns, its strips separate on the outer side; the gap is filled by *quarters* of discs
-around the node, between the end of a strip and the extension of the edge. Strips and quarters keep
-the clearance from obstacles, and either
+Where a route turns, its strips separate on the outer side; the wedge between them is
+filled by *quarters* of discs around the node, between the end of a strip and the extension of the
+edge. Strips and quarters keep the clearance from obstacles, and either
 
 * contain no other node (``tube`` None): a path within a route's corridor passes no node but the
   route's own, so the game on the network is the game that is driven. A path may even skip nodes of
@@ -87,10 +87,10 @@ class Corridors:
         ahead = place[self.links[link, 1]]
         forward = (ahead == step + 1) | ((ahead > step) & self.shortcut[link])
         step, ahead = step[forward], ahead[forward]
-        gaps = np.hypot(*(self.uv[route[ahead]] - self.uv[route[step]]).T)
+        steps = np.hypot(*(self.uv[route[ahead]] - self.uv[route[step]]).T)
         length, before = [np.inf] * len(route), [0] * len(route)
         length[0] = 0.0
-        for tail, head, gone in zip(step.tolist(), ahead.tolist(), gaps.tolist(), strict=True):
+        for tail, head, gone in zip(step.tolist(), ahead.tolist(), steps.tolist(), strict=True):
             if length[tail] + gone < length[head]:
                 length[head], before[head] = length[tail] + gone, tail
         kept = [len(route) - 1]

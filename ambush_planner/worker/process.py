@@ -20,8 +20,8 @@ from ..planning.plan import Plan, PlanRequest
 from .child import PICKLE_PROTOCOL
 from .solve_errors import WorkerFailed, no_plan_in
 
-# Time limit for the worker's start [s]; imports from a cold disk are slow.
-_START_LIMIT = 60.0
+# Maximum time of the worker's start [s]; imports from a cold disk are slow.
+_MAX_START = 60.0
 # Grace period before killing a solve that overran its limit: a factor, and seconds to add.
 _GRACE, _MARGIN = 1.2, 2.0
 # The worker uses one thread; the solver gains nothing from more, and the node needs the cores.
@@ -125,9 +125,9 @@ class WorkerProcess:
 
     def _begin(self) -> None:
         """Wait until the process has started; a parent that takes too long is replaced."""
-        slow = WorkerFailed(f'the worker process did not start in {_START_LIMIT:g} s')
+        slow = WorkerFailed(f'the worker process did not start in {_MAX_START:g} s')
         try:
-            with self._killed_after(_START_LIMIT, slow):
+            with self._killed_after(_MAX_START, slow):
                 _, descriptors, _, _ = socket.recv_fds(self._socket, 1, 1)
                 if not descriptors:
                     raise EOFError

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of few routes: all on one map, the curve of values, and a map for each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from scipy.spatial import cKDTree
+
+from ..colours import AMBUSHER, ROUTES
+from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, ground_key, number_badge, risk_bar
+from ..planning.few_routes import FewRoutes
+from .few_files import FewDrawn
+
+# Maximum number of routes with a panel each.
+MAX_PANELS = 6
+# Maximum number of routes in the legend.
+MAX_KEYS = 20
+# Line styles, one after another when all colours have been used.
+_STYLES = ('solid', 'dashed', 'dotted', 'dashdot')
+
+
+def few_figure(drawn: FewDrawn) -> Figure:
+    """An overview with the curve of values, and up to ``MAX_PANELS`` panels of a route each."""
+    panels = len(drawn.paths) if len(drawn.paths) <= MAX_PANELS else 0
+    rows, (width, height) = -(-panels // 3), drawn.risk_map.size
+    tall = rows * (0.8 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
+    figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
+    top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
+                  else (figure.subfigures(), None))
+    grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
+    overview = top.add_subplot(grid[:, 0])
+    title = f'Mean loss {drawn.few.value:#.3g}'
+    risk_bar(top, draw_ground(overview, drawn.strategy, drawn.risk_map, title), overview,
+             location='bottom', shrink=0.6, aspect=30)
+    _key(drawn, top.add_subplot(grid[0, 1]))
+    _curve(top.add_subplot(grid[1, 1]), drawn.few)
+    for k in range(len(drawn.paths)):
+        _route(drawn, overview, k)
+    overview.plot(*drawn.few.worst_xy, marker='o', markersize=9, color=AMBUSHER,
+                  markeredgecolor='white', zorder=9)
+    for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
+        if k < panels:
+            draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k])
+            _route(drawn, axes, k)
+        else:
+            axes.set_axis_off()
+    return figure
+
+
+def _style(k: int) -> dict[str, Any]:
+    return {'color': ROUTES[k % len(ROUTES)], 'linewidth': 1.9, 'path_effects': HALO,
+            'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
+
+
+def _route(drawn: FewDrawn, axes: Axes, k: int) -> None:
+    """Draw a route with its number where it is farthest from the others and the ambush."""
+    path = drawn.paths[k][:, :2]
+    axes.plot(*path.T, **_style(k), solid_joinstyle='round', zorder=4)
+    others = [other[:, :2] for other in (*drawn.paths[:k], *drawn.paths[k + 1 :])]
+    others = others or [path[[0, -1]]]
+    away, _ = cKDTree(np.concatenate((*others, [drawn.few.worst_xy]))).query(path)
+    at = away.argmax() if away.any() else len(path) // 2
+    number_badge(axes, k + 1, path[at], _style(k)['color'])
+
+
+def _key(drawn: FewDrawn, axes: Axes) -> None:
+    lines = [Line2D([], [], **_style(k), label=name.removeprefix('Route '))
+             for k, name in enumerate(drawn.names[:MAX_KEYS])]
+    worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
+                   markeredgecolor='white', label='worst ambush')
+    held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
+                  label='held ground')
+    axes.legend(handles=[*lines, worst, held, *ground_key(drawn.risk_map)], frameon=False,
+                title='route and share', loc='upper left', alignment='left',
+                ncols=1 + len(lines) // 11, labelspacing=0.3,
+                fontsize='medium' if len(lines) < 11 else 'small')
+    axes.set_axis_off()
+
+
+def _curve(axes: Axes, few: FewRoutes) -> None:
+    """The value over the number of routes, and the lower bound."""
+    axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
+    axes.axhline(few.lower_bound, color='0.45', linestyle=':')
+    low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
+    axes.annotate("plan's lower bound", (0.0, few.lower_bound), xycoords=('axes fraction', 'data'),
+                  xytext=(3, 3 if low else -3), textcoords='offset points', va='bottom' if low
+                  else 'top', color='0.35', fontsize='small', path_effects=HALO)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
+    axes.grid(color='0.92')
