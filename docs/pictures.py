@@ -117,23 +117,31 @@ class Panel:
 
     def step(self, route: IndexArray, row: int, share: float) -> None:
         """Show the first part of a day's route, and the ambusher at a site."""
-        shown = self.points[route[: 1 + round(share * (len(route) - 1))]]
-        self.way.set_data(*shown.T)
+        shown = route[: 1 + round(share * (len(route) - 1))]
+        hit = self.hit_at(route, row)
+        self.way.set_data(*self.points[shown if hit is None else shown[: hit + 1]].T)
         place = self.points[self.game.sites[row]]
         self.site.set_offsets(place)
         self.name.xy = place
         self.name.set_text('ambusher')
         self.hit.set_offsets(np.empty((0, 2)))
 
+    def hit_at(self, route: IndexArray, row: int) -> int | None:
+        """Where along a route the ambush stops it; None if it is not hit."""
+        used = route_strategy(self.game.network, route) > 0.0
+        entered = self.game.network.heads[self.game.hits[[row]].indices]
+        stops = np.flatnonzero(np.isin(route, entered[used[self.game.hits[[row]].indices]]))
+        return int(stops[0]) if len(stops) else None
+
     def night(self, route: IndexArray, row: int, limit: str) -> None:
         """Count the day's loss, and keep the route as a thin line."""
-        hit = (self.game.hits[[row]] @ route_strategy(self.game.network, route))[0] > 0.0
-        site = self.game.sites[row]
-        self.losses.append(float(self.game.loss[site]) if hit else 0.0)
-        if hit:
+        hit, site = self.hit_at(route, row), self.game.sites[row]
+        self.losses.append(0.0 if hit is None else float(self.game.loss[site]))
+        if hit is not None:
             self.hit.set_offsets(self.points[site])
             self.name.set_text('ambushed')
-        self.axes.plot(*self.points[route].T, color=PROBABILITY[1], linewidth=0.9, alpha=0.6,
+        driven = route if hit is None else route[: hit + 1]
+        self.axes.plot(*self.points[driven].T, color=PROBABILITY[1], linewidth=0.9, alpha=0.6,
                        zorder=3)
         days, hits = len(self.losses), np.count_nonzero(self.losses)
         self.text.set_text(f'ambushed on {hits} of {days} days\n'
