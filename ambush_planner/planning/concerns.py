@@ -38,7 +38,7 @@ def assumptions(plan: Plan) -> list[str]:
     share = _held_share(plan)
     much = f', which is {share:.0%} of the straight way' if share > MAX_HELD else ''
     if not game.reach:
-        where = ("an ambusher waits at one of the network's nodes and meets only routes through "
+        where = ("an ambusher waits at one of the network's nodes and hits only routes through "
                  'it; give how far he reaches (--reach, game.ambush_radius)')
     else:
         places = ('anywhere else in free ground' if holds_anywhere(plan.options)
