@@ -236,8 +236,12 @@ def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
         points, alpha = standing_places(game.scenario.risk_map, network, held)
         hits = meets(network, points, reach, held)
         own = max(own, (alpha * hit_once(network, p, hits)).max(initial=0.0))
-    if own > value * (1.0 + SAME) or (not anywhere and value > own * (1.0 + SAME)):
+    rounding = SAME**2 * float(network.alpha.max())
+    if own > value * (1.0 + SAME) + rounding or (
+            not anywhere and value > own * (1.0 + SAME) + rounding):
         yield f'value {value:.9g}, computed again {own:.9g}'
+    if anywhere:  # the bound is that of larger discs, also around places nearer to held ground
+        site, entries = strategy.game.sites, strategy.game.hits
     usable = (network.alpha <= options.alpha_threshold)[network.edges].all(axis=1)
     found = highs(value_program(
         network, csr_matrix(entries.multiply(network.alpha[site][:, None])),

@@ -111,7 +111,7 @@ class Panel:
         self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=9)
         self.hit = axes.scatter([], [], s=420, marker='X', color=AMBUSHER, edgecolors='black',
                                 zorder=9)
-        self.name = axes.annotate('', (0.0, 0.0), xytext=(-10, 8), textcoords='offset points',
+        self.name = axes.annotate('', (0.0, 0.0), xytext=(-12, -18), textcoords='offset points',
                                   ha='right', weight='bold', path_effects=figures.HALO, zorder=9)
         self.losses: list[float] = []
 

@@ -119,7 +119,7 @@ class Mixtures:
         losses, even = self.losses(shares), EVEN * gap
         largest = np.sort(losses)[-self.ambushers :]
         level = np.maximum(losses, largest.min(initial=math.inf))
-        return np.asarray((1.0 - even) * level + even * largest.sum() / self.ambushers)
+        return np.asarray((1.0 - even) * level + even * largest.sum() / max(self.ambushers, 1))
 
     def value(self, shares: FloatArray) -> float:
         """The sum of the k largest losses."""

@@ -289,6 +289,8 @@ class Routes:
 
     def prove_by_legs(self) -> None:
         """Improve the bound by the program in which each leg has sites of its own."""
+        if self._ended():
+            return
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
