@@ -223,7 +223,8 @@ def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
     network, value, options = strategy.network, strategy.value, game.options.game
     p, reach, held = strategy.edge_probability, options.ambush_radius, options.held_radius
     _, site = np.unique(network.points, axis=0, return_index=True)
-    site = site[may_wait(network, held)[site]]
+    at_end = (network.points[:, None] == network.points[network.ends]).all(axis=2).any(axis=1)
+    site = site[(may_wait(network, held) & ~at_end)[site]]
     if reach > 0.0:
         hits = meets(network, network.points[site], reach, held)
         entries = geometric_hits(network, reach, held)[site]
