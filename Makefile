@@ -58,6 +58,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/few.py
 	$(BIN)/python benchmarks/random_games.py --count 200
 	$(BIN)/python benchmarks/mesh_convergence.py
+	$(BIN)/python benchmarks/cells.py
 	$(BIN)/python benchmarks/routes.py
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_map_changes.py

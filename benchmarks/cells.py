@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What it costs that a plan's value holds wherever in a cell an ambusher waits.
+
+The same losses on smaller and smaller cells: each cell of a coarse map is divided, so only the
+places at which a plan looks change, and by how much it enlarges the reach for those between them.
+Seeds are new in each run and printed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from families import draw, problem_parser
+from report import conditions, publish, table
+
+from ambush_planner import GameOptions, RiskMap, StrategyOptions, plan_trip
+
+FAMILIES = ('hills-coarse', 'hills-obstacles', 'rough', 'city')
+NODES = 400
+CELLS = (2.0, 1.0, 0.5, 0.25, 0.125)  # cells over reach
+DETOUR = 1.5
+
+
+def measure(name: str) -> list[float]:
+    """The values of plans on cells of each size, with the map's cell as the largest."""
+    problem = draw(name)
+    scenario, coarse = problem.scenario, problem.scenario.risk_map
+    reach = coarse.resolution / CELLS[0]
+    game = GameOptions(ambush_radius=reach, secured_radius=2.0 * coarse.resolution)
+    options = replace(problem.options, game=game, strategy=StrategyOptions(max_detour=DETOUR),
+                      network=replace(problem.options.network, spacing=coarse.resolution))
+    values = []
+    for cells in CELLS:
+        parts = np.ones((round(CELLS[0] / cells),) * 2)
+        risk_map = RiskMap(np.kron(coarse.alpha, parts),
+                           np.kron(coarse.obstacles, parts).astype(bool),
+                           coarse.resolution / len(parts), coarse.origin)
+        values.append(plan_trip(risk_map, scenario.start, scenario.goal, options).value)
+    return values
+
+
+def main() -> None:
+    parser = problem_parser(__doc__)
+    parser.set_defaults(families=FAMILIES)
+    options = parser.parse_args()
+    names = [f'plan:{family}:{NODES}:{options.seed + k}'
+             for family in options.families for k in range(options.each)]
+    found = np.array([measure(name) for name in names])
+    ratios = found / found[:, -1:]
+    rows = [[f'{cells:g}', f'**{np.median(own):.3f}**', f'{own.min():.3f} to {own.max():.3f}']
+            for cells, own in zip(CELLS, ratios.T, strict=True)]
+    head = 'cell over reach', 'value, relative to the smallest cells: median', 'range'
+    publish(options.results, 'cells', (
+        f'{len(names)} maps of about {NODES} nodes, seeds from {options.seed}, spacing twice the '
+        f'reach, detour {DETOUR:g}. {conditions()}.\n\n{table(head, rows)}'))
+
+
+if __name__ == '__main__':
+    main()
