@@ -6,8 +6,8 @@ does: it steers to a place ahead, which cuts corners, and turns on the spot when
 side. It asks by the action once a trip, every second, or when ``is_path_valid`` says no; in some
 runs boxes appear on its path. Every tenth request under way is for a goal that cannot be reached,
 and must be refused with the right code. Measured: the driven length over that of the drawn path,
-turns on the spot by more than 90 degrees, how often the worst cell is met against the value
-published at the departures, times of answers. Exit code 1 if a target is missed.
+turns on the spot by more than 90 degrees after it has set off, how often the worst cell is met
+against the value published at the departures, times of answers. Exit code 1 if a target is missed.
 
 tf2_msgs and nav2_msgs are built by test/interfaces.py where they are not installed.
 """
@@ -145,7 +145,8 @@ class Robot:
             return
         angle = _wrapped(math.atan2(aim[1], aim[0]) - self.yaw)
         if abs(angle) > SIDEWAYS:
-            self.reversals += not self._turns and abs(angle) > math.pi / 2
+            self.reversals += (not self._turns and self.driven > 0.0
+                               and abs(angle) > math.pi / 2)
             self._turns = True
             self.yaw += math.copysign(min(TURN_RATE * seconds, abs(angle)), angle)
             return
