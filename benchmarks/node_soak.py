@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A departure every second for an hour, as an operator would use the node.
+"""A departure every second for an hour, next to a robot that asks for its path every second.
 
 An obstacle moves each time. Regularly the goal or the whole map changes, a plan between other
 places is requested, or the game is solved again. Exit code 1 if a call failed, if the node's memory
-grew (judged in runs of ten minutes or more), or if a sampled recording does not verify.
+grew (judged in runs of ten minutes or more) or its threads, open files or subscriptions, if a
+sampled recording does not verify, or if the node left temporary files, shared memory or a process.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,9 @@ from pathlib import Path
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
+from node_motion import ARRIVED, Robot
 from node_rig import (
+    PLANNER,
     Caller,
     NodeSilent,
     Refused,
@@ -36,26 +39,40 @@ from node_rig import (
     stopwatch,
 )
 from report import conditions, new_parser, table
+from std_msgs.msg import Header
+
+from ambush_planner.maps.ros_messages import path_from_ros
 
 CELLS, RESOLUTION = 120, 0.5
 SIDE = 3  # cells, of the moving obstacle
 START = pose(5.0, 30.0)
+SPEED = 1.0  # m/s, of the robot
+CLEAR = 3.0  # m, from the robot to the obstacle
 # Departures between events.
 NEW_GOAL, OTHER_PLAN, REPLAN, NEW_MAP = 10, 15, 30, 60
+KEPT = 32  # plans that the node keeps; solved first, as they take memory
+# Time after which the node's memory counts [s].
+WARM_UP = 60.0
+# Share of the run at either end over which memory is averaged.
+WINDOW = 0.05
 GROWTH_ALLOWED = 5.0  # %
 LONG_ENOUGH = 600.0  # s
+SHARED = Path('/dev/shm')
 VERIFIED = 60  # recordings
 
 
 @dataclass
 class Journal:
-    """Number of calls, failures, times of departures [ms], and and memory [MB]."""
+    """Number of calls, failures, times of answers [ms], and what the node uses by time [s]."""
 
     calls: int = 0
     departures: int = 0
+    refused: int = 0
     failures: list[str] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    memory: list[float] = field(default_factory=list)
+    under_way: list[float] = field(default_factory=list)
+    memory: list[tuple[float, float]] = field(default_factory=list)
+    resources: list[tuple[int, int, int]] = field(default_factory=list)
 
     def attempt(self, call: Callable[[], object]) -> None:
         """Make a call and note its failure."""
@@ -67,36 +84,80 @@ class Journal:
             say(str(error))
 
 
+class Patrol:
+    """A robot that drives to and fro, and may ask for its path at any time.
+
+    ``refused`` counts its requests that failed: it had driven on while its plan was solved.
+    """
+
+    def __init__(self, caller: Caller) -> None:
+        self._caller, self._trips, self.refused = caller, 0, 0
+        self.robot = Robot(caller, np.array((5.0, 20.0)), SPEED)
+
+    def ask(self) -> None:
+        """Ask for the path to the goal, the next one if it has arrived."""
+        x, y = self._goal
+        if np.hypot(*(self.robot.place - (x, y))) <= ARRIVED:
+            self._trips += 1
+            x, y = self._goal
+        here = PoseStamped(header=Header(frame_id='base_link'))
+        here.pose.orientation.w = 1.0
+        try:
+            self.robot.path = path_from_ros(self._caller.get_plan(here, pose(x, y)))[:, :2]
+        except Refused:
+            self.refused += 1
+
+    @property
+    def _goal(self) -> tuple[float, float]:
+        return 5.0 if self._trips % 2 else 55.0, 20.0 + 5.0 * (self._trips // 2 % 5)
+
+
 def soak(rig: Rig, caller: Caller, seconds: float, period: float) -> Journal:
     """Call the node for the given time."""
     caller.give(grid(0), START, goal(0))
+    for k in range(KEPT):
+        caller.get_plan(START, pose(55.0, 5.0 + 50.0 * k / KEPT))
+    patrol = Patrol(caller)
     journal, begin = Journal(), time.monotonic()
     for k in range(int(seconds / period)):
         caller.idle_until(begin + k * period)
-        caller.publisher(OccupancyGrid, '/alpha_map').publish(grid(k))
+        caller.publisher(OccupancyGrid, '/alpha_map').publish(grid(k, patrol.robot.place))
+        journal.under_way.append(stopwatch(patrol.ask))
         if k % NEW_GOAL == NEW_GOAL - 1:
             caller.publisher(PoseStamped, '/goal_pose').publish(goal(k))
         if k % OTHER_PLAN == OTHER_PLAN - 1:
             journal.attempt(lambda k=k: caller.get_plan(goal(k), START))
-            journal.departures += 1
         if k % REPLAN == REPLAN - 1:
             journal.attempt(lambda: caller.trigger('replan'))
         depart = partial(journal.attempt, lambda: caller.trigger('new_route'))
         journal.times.append(stopwatch(depart))
-        journal.departures += 1
-        journal.memory.append(resident(rig.process.pid))
+        journal.memory.append((time.monotonic() - begin, resident(rig.process.pid)))
+        journal.resources.append(resources(caller, rig.process.pid))
         if (k + 1) % max(1, int(seconds / period / 20)) == 0:
-            say(f'{time.monotonic() - begin:.0f} s: {journal.departures} departures, '
-                f'{journal.memory[-1]:.1f} MB, {len(journal.failures)} failed')
+            say(f'{journal.memory[-1][0]:.0f} s: {caller.status["departures"]} departures, '
+                f'{journal.memory[-1][1]:.1f} MB, {journal.resources[-1]}, '
+                f'{len(journal.failures)} failed')
+    caller.idle_until(time.monotonic() + 2.0)  # for the last report
+    journal.refused = patrol.refused
+    journal.departures = int(caller.status['departures'])
     return journal
 
 
-def grid(k: int) -> OccupancyGrid:
+def resources(caller: Caller, pid: int) -> tuple[int, int, int]:
+    """Threads and open files of the node, and its subscriptions."""
+    listens = caller.node.get_subscriber_names_and_types_by_node(PLANNER[1:], '/')
+    process = Path(f'/proc/{pid}')
+    return (len(list((process / 'task').iterdir())), len(list((process / 'fd').iterdir())),
+            len(listens))
+
+
+def grid(k: int, robot: Sequence[float] | np.ndarray = (0.0, 0.0)) -> OccupancyGrid:
     """The map at the ``k``-th departure."""
     values = np.random.default_rng(k // NEW_MAP).integers(0, 60, (CELLS, CELLS), dtype=np.int8)
     # The obstacle stays away from the ends of trips.
     row, column = np.random.default_rng(k).integers((0, 20), (CELLS - SIDE, 95))
-    values[row:row + SIDE, column:column + SIDE] = 100
+    if np.hypot(*(np.array((column, row)) * RESOLUTION - robot)) > CLEAR:
+        values[row:row + SIDE, column:column + SIDE] = 100
     return grid_of(values, RESOLUTION)
 
 
@@ -105,61 +166,111 @@ def goal(k: int) -> PoseStamped:
     return pose(55.0, 5.0 + (7.0 * k) % 50.0)
 
 
-def verify(files: Sequence[Path]) -> str:
-    """Verify some of the recordings; return the first lines about a problem, or ''."""
-    some = files[::max(1, len(files) // VERIFIED)]
-    command = [sys.executable, '-m', 'ambush_planner.commands.cli', 'verify', *map(str, some)]
+def children(pid: int) -> list[int]:
+    """Child processes of a process."""
+    lists = Path(f'/proc/{pid}/task').glob('*/children')
+    return [int(child) for each in lists for child in each.read_text().split()]
+
+
+def shared_memory(pid: int) -> set[Path]:
+    """Files of shared memory that a process uses; empty if it has ended."""
+    try:
+        lines = Path(f'/proc/{pid}/maps').read_text().splitlines()
+    except OSError:
+        return set()
+    return {Path(line.split()[5]) for line in lines if f' {SHARED}/' in line}
+
+
+def leftovers(rig: Rig, memory: Sequence[Path], workers: Sequence[int]) -> Iterator[str]:
+    """What a node that has ended should have removed; ``memory`` was its shared memory."""
+    pids = [int(folder.name) for folder in Path('/proc').glob('[0-9]*')]
+    for path in memory:
+        # Fast DDS shares some segments with other processes on the machine.
+        if path.exists() and not any(path in shared_memory(pid) for pid in pids):
+            yield f'shared memory {path.name}'
+    for pid in workers:
+        if Path(f'/proc/{pid}').exists():
+            yield f'process {pid}'
+    yield from (path.name for path in rig.recordings.rglob('*.tmp'))
+
+
+def verify(files: Sequence[Path], folder: Path) -> str:
+    """Verify some of the recordings in a new folder; return the first lines about a problem."""
+    folder.mkdir()
+    for path in files[::max(1, len(files) // VERIFIED)]:
+        (folder / path.name).hardlink_to(path)
+    command = [sys.executable, '-m', 'ambush_planner.commands.cli', 'verify', str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
     return '' if done.returncode == 0 else (done.stdout + done.stderr)[:500]
 
 
-def growth(memory: Sequence[float]) -> tuple[float, float, float]:
-    """Memory in the second tenth and in the last one [MB], medians, and the growth [%]."""
-    tenth = max(1, len(memory) // 10)
-    before, after = statistics.median(memory[tenth : 2 * tenth] or memory), statistics.median(
-        memory[-tenth:])
+def growth(memory: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """Memory after the warm-up and at the end [MB], medians of windows, and the growth [%]."""
+    total = memory[-1][0]
+    warm, window = min(WARM_UP, WINDOW * total), WINDOW * total
+    first = [size for at, size in memory if warm <= at <= warm + window] or [memory[0][1]]
+    last = [size for at, size in memory if at >= total - window]
+    before, after = statistics.median(first), statistics.median(last)
     return before, after, 100.0 * (after / before - 1.0)
 
 
 def results(
-    journal: Journal, period: float, files: Sequence[int], problems: str
+    journal: Journal, period: float, files: Sequence[int], left: Sequence[str], problems: str
 ) -> tuple[str, bool]:
     """The table, and whether the targets are met; ``files`` are the recordings' sizes."""
-    seconds = period * len(journal.memory)
+    seconds = journal.memory[-1][0]
     before, after, change = growth(journal.memory)
     tenth = max(1, len(journal.times) // 10)
-    judged = seconds >= LONG_ENOUGH
-    met = not journal.failures and not (judged and change >= GROWTH_ALLOWED)
-    met = met and len(files) == journal.departures and not problems
+    judged = seconds >= LONG_ENOUGH - period
+    thirds = np.array_split(journal.resources, 3)
+    early, late = np.median(thirds[1], axis=0), np.median(thirds[2], axis=0)
+    met = not journal.failures and not left and not problems and bool((late <= early).all())
+    met = met and not (judged and change >= GROWTH_ALLOWED) and len(files) == journal.departures
     rows = [
         ['**memory growth**', f'**{change:+.2f} %**' + ('' if judged else ' (run too short)')],
-        ['memory after a tenth of the time, at the end, largest [MB]',
-         f'{before:.1f}, {after:.1f}, {max(journal.memory):.1f}'],
+        ['memory after the warm-up, at the end, largest [MB]',
+         f'{before:.1f}, {after:.1f}, {max(size for _, size in journal.memory):.1f}'],
+        ['threads, open files, subscriptions, in the second and the last third (medians)',
+         '; '.join(', '.join(f'{each:g}' for each in part) for part in (early, late))],
         ['calls, failed', f'{journal.calls}, {len(journal.failures)}'],
+        ["the robot's requests, refused as it had driven on during a solve",
+         f'{len(journal.under_way)}, {journal.refused}'],
+        ['answer to the robot in the first and the last tenth, median / 99 % / largest [ms]',
+         f'{spread(journal.under_way[:tenth])}; {spread(journal.under_way[-tenth:])}'],
         ['departures, recordings',
          f'{journal.departures}, {len(files)} ({sum(files) / 2.0**20:.1f} MB)'],
         [f'about {VERIFIED} recordings verified', problems or 'all hold'],
         ['answer of `new_route` in the first and the last tenth, median / 99 % / largest [ms]',
          f'{spread(journal.times[:tenth])}; {spread(journal.times[-tenth:])}'],
+        ['left behind', ', '.join(left) or 'nothing'],
     ]
     text = (
-        f"A departure every {period:g} s for {seconds:.0f} s; a new goal every {NEW_GOAL} "
-        f"departures, a plan between other places every {OTHER_PLAN}, a new solve every {REPLAN}, "
-        f"a new map every {NEW_MAP}, and a moving obstacle of {SIDE} x {SIDE} cells. "
+        f"A departure every {period:g} s for {seconds:.0f} s, and as often a request of a robot "
+        f"on its way at {SPEED:g} m/s; a new goal every {NEW_GOAL} departures, a plan between "
+        f"other places every {OTHER_PLAN}, a new solve every {REPLAN}, a new map every {NEW_MAP}, "
+        f"and a moving obstacle of {SIDE} x {SIDE} cells. "
         f"{conditions('ros-jazzy-rclpy')}.\n\n{table(('', ''), rows)}\n\nTarget: no failed call, "
-        f"memory growth < {GROWTH_ALLOWED:g} %, all recordings hold; "
+        f"memory growth < {GROWTH_ALLOWED:g} %, no more threads, files or subscriptions, all "
+        f"recordings hold, nothing left behind; "
         f"{'met' if met else '**missed**'}."
     )
     return text, met
 
 
 def run(seconds: float, period: float, spacing: float) -> tuple[str, bool]:
-    """Start, use and stop the node, and verify its recordings."""
+    """Start, use and stop the node, and check what it leaves."""
+    others = set(SHARED.iterdir())
     with tempfile.TemporaryDirectory(prefix='ambush_planner_') as folder:
-        with running_node({'network.spacing': spacing}, Path(folder)) as rig, Caller(rig) as caller:
-            journal = soak(rig, caller, seconds, period)
+        parameters = {'network.spacing': spacing, 'robot_base_frame': 'base_link'}
+        with running_node(parameters, Path(folder)) as rig:
+            with Caller(rig) as caller:
+                journal = soak(rig, caller, seconds, period)
+            memory = shared_memory(rig.process.pid) - others
+            workers = children(rig.process.pid)
+        left = list(leftovers(rig, sorted(memory), workers))
         files = sorted(rig.recordings.rglob('*.mcap'))
-        return results(journal, period, [path.stat().st_size for path in files], verify(files))
+        sizes = [path.stat().st_size for path in files]
+        return results(journal, period, sizes, left, verify(files, Path(folder) / 'some'))
 
 
 def main() -> int:

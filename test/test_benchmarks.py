@@ -27,10 +27,10 @@ SCRIPTS = {
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',
     'node_map_changes': '--seconds 0.6 --cells 200 --nodes 400',
-    'node_soak': '--seconds 0.5 --period 0.1 --spacing 5',
 }
 if not interfaces._missing():
     NODE_SCRIPTS['node_motion'] = '--trips 1 --speeds 2 --hurry 3 --ask 1Hz'
+    NODE_SCRIPTS['node_soak'] = '--seconds 0.5 --period 0.1 --spacing 5'
 
 
 def run(script, arguments, folder):

@@ -189,12 +189,31 @@ def test_the_planner_takes_the_names_of_the_planner_server(tmp_path):
         assert ids.string_array_value == ['', 'GridBased']
 
 
+# Nodes of Nav2's nav2_tree_nodes.xml and of BehaviorTree.CPP with their number of children, 0 for a
+# leaf, and the ports that the trees set.
+NODES = {
+    'RecoveryNode': (2, 'number_of_retries'), 'RateController': (1, 'hz'), 'Inverter': (1, ''),
+    'PipelineSequence': (2, ''), 'RoundRobin': (3, ''), 'Sequence': (2, ''), 'Fallback': (2, ''),
+    'ReactiveSequence': (2, ''), 'ReactiveFallback': (2, ''), 'GoalUpdated': (0, ''),
+    'GlobalUpdatedGoal': (0, ''), 'Wait': (0, 'wait_duration'),
+    'IsPathValid': (0, 'path server_timeout'), 'ClearEntireCostmap': (0, 'service_name'),
+    'BackUp': (0, 'backup_dist backup_speed'),
+    'FollowPath': (0, 'path controller_id error_code_id'),
+    'RemovePassedGoals': (0, 'input_goals output_goals radius'),
+    'ComputePathToPose': (0, 'goal path planner_id server_timeout error_code_id'),
+    'ComputePathThroughPoses': (0, 'goals path planner_id server_timeout error_code_id'),
+}
+
+
 @pytest.mark.parametrize('file', ['ambush_tree.xml', 'ambush_tree_through_poses.xml'])
-def test_the_behaviour_trees_are_read_and_the_one_of_the_docs_is_installed(file):
+def test_the_behaviour_trees_have_nav2s_nodes_and_ports_and_one_is_that_of_the_docs(file):
     text = (ROOT / 'config' / file).read_text()
     root = ElementTree.fromstring(text)
     (tree,) = root
     assert (root.get('BTCPP_format'), tree.get('ID')) == ('4', root.get('main_tree_to_execute'))
-    assert len(tree) == 1 and all(len(each) == 2 for each in tree.iter('RecoveryNode'))
+    assert len(tree) == 1
+    for node in tree[0].iter():
+        children, ports = NODES[node.tag]
+        assert (len(node), set(node.keys()) - {'name'}) == (children, set(ports.split()))
     (shown,) = re.findall(r'```xml\n(<root.*?)```', DOCUMENT, re.DOTALL)
     assert 'through' in file or text.endswith(shown)

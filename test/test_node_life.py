@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
+from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -92,3 +93,14 @@ def test_clear_routes_that_exceed_the_length_budget_are_a_warning():
     assert reported.level == DiagnosticStatus.WARN
     assert all(word in reported.message for word in ('the map has changed', '150 m', '120 m'))
     assert {each.key: each.value for each in reported.values}['current_length'] == '150'
+
+
+@pytest.mark.parametrize('worth, warned', [(0.9996, True), (0.54, False)])
+def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned):
+    plan = SimpleNamespace(strategy=SimpleNamespace(value=0.504))
+    last = SimpleNamespace(number=1, id='x', worth=Assessment(worth, 0.5, 1.0, 10.0), tight_turns=0,
+                           held=SimpleNamespace(plan=plan),
+                           parameters=SimpleNamespace(max_gap=0.1))
+    (reported,) = status_to_ros(Status(last=last), 'name', pose(0, 0).header.stamp).status
+    assert (reported.level == DiagnosticStatus.WARN) is warned
+    assert ('0.9996, its plan 0.504' in reported.message) is warned

@@ -26,10 +26,9 @@ from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
 
-# Maximum number of plans kept.
-_MAX_PLANS = 32
-# Maximum number of edges of all plans kept (1.1 kB each).
-_MAX_EDGES = 300_000
+# Maximum number of plans kept, and of the bytes that they take for each edge, and for each cell of
+# the maps that a plan was solved and last assessed on, which are kept with their messages.
+_MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 330_000_000, 1100, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +43,11 @@ class CachedPlan:
     def ends(self, trip: Trip) -> Ends:
         """Return where a route for this trip begins and ends [m]: a blocked goal was moved."""
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
+
+    @property
+    def bytes(self) -> int:
+        """About what the plan takes in memory."""
+        return _OF_EDGE * len(self.plan.network.edges) + _OF_CELL * self.trip.map.values.size
 
     @property
     def goal_was_moved(self) -> bool:
@@ -237,8 +241,8 @@ class PlanCache:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
         others = [each for each in self._plans
                   if not each.answers(cached.trip, cached.parameters)]
-        edges = np.cumsum([len(each.plan.network.edges) for each in (cached, *reversed(others))])
-        kept = min(_MAX_PLANS, max(1, int((edges <= _MAX_EDGES).sum())))
+        taken = np.cumsum([each.bytes for each in (cached, *reversed(others))])
+        kept = min(_MAX_PLANS, max(1, int((taken <= _MAX_BYTES).sum())))
         self._plans = [*others, cached][-kept:]
 
 
