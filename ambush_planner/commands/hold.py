@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 
 from ..colours import AMBUSHER
 from ..figures import WIDTH, as_png, draw_strategy, number_badge
+from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..planning.holding import Held, Holding, places_to_hold
@@ -86,7 +87,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     files = [cli.place(path) for path in arguments.output]
     console.line(', '.join(files))
     console.result['files'] = files
-    return cli.Exit.HOLDS
+    sound = all(within_slack(step.strategy, options.planning.strategy) for step in found.steps)
+    return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
 
 def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from ..network.shortest_paths import distances_from
 from .game import Game
 
 # Least margin of a budget, as a share of the best route's cost: smaller ones are rounding.
-LEAST_MARGIN = 1e-12
+MIN_MARGIN = 1e-12
 # Largest margin, as a share of the limit, at which only the best routes are within it.
 NO_MARGIN = 1e-9
 # Relative overrun of a budget that a solver's strategy may have.
@@ -106,7 +106,7 @@ class Budget:
         """The limit minus the best playable route's cost, > 0."""
         best = float(self._behind[self.game.network.source])
         scale = best or float(self.cost.max(initial=0.0))
-        return max(self.limit - best, LEAST_MARGIN * scale, np.finfo(float).tiny)
+        return max(self.limit - best, MIN_MARGIN * scale, np.finfo(float).tiny)
 
     @cached_property
     def excess(self) -> FloatArray:

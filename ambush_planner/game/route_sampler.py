@@ -16,7 +16,7 @@ from .game import Game
 from .law.acyclic import is_acyclic
 
 # Largest number of poses in a path; serialising more would block the node for seconds.
-MOST_POSES = 20_000
+MAX_POSES = 20_000
 
 
 class RouteSampler:

@@ -42,7 +42,7 @@ from .value.potential import Potential
 from .value.routes import Progress, RouteMixture, Routes, unseen
 
 # Smallest risk slack of the search, relative to the value.
-LEAST_SLACK = 9e-6
+MIN_SLACK = 9e-6
 # Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
 PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 # Distance of places that join a program over routes, where each is a row, as a share of the reach.
@@ -131,7 +131,7 @@ def most_unpredictable(problem: Problem) -> Solution:
     """
     if any(b.has_no_margin for b in problem.budgets):
         return _on_best_routes(problem)
-    slack = max(problem.slack, LEAST_SLACK)
+    slack = max(problem.slack, MIN_SLACK)
     found: list[Solution] = []
     for program in _programs(problem, slack):
         found.append(_Search(problem, program, slack).run())

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidNetwork, InvalidOption, TimeLimit
-from ..maps.risk_map import LEAST_LOSS, MOST_LOSS, RiskMap
+from ..maps.risk_map import MAX_LOSS, MIN_LOSS, RiskMap
 from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_at_least
@@ -418,9 +418,9 @@ def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: Stra
 
 def _check_losses(network: Network) -> None:
     """Raise InvalidNetwork if a loss is out of range."""
-    odd = (network.alpha > MOST_LOSS) | ((network.alpha > 0.0) & (network.alpha < LEAST_LOSS))
+    odd = (network.alpha > MAX_LOSS) | ((network.alpha > 0.0) & (network.alpha < MIN_LOSS))
     if odd.any():
         node = int(np.argmax(odd))
-        raise InvalidNetwork(f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got '
+        raise InvalidNetwork(f'alpha must be 0 or in {MIN_LOSS:g}..{MAX_LOSS:g}, got '
                              f'{network.alpha[node]:g} at node {node}; scale the losses, or '
                              'set the smallest to 0')

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..arrays import BoolArray
 from ..errors import InvalidOption, InvalidRiskMap
 from ..option_checks import none_for
-from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
+from .risk_map import MAX_LOSS, MIN_LOSS, RiskMap, check_place
 
 # Values of an obstacle's cells and of unknown ones.
 OBSTACLE, UNKNOWN = 100, -1
@@ -61,9 +61,9 @@ class OccupancyOptions:
                 continue
             if not math.isfinite(loss):
                 raise InvalidOption(f'{name} must be finite, got {loss}')
-            if loss != 0.0 and not LEAST_LOSS <= loss <= MOST_LOSS:
+            if loss != 0.0 and not MIN_LOSS <= loss <= MAX_LOSS:
                 raise InvalidOption(
-                    f'{name} must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got {loss}; scale the '
+                    f'{name} must be 0 or in {MIN_LOSS:g}..{MAX_LOSS:g}, got {loss}; scale the '
                     'losses'
                 )
         if not 0.0 <= self.alpha_min <= self.alpha_max:

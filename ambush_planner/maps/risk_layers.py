@@ -42,7 +42,7 @@ from .incidents import (
     weighted_incidents,
 )
 from .occupancy import OccupancyOptions, risk_from_occupancy
-from .risk_map import LEAST_LOSS, RiskMap
+from .risk_map import MIN_LOSS, RiskMap
 from .road_file import connected_parts
 from .terrain_risk import TerrainOptions, terrain_map
 from .vector_file import InvalidFeatures, attribute_values, features_on
@@ -220,7 +220,7 @@ class _Joined:
             obstacles |= mask
         for mask in self.masks['held']:
             self.loss[mask] = 0.0
-        self.loss[self.loss < LEAST_LOSS] = 0.0  # far from all incidents
+        self.loss[self.loss < MIN_LOSS] = 0.0  # far from all incidents
         return LayeredRisk(replace(self.ground, alpha=self.loss, obstacles=obstacles),
                            tuple(self.layers), tuple(self.remarks))
 

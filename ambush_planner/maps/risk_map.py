@@ -24,7 +24,7 @@ from ..notebook import Shown
 # such as (i + 0.5) * resolution, and of their conversion to world coordinates and back.
 TOUCH = 1e-6
 # Range of the losses over 0 for which the solvers are tested.
-LEAST_LOSS, MOST_LOSS = 1e-9, 1e9
+MIN_LOSS, MAX_LOSS = 1e-9, 1e9
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -241,7 +241,7 @@ def departure_path(a_plan: Plan, route: Route, spacing: float,
     """Poses (L, 3) = (x, y, yaw) of the driven path, at most ``spacing`` [m] apart.
 
     ``ends`` are start and goal [m] if they differ from the route's. Raises InvalidOption if there
-    would be more than ``MOST_POSES``.
+    would be more than ``MAX_POSES``.
     """
     radius = a_plan.options.drive.turning_radius
     return driven_path(a_plan.corridors, route.nodes, spacing, radius, ends)

@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from ..errors import InvalidOption
 from ..game.strategy import SOLVERS
-from ..maps.risk_map import MOST_LOSS
+from ..maps.risk_map import MAX_LOSS
 from ..maps.road_file import RoadGraph
 from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.parameters import PARAMETERS, Declaration
@@ -118,7 +118,7 @@ def _check(node: Node, changes: list[Parameter], locked: bool) -> SetParametersR
 def _check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption if the changes contradict all values of the other parameters."""
     others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS, 'network.graph': _SOME_ROADS,
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': _SOME_ROADS,
                'game.ambush_radius': 1.0}
     if changes.get('network.graph'):
         others['network.method'] = 'graph'  # so that the file is read

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
-from ..game.route_sampler import MOST_POSES
+from ..game.route_sampler import MAX_POSES
 from ..maps.risk_map import to_world
 from .corridors import Corridors
 from .taut_string import Portals, cross, padded, portals_along, taut_strings
@@ -79,7 +79,7 @@ def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
         Exact start and goal [m] if they moved from the network's source and target
         (``with_moved_end``).
 
-    Raises InvalidOption if the path would have more than ``MOST_POSES``.
+    Raises InvalidOption if the path would have more than ``MAX_POSES``.
     """
     return driven_paths(corridors, [route], spacing, turning_radius, ends)[0]
 
@@ -290,10 +290,10 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
 
 
 def _check_count(poses: float, spacing: float) -> None:
-    if not poses <= MOST_POSES:
+    if not poses <= MAX_POSES:
         raise InvalidOption(
             f'a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses; '
-            f'at most {MOST_POSES} are allowed, choose a larger distance'
+            f'at most {MAX_POSES} are allowed, choose a larger distance'
         )
 
 

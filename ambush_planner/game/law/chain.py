@@ -25,9 +25,9 @@ from .acyclic import order_along
 from .gibbs import AcyclicNetwork, acyclic_network
 
 # Nodes that fewer routes visit count as not visited.
-LEAST_VISITS = 1e-13
+MIN_VISITS = 1e-13
 # Sites whose expected entries exceed P(hit) by less have a derivative of 1 at their entries.
-LEAST_EXCESS = 1e-9
+MIN_EXCESS = 1e-9
 
 
 class MarkovChain:
@@ -79,7 +79,7 @@ class MarkovChain:
         for site, entering, counts, a, b, unhit in self._each(rows):
             edge, weight = entering, unhit[self.network.tail[entering]] * counts
             hit[site] = weight @ self.p[entering]
-            if b > a and hit[site] < counts @ self.p[entering] - LEAST_EXCESS:
+            if b > a and hit[site] < counts @ self.p[entering] - MIN_EXCESS:
                 later, more = self._changes_later_hits(entering, counts, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
             edges.append(edge)
@@ -123,7 +123,7 @@ class MarkovChain:
                 self.network.onwards.add_rows(self._ahead, arriving, a, b)
                 self._ahead[again] = self.share[entering]
                 visits = self.visits[a:b]
-                np.divide(arriving[a:b], visits, out=unhit[a:b], where=visits > LEAST_VISITS)
+                np.divide(arriving[a:b], visits, out=unhit[a:b], where=visits > MIN_VISITS)
             yield site, entering, rows.data[own], a, b, unhit
             arriving[a:b], unhit[a:b] = self.visits[a:b], 1.0
 

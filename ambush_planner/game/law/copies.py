@@ -23,7 +23,7 @@ from ...errors import SolverFailed
 from ...network.trip_graph import with_copies
 from ..game import Game
 from ..value.mixtures import Mixtures
-from ..value.routes import LEAST_FLOW, TIGHT, Routes
+from ..value.routes import MIN_FLOW, TIGHT, Routes
 from .acyclic import conserved_strategy, order_potential, rank_around
 from .chain import MarkovChain
 from .entropy_search import maximize_entropy
@@ -116,7 +116,7 @@ class _Laws:
         most = level * limit * (1.0 - (1.0 - AIM) * slack) / few.value(shares)
         self._most = most / self._loss
         edges = len(self.game.playable)
-        ground = conserved_strategy(self.game, few.flow(shares, edges), LEAST_FLOW)
+        ground = conserved_strategy(self.game, few.flow(shares, edges), MIN_FLOW)
         assert ground is not None
         self._copies([np.flatnonzero(ground), *few.routes], max(WIDTH // count, 1))
         # By site and label: whether the label concedes the site.

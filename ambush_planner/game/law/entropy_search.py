@@ -35,11 +35,11 @@ FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
 WARM_EVALUATIONS, NEXT_EVALUATIONS = 50, 300
 # Limits that Newton's method moves at once, its maximum number of steps, and the maximum number of
 # further rounds of L-BFGS before it while more limits have multipliers.
-NEWTON_LIMITS, MOST_STEPS, MORE_ROUNDS = 1500, 500, 3
+NEWTON_LIMITS, MAX_STEPS, MORE_ROUNDS = 1500, 500, 3
 # Relative to 1 + |value|: least decrease per round, else the search ends; sum of the multipliers
 # times the unused shares at which the interior point method ends, and the least decrease that
 # counts as progress there.
-LEAST_GAIN, LEAST_PRODUCT = 1e-5, 1e-6
+MIN_GAIN, MIN_PRODUCT = 1e-5, 1e-6
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 5e-4
 # Rounding of the function's value, relative to its terms.
@@ -47,7 +47,7 @@ ROUNDING = 1e-9
 # Largest weight of an edge; beyond, sums along a route lose all decimals.
 MAX_WEIGHT = 1e16
 # Smaller multipliers count as 0.
-LEAST_MULTIPLIER = 1e-7
+MIN_MULTIPLIER = 1e-7
 # Largest scaled multiplier in a line search; large enough to prove limits infeasible.
 MAX_SCALED = 1e10
 # A limit takes part in the search when less than this share of it is unused.
@@ -55,7 +55,7 @@ NEAR_LIMIT = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
 # Newton's damping: initial value, range, factors after bad and good steps.
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
+DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e6
 RISE, FALL = 6.0, 0.2
 # Ratios of actual to predicted decrease at which a step is accepted and the damping reduced.
 ACCEPTED, TRUSTED = 0.01, 0.5
@@ -65,8 +65,8 @@ MODEL_EXCESS = 0.1
 # limit, range of the factor of the mean product that a step aims at, share of the way to 0 that a
 # step may go, sufficient decrease, factor of a step that is too long, shortest step, and most steps
 # in a row that lower neither value nor product.
-INTERIOR_START, LEAST_CENTRING, MOST_CENTRING, TO_BOUNDARY = 1e-4, 0.01, 0.6, 0.99
-SUFFICIENT, SHORTER, SHORTEST, MOST_IDLE = 0.01, 0.4, 1e-5, 5
+INTERIOR_START, MIN_CENTRING, MAX_CENTRING, TO_BOUNDARY = 1e-4, 0.01, 0.6, 0.99
+SUFFICIENT, SHORTER, SHORTEST, MAX_IDLE = 0.01, 0.4, 1e-5, 5
 
 
 class _SearchEnded(Exception):
@@ -156,11 +156,11 @@ class _DualSearch:
         first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
         self.quasi_newton(start, WARM_EVALUATIONS if warm and not fits else first)
         for _ in range(MORE_ROUNDS):
-            if fits or (self.found.multipliers > LEAST_MULTIPLIER).sum() <= NEWTON_LIMITS:
+            if fits or (self.found.multipliers > MIN_MULTIPLIER).sum() <= NEWTON_LIMITS:
                 break
             self.quasi_newton(self.found.multipliers, first)
         before = np.inf
-        while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
+        while self.least < before - MIN_GAIN * (1.0 + abs(self.least)):
             before = self.least
             if fits:
                 self.interior(limits)
@@ -210,15 +210,15 @@ class _DualSearch:
         value, gradient = self(v)
         unused, length = np.maximum(gradient, INTERIOR_START / v), 1.0
         least, idle = self.least, 0
-        while (length > SHORTEST and idle < MOST_IDLE
-               and v @ unused > LEAST_PRODUCT * (1.0 + abs(value))):
+        while (length > SHORTEST and idle < MAX_IDLE
+               and v @ unused > MIN_PRODUCT * (1.0 + abs(value))):
             product = float(v @ unused)
             try:
                 limits.factor(self.share, self.p, unused / v)
                 step = limits.solve(-gradient)
                 change = -unused - unused / v * step
                 left = (v + _within(v, step) * step) @ (unused + _within(unused, change) * change)
-                share = float(np.clip((left / product)**2, LEAST_CENTRING, MOST_CENTRING))
+                share = float(np.clip((left / product)**2, MIN_CENTRING, MAX_CENTRING))
                 mu = share * product / len(v)
                 step = limits.solve(mu / v - gradient)
             except (RuntimeError, LinAlgError):  # singular by rounding
@@ -236,7 +236,7 @@ class _DualSearch:
                 length *= SHORTER
             kept = _within(unused, change)
             unused = unused + (kept if length == longest else min(kept, length)) * change
-            gains = self.least < least - LEAST_PRODUCT * (1.0 + abs(value))
+            gains = self.least < least - MIN_PRODUCT * (1.0 + abs(value))
             idle = 0 if gains or tried @ unused < product else idle + 1
             v, least = tried, self.least
 
@@ -246,9 +246,9 @@ class _DualSearch:
         They are those of the largest multipliers now, or after a step in this limit alone.
         """
         v, damping = self.found.multipliers, DAMPING
-        v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
+        v = np.where(v > MIN_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             over = np.where(gradient < -MODEL_EXCESS * self.tolerance, -gradient, 0.0)
             weight = np.maximum(v, over * self.unit**2)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
@@ -267,10 +267,10 @@ class _DualSearch:
                 if ratio > ACCEPTED:
                     break
                 damping *= RISE
-                if damping > MOST_DAMPING:
+                if damping > MAX_DAMPING:
                     return
             if ratio > TRUSTED:
-                damping = max(damping * FALL, LEAST_DAMPING)
+                damping = max(damping * FALL, MIN_DAMPING)
             v, value, gradient = tried, new_value, new_gradient
 
 

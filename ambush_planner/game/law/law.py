@@ -23,7 +23,7 @@ from .entropy_search import maximize_entropy
 from .gibbs import AcyclicNetwork
 
 # Share of the slack that a law aims at; its tolerance as a share of the slack, and the largest.
-AIM, TOLERANCE, MOST_TOLERANCE = 0.95, 0.04, 4e-4
+AIM, TOLERANCE, MAX_TOLERANCE = 0.95, 0.04, 4e-4
 # Sites limit their hits if their entries cost at least this share of their level; else entries.
 NEAR = 0.97
 # Steps towards a new law: the usual one, and the shortest.
@@ -33,7 +33,7 @@ STEP, SHORTEST = 0.6, 0.05
 OVERSHOOT, PROMISE = 3.0, 0.1
 # Of a reserve: the share kept in the next round, its largest share of a limit, and the share kept
 # if the limits are infeasible with it.
-KEPT_RESERVE, MOST_RESERVE, LESS_RESERVE = 0.5, 0.1, 0.3
+KEPT_RESERVE, MAX_RESERVE, LESS_RESERVE = 0.5, 0.1, 0.3
 # Shares of what p costs too much that limits may leave if those without are infeasible.
 RELAXED = (0.5, 0.75, 0.9)
 # Largest number of doublings of the first multipliers.
@@ -54,7 +54,7 @@ class Law:
         self.network, self.slack, self.exact = network, slack, exact
         self.chain = MarkovChain(network, p)
         self.deadline, self._k = deadline, ambushers
-        self._tolerance = min(TOLERANCE * slack, MOST_TOLERANCE)
+        self._tolerance = min(TOLERANCE * slack, MAX_TOLERANCE)
         binding = [b for b in budgets if b.binds]
         # A law may exceed its limits by the tolerance, but not a budget.
         self._margin = np.array([b.margin * (1.0 - self._tolerance) for b in binding])
@@ -165,7 +165,7 @@ class Law:
         """
         reserve = self._reserve[sites]
         for kept in (1.0, LESS_RESERVE) if reserve.any() else ():
-            yield kept, aim - np.minimum(kept * reserve, MOST_RESERVE * aim)
+            yield kept, aim - np.minimum(kept * reserve, MAX_RESERVE * aim)
         yield 0.0, aim
         over = self.value / self.limit - 1.0 if self.limit else 0.0
         for share in RELAXED if over > 0.0 else ():

@@ -22,7 +22,7 @@ from ...arrays import BoolArray, FloatArray, IndexArray, sums
 from .gibbs import AcyclicNetwork
 
 # Most rows that may border the system.
-MOST_OTHERS = 4
+MAX_OTHERS = 4
 # Entry of D for nodes without a limit, whose costs stay as they are.
 FIXED = 1e8
 
@@ -46,7 +46,7 @@ class NodeLimits:
     def fits(self) -> bool:
         """Whether all rows but a few limit the visits of different nodes."""
         different = len(np.unique(self._place)) == len(self._place)
-        return different and len(self.node) > 0 and len(self.other) <= MOST_OTHERS
+        return different and len(self.node) > 0 and len(self.other) <= MAX_OTHERS
 
     def _on_all_entries(self, first: IndexArray, value: FloatArray) -> BoolArray:
         """Which rows (R,) have one ``value`` on exactly the edges into the node ``first``."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 # Upper limit of a node's visits where its loss is so small that its row does not matter.
-MOST_VISITS = 1e6
+MAX_VISITS = 1e6
 # The unit of loss is lowered until the value is above this many units, in this many attempts.
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # Range of values that are solved in the unit 1.
@@ -70,7 +70,7 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     edge = np.flatnonzero(game.playable)
     lengths = network.travel_costs[edge]
     cost = np.append(length_weight / unit * lengths, 1.0 - length_weight)
-    per_loss = -np.minimum(unit / game.loss[game.sites], MOST_VISITS)
+    per_loss = -np.minimum(unit / game.loss[game.sites], MAX_VISITS)
     inequalities = hstack((game.hits[:, edge], csr_matrix(per_loss[:, None])))
     limits = np.zeros(len(game.sites))
     if np.isfinite(budget):
@@ -181,7 +181,7 @@ def _ambusher(game: Game, program: LinearProgram, result: OptimizeResult,
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
     # The row of a loss far below the unit never binds: its dual is rounding.
-    duals = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
+    duals = np.where(loss * MAX_VISITS > program.unit, duals / loss, 0.0)
     total = float(duals.sum())
     return at_nodes(game, duals), max(price / total, 0.0) if total > 0.0 else 0.0
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 # Smallest value, as a share of the largest loss, that the program is scaled to.
-LEAST_UNIT = 1e-6
+MIN_UNIT = 1e-6
 # Share of the value, per relative gap, that all sites may cause alike.
 EVEN = 0.3
 # Share of the value from which on a site's losses are near it.
@@ -148,7 +148,7 @@ class Mixtures:
         group, near, level = np.array(self._group), self._near.ravel(), math.inf
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
-        unit = self._unit if self._unit > LEAST_UNIT * most else most
+        unit = self._unit if self._unit > MIN_UNIT * most else most
         hit, shares = self._hits(group) / unit, 1.0 / np.bincount(group)[group]
         losses = hit @ shares
         while True:

@@ -44,7 +44,7 @@ LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
 FIRST_TURN, LEG_ROUNDS = 16, 60
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
 # edge that it does not.
-MOST_EXCESS, LEAST_FLOW = 1e7, 1e-7
+MAX_EXCESS, MIN_FLOW = 1e7, 1e-7
 
 
 # Is called with the value of a mixture or strategy, and a bound, as they improve.
@@ -80,7 +80,7 @@ class Routes:
         self.game, self.gap, self.deadline, self._budgets = game, gap, deadline, budgets
         self._progress = progress
         binding = [b for b in budgets if b.binds]
-        excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MOST_EXCESS), 0.0)
+        excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MAX_EXCESS), 0.0)
                   for b in binding]
         self.excess = np.reshape(excess, (len(binding), len(game.playable)))
         legs = int(game.network.stops_before[-1]) + 1
@@ -132,7 +132,7 @@ class Routes:
     def flow(self) -> FloatArray:
         """The mixture as an acyclic strategy (M,)."""
         used = self.mixtures.flow(self.shares, len(self.game.playable))
-        found = conserved_strategy(self.game, used, LEAST_FLOW)
+        found = conserved_strategy(self.game, used, MIN_FLOW)
         assert found is not None  # a route has a share of at least one in their number
         return found
 

@@ -21,7 +21,7 @@ from ...errors import SolverFailed
 # A set joins if it costs less than this; 1 would prove the value.
 CHEAP = 1.0 - 1e-7
 # Least loss that a site may cause, as a share of the value.
-LEAST_LEVEL = 1e-9
+MIN_LEVEL = 1e-9
 # Most sets that join.
 MAX_SETS = 200
 
@@ -68,7 +68,7 @@ def share_sites(loss: FloatArray, ambushers: int,
         found = linprog(-1.0 / (total * unit), rows, limits, method='highs-ds')
         if found.status != 0:
             raise SolverFailed(f'the program over sets of sites: {found.message}')
-        level = np.full(len(loss), max(-found.ineqlin.marginals[-1], -LEAST_LEVEL * found.fun))
+        level = np.full(len(loss), max(-found.ineqlin.marginals[-1], -MIN_LEVEL * found.fun))
         level[met] -= found.ineqlin.marginals[:-1]
         level *= unit
     return SharedSites(float(-found.fun) * unit, shares @ found.x, level)
