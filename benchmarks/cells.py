@@ -17,8 +17,8 @@ from report import conditions, publish, table
 from ambush_planner import GameOptions, RiskMap, StrategyOptions, plan_trip
 
 FAMILIES = ('hills-coarse', 'hills-obstacles', 'rough', 'city')
-NODES = 400
-CELLS = (2.0, 1.0, 0.5, 0.25, 0.125)  # cells over reach
+NODES = 150
+CELLS = (2.0, 1.0, 0.5, 0.25)  # cells over reach
 DETOUR = 1.5
 
 
