@@ -18,7 +18,7 @@ from ambush_planner import GameOptions, RiskMap, StrategyOptions, plan_trip
 
 FAMILIES = ('hills-coarse', 'hills-obstacles', 'rough', 'city')
 NODES = 150
-CELLS = (2.0, 1.0, 0.5, 0.25)  # cells over reach
+CELLS = (1.0, 0.5, 0.25, 0.125)  # cells over reach
 DETOUR = 1.5
 
 
@@ -52,8 +52,8 @@ def main() -> None:
             for cells, own in zip(CELLS, ratios.T, strict=True)]
     head = 'cell over reach', 'value, relative to the smallest cells: median', 'range'
     publish(options.results, 'cells', (
-        f'{len(names)} maps of about {NODES} nodes, seeds from {options.seed}, spacing twice the '
-        f'reach, detour {DETOUR:g}. {conditions()}.\n\n{table(head, rows)}'))
+        f'{len(names)} maps of about {NODES} nodes, seeds from {options.seed}, nodes a reach apart, '
+        f'detour {DETOUR:g}. {conditions()}.\n\n{table(head, rows)}'))
 
 
 if __name__ == '__main__':
