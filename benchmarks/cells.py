@@ -52,7 +52,7 @@ def main() -> None:
             for cells, own in zip(CELLS, ratios.T, strict=True)]
     head = 'cell over reach', 'value, relative to the smallest cells: median', 'range'
     publish(options.results, 'cells', (
-        f'{len(names)} maps of about {NODES} nodes, seeds from {options.seed}, nodes a reach apart, '
+        f'{len(names)} maps of {NODES} nodes, seeds from {options.seed}, nodes a reach apart, '
         f'detour {DETOUR:g}. {conditions()}.\n\n{table(head, rows)}'))
 
 
