@@ -63,7 +63,7 @@ def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path | None,
                  slots: Sequence[str], day: SlotMixture | None) -> None:
     """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any.
 
-    Without a file of the map, each sheet gets one next to it, by ``map_beside``.
+    Without a ``map_file``, the map is written next to each sheet, to ``map_of(sheet)``.
     """
     few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
     start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
@@ -77,12 +77,12 @@ def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path | None,
                         slots=tuple(zip(slots, day.shares.tolist(), strict=True)))
     for path in paths:
         if map_file is None:
-            sheet = replace(sheet, map=map_beside(path).absolute())
+            sheet = replace(sheet, map=map_of(path).absolute())
             write_private(path.parent, {sheet.map.name: npz_bytes(drawn.risk_map)})
         write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
 
 
-def map_beside(sheet: Path) -> Path:
+def map_of(sheet: Path) -> Path:
     """The map of a sheet that was planned on an elevation model."""
     return sheet.with_name(f'{sheet.stem}_map.npz')
 

@@ -22,7 +22,7 @@ from ..planning.trip import ORDERS
 from ..route_files import SUFFIXES, Drawn, draw, write_routes
 from . import cli
 from .console import percent, travel
-from .few_files import SHEET, FewDrawn, map_beside, tell_few, write_sheets
+from .few_files import SHEET, FewDrawn, map_of, tell_few, write_sheets
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
 from .inputs import (
     MAP_HELP,
@@ -113,7 +113,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day and few is None:
         drawn = replace(drawn, slots=[slots[k] for k in day.draw(arguments.departures, rng)])
     sheets = [path for path in arguments.output if path.suffix == SHEET]
-    maps = [map_beside(path) for path in sheets if arguments.terrain]
+    maps = [map_of(path) for path in sheets if arguments.terrain]
     tell_overwritten([*arguments.output, *maps], console)
     write_routes([path for path in arguments.output if path not in sheets], drawn)
     _tell(plan, console)

@@ -173,7 +173,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
     """
     bound = 0.0
     for program in _programs(Problem(game, budgets, gap, deadline), gap):
-        with contextlib.suppress(TimeLimit, SolverFailed):
+        with _trying():
             program.solve()
         bound = max(bound, program.bound)
         if not isinstance(program, Cut) or all(b.keeps(program.flow) for b in budgets):
@@ -218,7 +218,7 @@ class _Search:
                 return self._solution()
         self._solve_program()
         for sweep in range(MAX_SWEEPS):
-            if sweep >= SWEEPS and self.program.bound > 0.0:
+            if self._late() or (sweep >= SWEEPS and self.program.bound > 0.0):
                 break
             chain = chain_of(self.game.network, self.program.flow)
             if not self._add_worst(chain, self.program.bound * (1.0 + self.slack)):
@@ -230,7 +230,7 @@ class _Search:
         return self._solution()
 
     def _solve_program(self) -> None:
-        with contextlib.suppress(TimeLimit, SolverFailed):
+        with _trying():
             self.program.solve()
 
     def _add_worst(self, chain: MarkovChain, above: float) -> int:
@@ -273,18 +273,21 @@ class _Search:
         Places join a mixture of routes first, and prove its value once they have: a proof takes
         seconds.
         """
-        self._mix(program)
-        program.prove_by_legs()
+        with _trying():
+            program.solve(prove=False)
+            program.prove_by_legs()
         apart = 1.0
         for _ in range(MAX_SWEEPS):
             above = program.value * (1.0 + self.slack / 2.0)
             if time.monotonic() > program.deadline or (
                     not self._join_worst(program.mixture, above, apart) and apart == APART):
                 break
-            self._mix(program)
+            with _trying():
+                program.solve(prove=False)
             apart = max(apart / 2.0, APART)
-        program.prove_by_legs()
-        self._solve_program()
+        with _trying():
+            program.prove_by_legs()
+            program.solve()
         for _ in range(ROUNDS):
             copied = law_on_copies(program, self.slack, self.problem.deadline)
             if copied is None:
@@ -294,16 +297,11 @@ class _Search:
             mixed = program.value
             if self._late():
                 return
-            if self._join_worst(copied.chain, copied.limit):
-                self._mix(program)
-                continue
-            self._solve_program()
-            if program.value > mixed * (1.0 - self.slack / 4.0):
+            joined = self._join_worst(copied.chain, copied.limit)
+            with _trying():
+                program.solve(prove=not joined)
+            if not joined and program.value > mixed * (1.0 - self.slack / 4.0):
                 return
-
-    def _mix(self, program: Routes) -> None:
-        with contextlib.suppress(TimeLimit, SolverFailed):
-            program.solve(prove=False)
 
     def _find_law(self, step: float) -> None:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
@@ -443,6 +441,11 @@ class _Search:
         """Numbers of the budgets that bind, with 0 for the others."""
         number = iter(binding.tolist())
         return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.budgets)
+
+
+def _trying() -> contextlib.suppress:
+    """What a program has found before it fails, or before the deadline, counts."""
+    return contextlib.suppress(TimeLimit, SolverFailed)
 
 
 def _without_small_charges(game: Game, ambusher: Ambusher) -> Ambusher:

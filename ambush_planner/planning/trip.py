@@ -198,9 +198,9 @@ def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
 class _StopOrderSearch:
     """Search for the order of least value by lower bounds, with hits counted once.
 
-    An ambusher who waits for each leg with a share of his own costs a trip at least what its legs
-    cost, each on its own, and any of these shares may be for any leg. So the shares against a
-    solved order, and its price of length, bound all orders. The first bounds come from minimum
+    Split the ambusher's strategy into one share for each leg. A trip costs at least the sum of what
+    its legs cost against their shares, whichever share belongs to which leg. So the shares found
+    for one order, with its price of length, bound all orders. The first bounds come from minimum
     cuts between pairs of ends: every trip drives from one end to all later ones.
     """
 
