@@ -51,12 +51,6 @@ APART = 0.25
 OF_TIME = 0.8
 # Rounds in which places join before the first law; more while the value is 0.
 SWEEPS, MAX_SWEEPS = 2, 20
-# Share of the slack by which a circulation may prove less than the program says.
-UNPROVED = 0.02
-# Relative difference of bounds that is rounding of the program.
-EXACT = 3e-6
-# Charges below this share of the largest are left out of a first search over labels.
-SMALL_CHARGE = 1e-3
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
 JOINING = 0.5
 # Rounds of a law, its steps if the usual ones do not reach the slack, and the least growth of the
@@ -413,29 +407,20 @@ class _Search:
                         copied.evaluations, np.nan, within)
 
     def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
-        """The ambusher q (S,) in the game with the ``kept`` sites, and his bound.
-
-        The bound is that of the program's circulation if this proves enough.
-        """
-        alone = Ambusher(frozen_array(at_nodes(game, q[kept]), np.float64),
-                         self._of_all_budgets(self.program.prices))
+        """The ambusher q (S,) in the game with the ``kept`` sites, and his bound."""
+        ambusher = Ambusher(frozen_array(at_nodes(game, q[kept]), np.float64),
+                            self._of_all_budgets(self.program.prices))
         if isinstance(self.program, Routes) and game.network.legs > 1:
             more = len(q) - self.program.by_leg.shape[1]
             by_leg = np.pad(self.program.by_leg, ((0, 0), (0, more)))
-            alone = replace(alone, by_leg=frozen_array(by_leg[:, kept], np.float64))
+            ambusher = replace(ambusher, by_leg=frozen_array(by_leg[:, kept], np.float64))
         found = getattr(self.program, 'circulation', None)
-        if not found or not hits_can_differ(game):
-            return alone, lower_bound(game, alone, self.budgets)
-        node = np.full(len(kept), -1)
-        node[kept] = game.sites
-        around = replace(alone, circulation=Circulation(found.through, node[found.site],
-                                                        found.face, found.flow))
-        enough, proofs = self.program.bound * (1.0 - max(UNPROVED * self.slack, EXACT)), []
-        for each in (around, _without_small_charges(game, alone), alone):
-            proofs.append((each, lower_bound(game, each, self.budgets)))
-            if proofs[-1][1] >= enough:
-                break
-        return max(proofs, key=lambda proof: proof[1])
+        if found and hits_can_differ(game):
+            node = np.full(len(kept), -1)
+            node[kept] = game.sites
+            ambusher = replace(ambusher, circulation=Circulation(found.through, node[found.site],
+                                                           found.face, found.flow))
+        return ambusher, lower_bound(game, ambusher, self.budgets)
 
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""
@@ -447,10 +432,3 @@ def _trying() -> contextlib.suppress:
     """What a program has found before it fails, or before the deadline, counts."""
     return contextlib.suppress(TimeLimit, SolverFailed)
 
-
-def _without_small_charges(game: Game, ambusher: Ambusher) -> Ambusher:
-    """The ambusher at his costliest sites only: labels then have few sites to tell apart."""
-    charge = game.loss * ambusher.q
-    q = np.where(charge > SMALL_CHARGE * charge.max(), ambusher.q, 0.0)
-    return replace(ambusher, q=q / q.sum(),
-                   prices=tuple(price / q.sum() for price in ambusher.prices))

@@ -10,8 +10,9 @@ links, or the curve's sites hit it. Let curves c of weights w_c go through each 
 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
-circulation is such curves, added up: it is taken apart into simple cycles, and those that separate
-the ends count.
+circulation is such curves, added up: it is taken apart into simple cycles, and those whose
+crossings add up to 1 count. What the others use is left to a search over labels, which counts a
+curve that winds around the end twice twice, unless some route spirals through it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from scipy.sparse import csr_matrix
 
 from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
+from ..game import Game
 from ..value.faces import Faces
+from .best_response import SEARCHES, Grounds
 
 # Flows below this share of the largest are rounding.
 NEGLIGIBLE = 1e-7
@@ -74,9 +77,20 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
     flow = np.concatenate((through[arcs[0]], (inside * pair)[arcs[1]]))
     tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
     gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
-    kept = size > NEGLIGIBLE * size.max(initial=0.0)
-    weights = _weight_of_separating_cycles(tail[kept], head[kept], gain[kept], size[kept])
-    return max(weights - price * limit, 0.0) if price > 0.0 else weights
+    kept = np.flatnonzero(size > NEGLIGIBLE * size.max(initial=0.0))
+    once, more, used = _curves(tail[kept], head[kept], gain[kept], size[kept])
+    total = once
+    if more > 0.0:
+        own = np.zeros(len(size))
+        own[kept] = used
+        links, discs = np.split(own, [len(arcs[0])])
+        free_cost, free_charge = np.where(np.isfinite(most), most, 0.0), charge.copy()
+        free_cost[arcs[0]] -= links
+        free_charge -= sums(given.site[arcs[1]], np.where(inside[arcs[1]] > 0.0, discs, 0.0),
+                            len(charge))
+        total += max(more, _least_cost(game, np.maximum(free_cost, 0.0)[faces.link],
+                                       np.maximum(free_charge, 0.0)))
+    return max(total - price * limit, 0.0) if price > 0.0 else total
 
 
 def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
@@ -96,18 +110,20 @@ def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
     return found.astype(np.float64), lift, discs.part[at]
 
 
-def _weight_of_separating_cycles(tail: IndexArray, head: IndexArray, gain: IndexArray,
-                                 size: FloatArray) -> float:
-    """Take a circulation apart into simple cycles; the weight of those whose gain is not 0.
+def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
+            size: FloatArray) -> tuple[float, float, FloatArray]:
+    """Take a circulation on arcs (K,) apart into simple cycles.
 
-    What rounding leaves unbalanced ends a walk and is lost.
+    Returns the weight of those of gain 1 or -1, that of those of a larger gain, and the flow (K,)
+    of the former. What rounding leaves unbalanced ends a walk and is lost.
     """
     order = np.argsort(tail, kind='stable')
     tail, heads = tail[order], head[order].tolist()
     gains, left = gain[order].tolist(), size[order].tolist()
     nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
     arcs = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
-    free, ends, weight = arcs[:-1], arcs[1:], 0.0
+    free, ends, once, more = arcs[:-1], arcs[1:], 0.0, 0.0
+    used = [0.0] * len(left)
     for start in np.unique(tail).tolist():
         walk: list[int] = []
         node, place = start, {start: 0}
@@ -126,12 +142,23 @@ def _weight_of_separating_cycles(tail: IndexArray, head: IndexArray, gain: Index
             if node in place:
                 cycle = walk[place[node] :]
                 least = min(left[arc] for arc in cycle)
-                weight += least * (sum(gains[arc] for arc in cycle) != 0)
+                winds = abs(sum(gains[arc] for arc in cycle))
+                once += least * (winds == 1)
+                more += least * (winds > 1)
                 for arc in cycle:
                     left[arc] -= least
+                    used[arc] += least * (winds == 1)
                     del place[heads[arc]]
                 del walk[len(walk) - len(cycle) :]
                 place[node] = len(walk)
             else:
                 place[node] = len(walk)
-    return weight
+    flow = np.empty(len(used))
+    flow[order] = used
+    return once, more, flow
+
+
+def _least_cost(game: Game, cost: FloatArray, charge: FloatArray) -> float:
+    """A lower bound of what any route costs by edges (M,) and pays at nodes (N,) that hit it."""
+    ground = Grounds(game, game.hits).whole
+    return ground.least_cost(np.where(game.playable, cost, 0.0), charge[game.sites], SEARCHES)[0]
