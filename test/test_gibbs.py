@@ -25,7 +25,6 @@ from ambush_planner.game.game import make_game
 from ambush_planner.game.law.acyclic import forward_part, order_potential, rank_by
 from ambush_planner.game.law.entropy_search import maximize_entropy
 from ambush_planner.game.law.gibbs import acyclic_network
-from ambush_planner.game.law.node_limits import NodeLimits
 
 NEVER = math.inf
 
@@ -89,7 +88,7 @@ def test_the_entropy_of_p_is_the_dual_value(seed, size):
 
 @examples(6)
 @given(st.integers(0, 10**6), st.floats(0.0, 3.0), st.sampled_from((0.0, 2.0)))
-def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
+def test_covariances_are_derivatives(seed, size, reach):
     """Of the limits' uses by the multipliers; more rows than fit one chunk of right sides."""
     network = terrain_network(seed, cells=8)
     part, acyclic = forward(network)
@@ -101,13 +100,6 @@ def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
     direction = rng.normal(size=len(v))
     ahead, behind = (rows @ acyclic.law(rows.T @ (v + h * direction))[1] for h in (1e-5, -1e-5))
     assert covariance @ direction == pytest.approx((behind - ahead) / 2e-5, abs=1e-5)
-    limits = NodeLimits(acyclic, rows)
-    assert limits.fits == (reach == 0.0)
-    if limits.fits:
-        diagonal, right = 10.0 ** rng.uniform(-2, 3, len(v)), rng.normal(size=len(v))
-        limits.factor(share, p, diagonal)
-        found = limits.solve(right)
-        assert (covariance + np.diag(diagonal)) @ found == pytest.approx(right, abs=1e-5)
 
 
 @pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 2.0), (16, 0.0)])

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
@@ -45,6 +44,8 @@ from .value.routes import Progress, RouteMixture, Routes, unseen
 MIN_SLACK = 9e-6
 # Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
 PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
+# Level at which a program in potentials begins, as a multiple of the value without budgets.
+FIRST_LEVEL = 2.0
 # Distance of places that join a program over routes, where each is a row, as a share of the reach.
 APART = 0.25
 # Share of the time after which a program over a trip's routes ends: its law takes seconds.
@@ -115,23 +116,14 @@ class Solution(NamedTuple):
     multipliers: Multipliers | None
     evaluations: int
     entropy_bound: float
-    within_slack: bool
 
 
 def most_unpredictable(problem: Problem) -> Solution:
-    """Solve by the first program whose law is within the slack; else take the best of all.
-
-    At the deadline the best strategy so far is returned.
-    """
+    """Find the value and the law; at the deadline, the best strategy so far is returned."""
     if any(b.has_no_margin for b in problem.budgets):
         return _on_best_routes(problem)
     slack = max(problem.slack, MIN_SLACK)
-    found: list[Solution] = []
-    for program in _programs(problem, slack):
-        found.append(_Search(problem, program, slack).run())
-        if found[-1].within_slack or time.monotonic() > problem.deadline:
-            break
-    return max(found, key=lambda each: (each.within_slack, -each.value))
+    return _Search(problem, _program_for(problem, slack), slack).run()
 
 
 def _on_best_routes(problem: Problem) -> Solution:
@@ -165,30 +157,32 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
 
     At the deadline it may be lower.
     """
-    bound = 0.0
-    for program in _programs(Problem(game, budgets, gap, deadline), gap):
-        with _trying():
-            program.solve()
-        bound = max(bound, program.bound)
-        if not isinstance(program, Cut) or all(b.keeps(program.flow) for b in budgets):
-            break
-    return bound
+    program = _program_for(Problem(game, budgets, gap, deadline), gap)
+    with _trying():
+        program.solve()
+    return program.bound
 
 
-def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Routes]:
-    """The programs that can solve the game, the fastest first."""
-    game, gap = problem.game, PROGRAM_GAP * slack
+def _program_for(problem: Problem, slack: float) -> Cut | Potential | Routes:
+    """The fastest program that finds the value: a cut if its flow keeps the budgets.
+
+    A law around another flow of the cut may keep them as well, but only just, with less entropy
+    than one around the flow of a program that knows them.
+    """
+    game, gap, least = problem.game, PROGRAM_GAP * slack, np.inf
     binding = tuple(b for b in problem.budgets if b.binds)
     if not hits_can_differ(game):
-        yield Cut(game, binding)
+        cut = Cut(game, binding)
+        if all(b.keeps(cut.flow) for b in binding):
+            return cut
+        least = cut.bound
     if game.ambushers == 1 and game.network.legs == 1 and len(binding) <= 1:
         faces, budget = make_faces(game), binding[0] if binding else Budget.none(game)
         if faces and faces.same_both_ways(budget.cost):
-            yield Potential(faces, budget, gap, problem.deadline)
-            return
+            return Potential(faces, budget, gap, problem.deadline, FIRST_LEVEL * least)
     now, legs = time.monotonic(), game.network.legs
     deadline = now + (problem.deadline - now) * (OF_TIME if legs > 1 else 1.0)
-    yield Routes(game, binding, ROUTES_GAP * slack, deadline, problem.progress)
+    return Routes(game, binding, ROUTES_GAP * slack, deadline, problem.progress)
 
 
 class _Search:
@@ -218,8 +212,8 @@ class _Search:
             if not self._add_worst(chain, self.program.bound * (1.0 + self.slack)):
                 break
         for step in (STEP, CAREFUL_STEP):
-            self._find_law(step)
-            if self._done():
+            law = self._find_law(step)
+            if self._done() or law.rounds < 2:  # the first round goes the whole way
                 break
         return self._solution()
 
@@ -297,7 +291,7 @@ class _Search:
             if not joined and program.value > mixed * (1.0 - self.slack / 4.0):
                 return
 
-    def _find_law(self, step: float) -> None:
+    def _find_law(self, step: float) -> Law:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
         law = self.law = self._new_law(step)
         law.measure(self._level())
@@ -307,15 +301,16 @@ class _Search:
         while law.rounds < ROUNDS and time.monotonic() < self.problem.deadline:
             q, prices = self.program.q, self.program.prices
             if not law.round(q, prices, self.program.bound):
-                return
+                break
             known = len(self.loss)
             self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack))
             law.measure(self._level())
             self._keep(law)
             grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
             if law.value <= law.limit and (law.exact or not grew):
-                return
+                break
             law.step = 1.0 if law.worst >= known else step
+        return law
 
     def _new_law(self, step: float) -> Law:
         game, flow = self.game, self.program.flow
@@ -375,15 +370,14 @@ class _Search:
         sites = self.points[added], self.loss[added], csr_matrix(self.entering[added])
         game = self.game.with_sites(*sites)
         ambusher, bound = self._judged(game, q, kept)
-        within = value <= bound * (1.0 + self.slack + ROUNDING)
         if self.copied:
-            return self._unrolled(self.copied, sites, ambusher, q[kept], value, bound, within)
+            return self._unrolled(self.copied, sites, ambusher, q[kept], value, bound)
         assert self.law is not None
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weight[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64), self._of_all_budgets(prices))
         return Solution(game, self.budgets, chain.uses(len(game.playable)), value, bound, ambusher,
-                        multipliers, self.law.evaluations, self.law.entropy_bound, within)
+                        multipliers, self.law.evaluations, self.law.entropy_bound)
 
     def _best_strategy(self) -> tuple[MarkovChain, float, int]:
         """The best strategy, its value and the row of its worst site."""
@@ -394,8 +388,7 @@ class _Search:
         return chain_of(self.game.network, p), worst_loss(self.game, p), -1
 
     def _unrolled(self, copied: Copied, sites: tuple[FloatArray, FloatArray, csr_matrix],
-                  ambusher: Ambusher, q: FloatArray, value: float, bound: float,
-                  within: bool) -> Solution:
+                  ambusher: Ambusher, q: FloatArray, value: float, bound: float) -> Solution:
         """The solution on the copies' network, with the sites added there as well."""
         edge = np.append(np.arange(len(self.game.playable)), copied.chain.network.edge)
         game, p = copied.unrolled(self.game)
@@ -404,7 +397,7 @@ class _Search:
         length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.budgets)
         ambusher = replace(ambusher, q=at_nodes(game, q))
         return Solution(game, (length, exposure), p, value, bound, ambusher, None,
-                        copied.evaluations, np.nan, within)
+                        copied.evaluations, np.nan)
 
     def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
         """The ambusher q (S,) in the game with the ``kept`` sites, and his bound."""

@@ -8,10 +8,9 @@ the greatest route entropy if v >= 0 minimises the convex function
 
 This function is at least the entropy of any strategy with C p <= 1, so a value below 0 proves that
 no such strategy exists. The search begins with L-BFGS-B, which scales the multipliers to bring the
-Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it: if
-the limits are on visits of nodes, as a primal-dual interior point method in all multipliers, whose
-systems are sparse (``node_limits``); else in the multipliers of the tight limits, with
-Levenberg-Marquardt damping. The search goes on as long as rounds lower the function noticeably.
+Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it, in
+the multipliers of the tight limits, with Levenberg-Marquardt damping. The search goes on as long as
+rounds lower the function noticeably.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from scipy.sparse import csr_matrix
 
 from ...arrays import BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
-from .node_limits import NodeLimits
 
 # Evaluations of L-BFGS before Newton's method starts; on large networks, where Newton's steps are
 # slow, one evaluation per this many nodes.
@@ -36,10 +34,8 @@ WARM_EVALUATIONS, NEXT_EVALUATIONS = 50, 300
 # Limits that Newton's method moves at once, its maximum number of steps, and the maximum number of
 # further rounds of L-BFGS before it while more limits have multipliers.
 NEWTON_LIMITS, MAX_STEPS, MORE_ROUNDS = 1500, 500, 3
-# Relative to 1 + |value|: least decrease per round, else the search ends; sum of the multipliers
-# times the unused shares at which the interior point method ends, and the least decrease that
-# counts as progress there.
-MIN_GAIN, MIN_PRODUCT = 1e-5, 1e-6
+# Least decrease per round, relative to 1 + |value|, else the search ends.
+MIN_GAIN = 1e-5
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 5e-4
 # Rounding of the function's value, relative to its terms.
@@ -61,12 +57,6 @@ RISE, FALL = 6.0, 0.2
 ACCEPTED, TRUSTED = 0.01, 0.5
 # Newton's model omits limits with less excess than this share of the tolerance.
 MODEL_EXCESS = 0.1
-# The interior point method: least initial product of a multiplier and the unused share of its
-# limit, range of the factor of the mean product that a step aims at, share of the way to 0 that a
-# step may go, sufficient decrease, factor of a step that is too long, shortest step, and most steps
-# in a row that lower neither value nor product.
-INTERIOR_START, MIN_CENTRING, MAX_CENTRING, TO_BOUNDARY = 1e-4, 0.01, 0.6, 0.99
-SUFFICIENT, SHORTER, SHORTEST, MAX_IDLE = 0.01, 0.4, 1e-5, 5
 
 
 class _SearchEnded(Exception):
@@ -151,21 +141,16 @@ class _DualSearch:
 
     def run(self, start: FloatArray, warm: bool) -> None:
         """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
-        limits = NodeLimits(self.network, self.rows)
-        fits = limits.fits
         first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
-        self.quasi_newton(start, WARM_EVALUATIONS if warm and not fits else first)
+        self.quasi_newton(start, WARM_EVALUATIONS if warm else first)
         for _ in range(MORE_ROUNDS):
-            if fits or (self.found.multipliers > MIN_MULTIPLIER).sum() <= NEWTON_LIMITS:
+            if (self.found.multipliers > MIN_MULTIPLIER).sum() <= NEWTON_LIMITS:
                 break
             self.quasi_newton(self.found.multipliers, first)
         before = np.inf
         while self.least < before - MIN_GAIN * (1.0 + abs(self.least)):
             before = self.least
-            if fits:
-                self.interior(limits)
-            else:
-                self.newton()
+            self.newton()
             self.quasi_newton(self.found.multipliers, NEXT_EVALUATIONS)
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
@@ -199,47 +184,6 @@ class _DualSearch:
         fmin_l_bfgs_b(function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS,
                       factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations)
 
-    def interior(self, limits: NodeLimits) -> None:
-        """Take steps towards v s = mu with s = 1 - C p and falling mu, while the steps are long.
-
-        A step towards mu = 0 shows how far mu may fall (S. Mehrotra, On the implementation of a
-        primal-dual interior point method, SIAM Journal on Optimization 2, 1992).
-        """
-        free = np.maximum(1.0 - self.rows @ self.found.p, INTERIOR_START**0.5)
-        v = np.maximum(self.found.multipliers, INTERIOR_START / free)
-        value, gradient = self(v)
-        unused, length = np.maximum(gradient, INTERIOR_START / v), 1.0
-        least, idle = self.least, 0
-        while (length > SHORTEST and idle < MAX_IDLE
-               and v @ unused > MIN_PRODUCT * (1.0 + abs(value))):
-            product = float(v @ unused)
-            try:
-                limits.factor(self.share, self.p, unused / v)
-                step = limits.solve(-gradient)
-                change = -unused - unused / v * step
-                left = (v + _within(v, step) * step) @ (unused + _within(unused, change) * change)
-                share = float(np.clip((left / product)**2, MIN_CENTRING, MAX_CENTRING))
-                mu = share * product / len(v)
-                step = limits.solve(mu / v - gradient)
-            except (RuntimeError, LinAlgError):  # singular by rounding
-                return
-            change = mu / v - unused - unused / v * step
-            longest, tried = _within(v, step), v
-            length = longest
-            barrier = value - mu * float(np.log(v).sum())
-            slope = SUFFICIENT * float((gradient - mu / v) @ step)
-            while length > SHORTEST:
-                tried = v + length * step
-                value, gradient = self(tried)
-                if value - mu * float(np.log(tried).sum()) <= barrier + length * slope:
-                    break
-                length *= SHORTER
-            kept = _within(unused, change)
-            unused = unused + (kept if length == longest else min(kept, length)) * change
-            gains = self.least < least - MIN_PRODUCT * (1.0 + abs(value))
-            idle = 0 if gains or tried @ unused < product else idle + 1
-            v, least = tried, self.least
-
     def newton(self) -> None:
         """Take damped Newton steps while they gain, in at most ``NEWTON_LIMITS`` limits.
 
@@ -272,11 +216,6 @@ class _DualSearch:
             if ratio > TRUSTED:
                 damping = max(damping * FALL, MIN_DAMPING)
             v, value, gradient = tried, new_value, new_gradient
-
-
-def _within(v: FloatArray, step: FloatArray) -> float:
-    """Length of the step, at most 1, that keeps v (R,) positive."""
-    return 1.0 / max(1.0, float((-step / v).max()) / TO_BOUNDARY)
 
 
 def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,

@@ -96,14 +96,6 @@ class AcyclicNetwork:
         covariance -= np.outer(mean, mean)
         return covariance
 
-    def covariance_with(self, share: FloatArray, p: FloatArray, costs: FloatArray) -> FloatArray:
-        """Covariance (m,) of the use of each edge with a route's sum of ``costs`` (m,)."""
-        ahead = self._behind(share, sums(self.tail, share * costs, self.count))
-        moved = p * (costs + ahead[self.head] - ahead[self.tail])
-        entered = sums(self.head, moved, self.count)
-        visits = self.onwards.solve(share, entered)
-        return np.asarray(visits[self.tail] * share + moved)
-
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         factor = self._level[self.head]
         last = np.zeros(self.count)

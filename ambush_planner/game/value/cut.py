@@ -57,7 +57,7 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 
 
 class Cut:
-    """The program of games without a reach while no budget binds; for several ambushers as well.
+    """The least value without a reach and budgets; for several ambushers as well.
 
     ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. It
     may exceed a budget.
@@ -67,12 +67,15 @@ class Cut:
         self.game, self.budgets = game, budgets
         self.bound, self.q, self.level = 0.0, np.zeros(len(game.sites)), np.zeros(len(game.sites))
         self.prices, self.flow = np.zeros(len(budgets)), np.zeros(0)
+        self._find()
+
+    def solve(self) -> None:
+        """Nothing: it is solved."""
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Nothing: all sites are nodes of the network."""
 
-    def solve(self) -> None:
-        """Find the least value without budgets."""
+    def _find(self) -> None:
         safe, k, sites = self.game.avoiding_all_sites(), self.game.ambushers, self.game.sites
         if safe is not None:
             within = _within(safe, self.budgets)

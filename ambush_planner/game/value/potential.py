@@ -39,10 +39,12 @@ class Potential:
     """The program, at first with the game's sites; ``solve`` goes on from where it is.
 
     ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
-    of the budget. ``level`` (S,) is what each site may cause.
+    of the budget. ``level`` (S,) is what each site may cause. The search begins at ``first``, or at
+    half the largest loss if that is less.
     """
 
-    def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float) -> None:
+    def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float,
+                 first: float = np.inf) -> None:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
         self._precision = min(gap, PRECISION)
         # Pairs of a face and a part of a rim, part by part, and the first pair of each part.
@@ -52,7 +54,7 @@ class Potential:
         self._around = np.zeros(0, dtype=bool)
         self._entering = csr_matrix((0, len(faces.link)))
         self._joined, self._up = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        self._z, self.bound = np.inf, 0.0
+        self._z, self.bound = first, 0.0
         self._potential: FloatArray | None = None
         self._kept: FloatArray | None = None  # the latest potential within the budget
         self.circulation: Circulation | None = None
