@@ -6,6 +6,7 @@ Its value is compared with that of all mixtures of routes in test_reach.
 
 import math
 import time
+from dataclasses import replace
 
 import networkx
 import numpy as np
@@ -105,9 +106,12 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     game = make_game(network, GameOptions(ambush_radius=2.5, secured_radius=0.4))
     near = reached(network, 2.5, 0.4)
     assert value_by_routes(alpha, near, routes_of(network)) == pytest.approx(2 / 5)
-    assert program_of(game).bound == pytest.approx(2 / 5, rel=PRECISION)
-    ambusher = Ambusher(np.repeat([0.0, 0.2, 0.0], [21, 5, 1]), ())
-    assert lower_bound(game, ambusher, ()) == pytest.approx(2 / 5)
+    program = program_of(game)
+    assert program.bound == pytest.approx(2 / 5, rel=PRECISION)
+    curves = replace(program.circulation, site=game.sites[program.circulation.site])
+    q = np.repeat([0.0, 0.2, 0.0], [21, 5, 1])
+    for ambusher in Ambusher(q, ()), Ambusher(q, (), circulation=curves):
+        assert lower_bound(game, ambusher, ()) == pytest.approx(2 / 5)
 
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():

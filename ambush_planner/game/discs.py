@@ -28,7 +28,7 @@ def inside(offset: FloatArray, radius: float) -> BoolArray:
 
     All code decides this here, so that consecutive edges agree about their common node.
     """
-    return np.asarray(np.hypot(offset[:, 0], offset[:, 1]) <= radius)
+    return np.asarray(np.einsum('ij,ij->i', offset, offset) <= radius * radius)
 
 
 class HeldGround(NamedTuple):

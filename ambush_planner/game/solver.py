@@ -46,12 +46,14 @@ MIN_SLACK = 9e-6
 PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 # Level at which a program in potentials begins, as a multiple of the value without budgets.
 FIRST_LEVEL = 2.0
-# Distance of places that join a program over routes, where each is a row, as a share of the reach.
+# Distance of places that join at once, as a share of the reach, where each is a row of a program or
+# the value is not known yet.
 APART = 0.25
 # Share of the time after which a program over a trip's routes ends: its law takes seconds.
 OF_TIME = 0.8
-# Rounds in which places join before the first law; more while the value is 0.
-SWEEPS, MAX_SWEEPS = 2, 20
+# Rounds in which places join before the first law, in the last of them all; more while the value
+# is 0.
+SWEEPS, MAX_SWEEPS = 3, 20
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
 JOINING = 0.5
 # Rounds of a law, its steps if the usual ones do not reach the slack, and the least growth of the
@@ -209,7 +211,9 @@ class _Search:
             if self._late() or (sweep >= SWEEPS and self.program.bound > 0.0):
                 break
             chain = chain_of(self.game.network, self.program.flow)
-            if not self._add_worst(chain, self.program.bound * (1.0 + self.slack)):
+            apart = APART * (sweep < SWEEPS - 1)
+            found = self._add_worst(chain, self.program.bound * (1.0 + self.slack), apart)
+            if not found:
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)
@@ -221,19 +225,19 @@ class _Search:
         with _trying():
             self.program.solve()
 
-    def _add_worst(self, chain: MarkovChain, above: float) -> int:
+    def _add_worst(self, chain: MarkovChain, above: float, apart: float) -> int:
         """Let the places that cost a strategy more than ``above`` join; return their number."""
-        count = self._join_worst(chain, above)
+        count = self._join_worst(chain, above, apart)
         if count:
             self._solve_program()
         return count
 
-    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float,
-                    apart: float = APART) -> int:
+    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> int:
         if self.problem.ground is None:
             return 0
-        apart = apart * self.game.reach if isinstance(self.program, Routes) else 0.0
-        found = self.problem.ground.worst(drawn, above, apart)
+        if isinstance(self.program, Routes):
+            apart = max(apart, APART)
+        found = self.problem.ground.worst(drawn, above, apart * self.game.reach)
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
@@ -285,7 +289,7 @@ class _Search:
             mixed = program.value
             if self._late():
                 return
-            joined = self._join_worst(copied.chain, copied.limit)
+            joined = self._join_worst(copied.chain, copied.limit, APART)
             with _trying():
                 program.solve(prove=not joined)
             if not joined and program.value > mixed * (1.0 - self.slack / 4.0):
@@ -303,7 +307,7 @@ class _Search:
             if not law.round(q, prices, self.program.bound):
                 break
             known = len(self.loss)
-            self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack))
+            self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack), 0.0)
             law.measure(self._level())
             self._keep(law)
             grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy

@@ -43,7 +43,7 @@ Searches = Sequence[tuple[float, int]]
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
 # Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
-_NEGLIGIBLE = 1e-9
+_NEGLIGIBLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ links, or the curve's sites hit it. Let curves c of weights w_c go through each 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is taken apart into simple cycles, and those whose
-crossings add up to 1 count. What the others use is left to a search over labels, which counts a
-curve that winds around the end twice twice, unless some route spirals through it.
+crossings add up to 1 count. Those that wind around an end more than once count as often unless
+some route spirals through them: a search over labels finds what every route pays them at least.
 """
 
 from __future__ import annotations
@@ -78,18 +78,15 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
     tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
     gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
     kept = np.flatnonzero(size > NEGLIGIBLE * size.max(initial=0.0))
-    once, more, used = _curves(tail[kept], head[kept], gain[kept], size[kept])
-    total = once
-    if more > 0.0:
+    total, winding, several = _curves(tail[kept], head[kept], gain[kept], size[kept])
+    if winding > 0.0:
         own = np.zeros(len(size))
-        own[kept] = used
-        links, discs = np.split(own, [len(arcs[0])])
-        free_cost, free_charge = np.where(np.isfinite(most), most, 0.0), charge.copy()
-        free_cost[arcs[0]] -= links
-        free_charge -= sums(given.site[arcs[1]], np.where(inside[arcs[1]] > 0.0, discs, 0.0),
-                            len(charge))
-        total += max(more, _least_cost(game, np.maximum(free_cost, 0.0)[faces.link],
-                                       np.maximum(free_charge, 0.0)))
+        own[kept] = several
+        across, into = np.split(own, [len(arcs[0])])
+        paid = np.zeros(len(faces.left) + 1)  # the last one for edges without a link
+        paid[arcs[0]] = across
+        charged = sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(charge))
+        total += max(winding, _least_paid(game, paid[faces.link], charged))
     return max(total - price * limit, 0.0) if price > 0.0 else total
 
 
@@ -115,15 +112,15 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
     """Take a circulation on arcs (K,) apart into simple cycles.
 
     Returns the weight of those of gain 1 or -1, that of those of a larger gain, and the flow (K,)
-    of the former. What rounding leaves unbalanced ends a walk and is lost.
+    of the latter. What rounding leaves unbalanced ends a walk and is lost.
     """
     order = np.argsort(tail, kind='stable')
     tail, heads = tail[order], head[order].tolist()
     gains, left = gain[order].tolist(), size[order].tolist()
     nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
     arcs = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
-    free, ends, once, more = arcs[:-1], arcs[1:], 0.0, 0.0
-    used = [0.0] * len(left)
+    free, ends, once, winding = arcs[:-1], arcs[1:], 0.0, 0.0
+    several = [0.0] * len(left)
     for start in np.unique(tail).tolist():
         walk: list[int] = []
         node, place = start, {start: 0}
@@ -144,21 +141,21 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
                 least = min(left[arc] for arc in cycle)
                 winds = abs(sum(gains[arc] for arc in cycle))
                 once += least * (winds == 1)
-                more += least * (winds > 1)
+                winding += least * (winds > 1)
                 for arc in cycle:
                     left[arc] -= least
-                    used[arc] += least * (winds == 1)
+                    several[arc] += least * (winds > 1)
                     del place[heads[arc]]
                 del walk[len(walk) - len(cycle) :]
                 place[node] = len(walk)
             else:
                 place[node] = len(walk)
-    flow = np.empty(len(used))
-    flow[order] = used
-    return once, more, flow
+    flow = np.empty(len(several))
+    flow[order] = several
+    return once, winding, flow
 
 
-def _least_cost(game: Game, cost: FloatArray, charge: FloatArray) -> float:
-    """A lower bound of what any route costs by edges (M,) and pays at nodes (N,) that hit it."""
+def _least_paid(game: Game, cost: FloatArray, charge: FloatArray) -> float:
+    """A lower bound of what any route pays on edges (M,) and at the nodes (N,) that hit it."""
     ground = Grounds(game, game.hits).whole
-    return ground.least_cost(np.where(game.playable, cost, 0.0), charge[game.sites], SEARCHES)[0]
+    return ground.least_cost(cost, charge[game.sites], SEARCHES)[0]

@@ -48,7 +48,8 @@ class MarkovChain:
         onwards, backwards = network.onwards, network.backwards
         self._ahead, self._behind = self.share[onwards.order], self.share[backwards.order]
         self._at_ahead, self._at_behind = np.argsort(onwards.order), np.argsort(backwards.order)
-        self._enters = np.zeros(len(p), dtype=bool)
+        self._unvisited = (self.visits <= MIN_VISITS).astype(np.float64)
+        self._per_visit = (1.0 - self._unvisited) / np.maximum(self.visits, MIN_VISITS)
         self._into = np.searchsorted(network.head[onwards.order], np.arange(network.count + 1))
 
     def uses(self, edges: int) -> FloatArray:
@@ -68,20 +69,25 @@ class MarkovChain:
     def hits(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
         hit = np.zeros(rows.shape[0])
-        for site, entering, counts, _, _, unhit in self._each(rows):
-            hit[site] = (unhit[self.network.tail[entering]] * counts) @ self.p[entering]
+        tails, weight = self.network.tail[rows.indices], self.share[rows.indices] * rows.data
+        for site, own, _, _, arriving in self._each(rows):
+            hit[site] = arriving[tails[own]] @ weight[own]
         return np.minimum(hit, 1.0)
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
         """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""
         edges, weights = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
         hit, count = np.zeros(rows.shape[0]), np.zeros(rows.shape[0] + 1, dtype=np.int64)
-        for site, entering, counts, a, b, unhit in self._each(rows):
+        unhit = np.ones(self.network.count)
+        for site, own, a, b, arriving in self._each(rows):
+            entering, counts = rows.indices[own], rows.data[own]
+            unhit[a:b] = arriving[a:b] * self._per_visit[a:b] + self._unvisited[a:b]
             edge, weight = entering, unhit[self.network.tail[entering]] * counts
             hit[site] = weight @ self.p[entering]
             if b > a and hit[site] < counts @ self.p[entering] - MIN_EXCESS:
                 later, more = self._changes_later_hits(entering, counts, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
+            unhit[a:b] = 1.0
             edges.append(edge)
             weights.append(weight)
             count[site + 1] = len(edge)
@@ -98,34 +104,31 @@ class MarkovChain:
         p = visits[network.tail] * share * clear[network.head]
         return MarkovChain(network, p), float(clear[0])
 
-    def _each(self, rows: csr_matrix) -> Iterator[
-            tuple[int, IndexArray, FloatArray, int, int, FloatArray]]:
-        """Each site that routes can meet: its entering edges, what they count, and P(not hit yet).
+    def _each(self, rows: csr_matrix) -> Iterator[tuple[int, slice, int, int, FloatArray]]:
+        """Each site that routes can meet: its entries in the rows, and the visits before a hit.
 
-        The latter, at each node (n,), is less than 1 only from the first node that an entry leads
-        to, a, and is needed only up to the last node that one leaves, b - 1. The array is the same
-        for all sites.
+        The latter, at each node (n,), are fewer than all visits only from the first node that an
+        entry leads to, a, and are needed only up to the last node that one leaves, b - 1. The array
+        is the same for all sites.
         """
-        head, tail = self.network.head, self.network.tail
+        head, tail, ahead = self.network.head, self.network.tail, self._ahead
         met = np.flatnonzero(np.diff(rows.indptr))
         if not len(met):
             return
         begin = np.minimum.reduceat(head[rows.indices], rows.indptr[met])
         end = np.maximum.reduceat(tail[rows.indices], rows.indptr[met]) + 1
-        arriving, unhit = self.visits.copy(), np.ones(self.network.count)
+        arriving, places = self.visits.copy(), self._at_ahead[rows.indices]
+        share, first = ahead[places], rows.indptr.tolist()
         for site, a, b in zip(met.tolist(), begin.tolist(), end.tolist(), strict=True):
-            own = slice(rows.indptr[site], rows.indptr[site + 1])
-            entering = rows.indices[own]
+            own = slice(first[site], first[site + 1])
             if a < b:
-                again = self._at_ahead[entering]
-                self._ahead[again] = 0.0
+                again = places[own]
+                ahead[again] = 0.0
                 arriving[a:b] = self._start[a:b]
-                self.network.onwards.add_rows(self._ahead, arriving, a, b)
-                self._ahead[again] = self.share[entering]
-                visits = self.visits[a:b]
-                np.divide(arriving[a:b], visits, out=unhit[a:b], where=visits > MIN_VISITS)
-            yield site, entering, rows.data[own], a, b, unhit
-            arriving[a:b], unhit[a:b] = self.visits[a:b], 1.0
+                self.network.onwards.add_rows(ahead, arriving, a, b)
+                ahead[again] = share[own]
+            yield site, own, a, b, arriving
+            arriving[a:b] = self.visits[a:b]
 
     def _changes_later_hits(self, entering: IndexArray, counts: FloatArray, a: int, b: int,
                             unhit: FloatArray) -> tuple[IndexArray, FloatArray]:
@@ -137,13 +140,13 @@ class MarkovChain:
                          network.count)
         network.backwards.add_rows(self._behind, backwards, last + 1 - b, last + 1 - a)
         self._behind[again] = self.share[entering]
-        edge = network.onwards.order[self._into[a] : self._into[b]]
-        tail, head = network.tail[edge], network.head[edge]
-        self._enters[entering] = True
-        before = np.where(self._enters[edge], 0.0, unhit[tail])
-        self._enters[entering] = False
+        first, end = self._into[a], self._into[b]
+        edge = network.onwards.order[first:end]
+        before, head = unhit[network.tail[edge]], network.head[edge]
+        enters = self._at_ahead[entering]
+        before[enters[enters < end] - first] = 0.0
         weight = (before - unhit[head]) * backwards[last - head]
-        some = weight != 0.0
+        some = np.flatnonzero(weight)
         return edge[some], weight[some]
 
 
