@@ -264,10 +264,6 @@ class Game:
             return self
         return self.restricted_to(first[network.tails] & first[network.heads]) or self
 
-    def with_one_ambusher(self) -> Game:
-        """The game against an ambusher who holds one site."""
-        return replace(self, options=replace(self.options, ambushers=1))
-
     def with_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> Game:
         """The game with more sites: nodes (K,) without edges, and the edges that enter their discs.
 

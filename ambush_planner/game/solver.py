@@ -166,7 +166,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
 
 
 def _program_for(problem: Problem, slack: float) -> Cut | Potential | Routes:
-    """The fastest program that finds the value: a cut if its flow keeps the budgets.
+    """The fastest program that finds the value: a cut if it suffices.
 
     A law around another flow of the cut may keep them as well, but only just, with less entropy
     than one around the flow of a program that knows them.
@@ -175,7 +175,7 @@ def _program_for(problem: Problem, slack: float) -> Cut | Potential | Routes:
     binding = tuple(b for b in problem.budgets if b.binds)
     if not hits_can_differ(game):
         cut = Cut(game, binding)
-        if all(b.keeps(cut.flow) for b in binding):
+        if cut.suffices:
             return cut
         least = cut.bound
     if game.ambushers == 1 and game.network.legs == 1 and len(binding) <= 1:
@@ -217,7 +217,7 @@ class _Search:
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)
-            if self._done() or law.rounds < 2:  # the first round goes the whole way
+            if self._done() or law.rounds == 0:
                 break
         return self._solution()
 

@@ -11,8 +11,8 @@ links, or the curve's sites hit it. Let curves c of weights w_c go through each 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is taken apart into simple cycles, and those whose
-crossings add up to 1 count. Those that wind around an end more than once count as often unless
-some route spirals through them: a search over labels finds what every route pays them at least.
+crossings add up to 1 count. What they leave to those that wind around an end more than once is
+searched over labels: these count as often unless some route spirals through them.
 """
 
 from __future__ import annotations
@@ -78,15 +78,16 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
     tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
     gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
     kept = np.flatnonzero(size > NEGLIGIBLE * size.max(initial=0.0))
-    total, winding, several = _curves(tail[kept], head[kept], gain[kept], size[kept])
+    total, winding, once = _curves(tail[kept], head[kept], gain[kept], size[kept])
     if winding > 0.0:
-        own = np.zeros(len(size))
-        own[kept] = several
-        across, into = np.split(own, [len(arcs[0])])
-        paid = np.zeros(len(faces.left) + 1)  # the last one for edges without a link
-        paid[arcs[0]] = across
-        charged = sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(charge))
-        total += max(winding, _least_paid(game, paid[faces.link], charged))
+        used = np.zeros(len(size))
+        used[kept] = once
+        across, into = np.split(used, [len(arcs[0])])
+        left = np.append(np.where(np.isfinite(most), most, 0.0), 0.0)  # 0 for unplayable edges
+        left[arcs[0]] -= across
+        charge = charge - sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(charge))
+        total += max(winding, _least_paid(game, np.maximum(left, 0.0)[faces.link],
+                                          np.maximum(charge, 0.0)))
     return max(total - price * limit, 0.0) if price > 0.0 else total
 
 
@@ -112,7 +113,7 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
     """Take a circulation on arcs (K,) apart into simple cycles.
 
     Returns the weight of those of gain 1 or -1, that of those of a larger gain, and the flow (K,)
-    of the latter. What rounding leaves unbalanced ends a walk and is lost.
+    of the former. What rounding leaves unbalanced ends a walk and is lost.
     """
     order = np.argsort(tail, kind='stable')
     tail, heads = tail[order], head[order].tolist()
@@ -120,7 +121,7 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
     nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
     arcs = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
     free, ends, once, winding = arcs[:-1], arcs[1:], 0.0, 0.0
-    several = [0.0] * len(left)
+    used = [0.0] * len(left)
     for start in np.unique(tail).tolist():
         walk: list[int] = []
         node, place = start, {start: 0}
@@ -144,14 +145,14 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
                 winding += least * (winds > 1)
                 for arc in cycle:
                     left[arc] -= least
-                    several[arc] += least * (winds > 1)
+                    used[arc] += least * (winds == 1)
                     del place[heads[arc]]
                 del walk[len(walk) - len(cycle) :]
                 place[node] = len(walk)
             else:
                 place[node] = len(walk)
-    flow = np.empty(len(several))
-    flow[order] = several
+    flow = np.empty(len(used))
+    flow[order] = used
     return once, winding, flow
 
 

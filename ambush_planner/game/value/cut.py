@@ -9,7 +9,8 @@ route a mean loss of at least one over the cut's capacity. Both are optimal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import contextlib
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -22,7 +23,6 @@ from ..game import Game
 from ..law.acyclic import without_cycles
 from ..route_sampler import shortest_route_strategy
 from ..two_routes import strategy_within_budgets
-from .several_sites import share_sites
 
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
 # several rounds on the residual network reach double precision.
@@ -42,14 +42,14 @@ class CutSolution:
 
 
 def solve_by_min_cut(game: Game) -> CutSolution:
-    """Solve the plain game (one ambusher, radius 0, no budget) by a minimum node cut.
+    """Solve the game of one ambusher without a reach and budgets by a minimum node cut.
 
     On a trip of several legs, the copies of a place count as different sites: the value is that of
     the costliest leg, a lower bound, and q is spread over the copies. Raises SolverFailed if the
-    game has a reach or several ambushers.
+    game has a reach.
     """
-    if game.reach > 0.0 or game.ambushers > 1:
-        raise SolverFailed('a cut solves games of one ambusher without a reach')
+    if game.reach > 0.0:
+        raise SolverFailed('a cut solves games without a reach')
     safe = game.avoiding_all_sites()
     if safe is not None:
         return CutSolution(0.0, shortest_route_strategy(safe), np.zeros(game.node_count))
@@ -57,17 +57,19 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 
 
 class Cut:
-    """The least value without a reach and budgets; for several ambushers as well.
+    """The least value without a reach and budgets; for several ambushers a lower bound.
 
-    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. It
-    may exceed a budget.
+    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
+    are optimal if the cut ``suffices``: the flow keeps the budgets, and no q exceeds 1.
     """
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
-        self.game, self.budgets = game, budgets
-        self.bound, self.q, self.level = 0.0, np.zeros(len(game.sites)), np.zeros(len(game.sites))
-        self.prices, self.flow = np.zeros(len(budgets)), np.zeros(0)
-        self._find()
+        cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
+        self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
+        self.level, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
+        if self.bound == 0.0:
+            self._keep_budgets(game, budgets)
+        self.suffices = self.q.max(initial=0.0) <= 1.0 and all(b.keeps(self.flow) for b in budgets)
 
     def solve(self) -> None:
         """Nothing: it is solved."""
@@ -75,41 +77,13 @@ class Cut:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Nothing: all sites are nodes of the network."""
 
-    def _find(self) -> None:
-        safe, k, sites = self.game.avoiding_all_sites(), self.game.ambushers, self.game.sites
-        if safe is not None:
-            within = _within(safe, self.budgets)
-            self.flow = shortest_route_strategy(safe) if within is None else within
-            return
-        alone = self.game.with_one_ambusher()
-        cut = solve_by_min_cut(alone)
-        self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
-        self.level = np.full(len(sites), cut.value)
-        if self.q.max() > 1.0:
-            self._share_sites(alone)
-
-    def _share_sites(self, alone: Game) -> None:
-        """Several ambushers of whom some hold single sites for certain."""
-
-        def cut(costs: FloatArray) -> CutSolution:
-            priced = np.zeros(self.game.node_count)
-            priced[self.game.sites] = 1.0 / costs
-            return solve_by_min_cut(replace(alone, loss=priced))
-
-        loss = self.game.loss[self.game.sites]
-        found = share_sites(loss, self.game.ambushers,
-                            lambda costs: np.flatnonzero(cut(costs).q[self.game.sites]))
-        if found is not None:
-            self.bound, self.q, self.level = found.value, found.q, found.level
-            self.flow = cut(found.level / loss).p
-
-
-def _within(game: Game, budgets: tuple[Budget, ...]) -> FloatArray | None:
-    """A strategy (M,) within the budgets; None if there is none."""
-    try:
-        return strategy_within_budgets(game, budgets)
-    except BudgetInfeasible:
-        return None
+    def _keep_budgets(self, game: Game, budgets: tuple[Budget, ...]) -> None:
+        """Avoid all sites by another strategy if the shortest route exceeds a budget."""
+        safe = game.avoiding_all_sites()
+        assert safe is not None
+        with contextlib.suppress(BudgetInfeasible):
+            found = strategy_within_budgets(safe, budgets)
+            self.flow = self.flow if found is None else found
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:
