@@ -38,7 +38,7 @@ from ..game import Game
 
 # For each search, the most labels that it keeps at a node, and the comparisons of labels after
 # which it stops: a second or less each. The cost reached by then is still a lower bound.
-SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 1_000_000))
+SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 5_000_000))
 Searches = Sequence[tuple[float, int]]
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
