@@ -228,23 +228,24 @@ class _Search:
         with _trying():
             self.program.solve()
 
-    def _add_worst(self, chain: MarkovChain, above: float, apart: float) -> int:
-        """Let the places that cost a strategy more than ``above`` join; return their number."""
-        count = self._join_worst(chain, above, apart)
-        if count:
+    def _add_worst(self, chain: MarkovChain, above: float, apart: float) -> bool:
+        """Let the places that cost a strategy more than ``above`` join the program, if any do."""
+        found = self._join_worst(chain, above, apart) > 0.0
+        if found:
             self._solve_program()
-        return count
+        return found
 
-    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> int:
+    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> float:
+        """Let such places join, so many reaches apart; return what the worst of them costs."""
         if self.problem.ground is None:
-            return 0
+            return 0.0
         if isinstance(self.program, Routes):
             apart = max(apart, APART)
         found = self.problem.ground.worst(drawn, above, apart * self.game.reach)
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
-        return len(found.points)
+        return float(found.mean_loss.max(initial=0.0))
 
     def _add_sites(self, found: Places) -> None:
         self.points = np.concatenate((self.points, found.points))
@@ -289,12 +290,13 @@ class _Search:
             copied = law_on_copies(program, self.slack, self.problem.deadline)
             if copied is None:
                 return
-            self.copied = copied
-            self.best = (True, 0.0), copied.chain, copied.value, copied.worst
-            mixed = program.value
+            joined = self._join_worst(copied.chain, copied.limit, APART)
+            rating, mixed = (True, -max(copied.value, joined)), program.value
+            if self.best is None or rating > self.best[0]:
+                self.copied = copied
+                self.best = rating, copied.chain, copied.value, copied.worst
             if self._late():
                 return
-            joined = self._join_worst(copied.chain, copied.limit, APART)
             with _trying():
                 program.solve(prove=not joined)
             if not joined and program.value > mixed * (1.0 - self.slack / 4.0):
@@ -363,6 +365,7 @@ class _Search:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
         chain, value, worst = self._best_strategy()
         if self.problem.ground:
+            value, worst = self._worst_known(chain, value, worst)
             found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING), 0.0)
             if len(found.points):
                 value, worst = float(found.mean_loss[0]), len(self.loss)
@@ -387,6 +390,15 @@ class _Search:
         multipliers = Multipliers(frozen_array(per_hit, np.float64), self._of_all_budgets(prices))
         return Solution(game, self.budgets, chain.uses(len(game.playable)), value, bound, ambusher,
                         multipliers, self.law.evaluations, self.law.entropy_bound)
+
+    def _worst_known(self, chain: MarkovChain, value: float, worst: int) -> tuple[float, int]:
+        """The value and the row of the worst site, with those that joined for other strategies."""
+        most = self.loss * np.minimum(self.entering @ chain.uses(self.entering.shape[1]), 1.0)
+        more = np.flatnonzero(most > value * (1.0 + ROUNDING))
+        losses = self.loss[more] * chain.meets(self.entering[more])
+        if losses.max(initial=0.0) <= value * (1.0 + ROUNDING):
+            return value, worst
+        return float(losses.max()), int(more[losses.argmax()])
 
     def _best_strategy(self) -> tuple[MarkovChain, float, int]:
         """The best strategy, its value and the row of its worst site."""

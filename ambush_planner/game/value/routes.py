@@ -289,7 +289,7 @@ class Routes:
 
     def prove_by_legs(self) -> None:
         """Improve the bound by the program in which each leg has sites of its own."""
-        if self._ended():
+        if self._ended() or not len(self.loss):
             return
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
@@ -297,6 +297,8 @@ class Routes:
         precision = LOOSE
         for _ in range(LEG_ROUNDS):
             mixture, added = self._of_legs.solve(precision), 0
+            if not mixture.q.any():  # no site needs to be met
+                return
             if precision == LOOSE and self.game.reach > 0.0:
                 added = self._add_entering_ways(mixture)
             if not added:
