@@ -48,8 +48,8 @@ def test_several_nodes_side_by_side_in_one_domain():
             namespace = running.planner.get_namespace()
             assert f'published on {namespace}/path' in answer.message
             running.client.diagnostics(departures='1')  # /diagnostics is one topic for all nodes
-            reports = [message.status[0].name for message in running.client.received['/diagnostics']]
-            assert f'{namespace}/ambush_planner'[1:] in reports
+            names = {each.status[0].name for each in running.client.received['/diagnostics']}
+            assert f'{namespace}/ambush_planner'[1:] in names
             assert running.client.last('path').poses[-1].pose.position.y == goal
         assert len(north.client.received['path']) == len(south.client.received['path']) == 1
 
