@@ -288,7 +288,7 @@ class _Search:
             program.solve()
         for _ in range(ROUNDS):
             copied = law_on_copies(program, self.slack, self.problem.deadline)
-            if copied is None:
+            if copied is None or self.best and self._late():
                 return
             joined = self._join_worst(copied.chain, copied.limit, APART)
             rating, mixed = (True, -max(copied.value, joined)), program.value
