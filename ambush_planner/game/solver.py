@@ -270,6 +270,7 @@ class _Search:
         seconds.
         """
         with _trying():
+            program.prove_by_legs()
             program.solve(prove=False)
             program.prove_by_legs()
         apart, before = 1.0, program.value
