@@ -44,6 +44,9 @@ from .value.routes import Progress, RouteMixture, Routes, unseen
 MIN_SLACK = 9e-6
 # Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
 PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
+# Largest share by which the flow of a cut exceeds a budget if a law is sought around it: the law
+# then keeps the budget in nearly all games, without a loss of entropy.
+MAX_EXCESS = 0.07
 # Level at which a program in potentials begins, as a multiple of the value without budgets.
 FIRST_LEVEL = 2.0
 # Distance of places that join at once, as a share of the reach, where each is a row of a program or
@@ -125,7 +128,12 @@ def most_unpredictable(problem: Problem) -> Solution:
     if any(b.has_no_margin for b in problem.budgets):
         return _on_best_routes(problem)
     slack = max(problem.slack, MIN_SLACK)
-    return _Search(problem, _program_for(problem, slack), slack).run()
+    cut = None if hits_can_differ(problem.game) else Cut(problem.game, _binding(problem))
+    if cut and cut.excess <= MAX_EXCESS:
+        found = _Search(problem, cut, slack).run()
+        if found.value <= found.bound * (1.0 + slack + ROUNDING):
+            return found
+    return _Search(problem, _program_within_budgets(problem, slack, cut), slack).run()
 
 
 def _on_best_routes(problem: Problem) -> Solution:
@@ -159,7 +167,11 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
 
     At the deadline it may be lower; on trips it is what separate legs prove.
     """
-    program = _program_for(Problem(game, budgets, gap, deadline), gap)
+    problem = Problem(game, budgets, gap, deadline)
+    cut = None if hits_can_differ(game) else Cut(game, _binding(problem))
+    if cut and cut.excess == 0.0:
+        return cut.bound
+    program = _program_within_budgets(problem, gap, cut)
     with _trying():
         if isinstance(program, Routes) and game.network.legs > 1:
             program.prove_by_legs()
@@ -168,23 +180,19 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
     return program.bound
 
 
-def _program_for(problem: Problem, slack: float) -> Cut | Potential | Routes:
-    """The fastest program that finds the value: a cut if it suffices.
+def _binding(problem: Problem) -> tuple[Budget, ...]:
+    return tuple(b for b in problem.budgets if b.binds)
 
-    A law around another flow of the cut may keep them as well, but only just, with less entropy
-    than one around the flow of a program that knows them.
-    """
-    game, gap, least = problem.game, PROGRAM_GAP * slack, np.inf
-    binding = tuple(b for b in problem.budgets if b.binds)
-    if not hits_can_differ(game):
-        cut = Cut(game, binding)
-        if cut.suffices:
-            return cut
-        least = cut.bound
+
+def _program_within_budgets(problem: Problem, slack: float,
+                            cut: Cut | None) -> Potential | Routes:
+    """The fastest program that finds the value within budgets, perhaps from that without."""
+    game, binding = problem.game, _binding(problem)
     if game.ambushers == 1 and game.network.legs == 1 and len(binding) <= 1:
         faces, budget = make_faces(game), binding[0] if binding else Budget.none(game)
         if faces and faces.same_both_ways(budget.cost):
-            return Potential(faces, budget, gap, problem.deadline, FIRST_LEVEL * least)
+            first = FIRST_LEVEL * cut.bound if cut else np.inf
+            return Potential(faces, budget, PROGRAM_GAP * slack, problem.deadline, first)
     now, legs = time.monotonic(), game.network.legs
     deadline = now + (problem.deadline - now) * (OF_TIME if legs > 1 else 1.0)
     return Routes(game, binding, ROUTES_GAP * slack, deadline, problem.progress)

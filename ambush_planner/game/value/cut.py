@@ -59,8 +59,9 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 class Cut:
     """The least value without a reach and budgets; for several ambushers a lower bound.
 
-    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
-    are optimal if the cut ``suffices``: the flow keeps the budgets, and no q exceeds 1.
+    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that, whose
+    mean costs are at most 1 + ``excess`` times the budgets. Both are optimal if no q exceeds 1,
+    which an infinite excess says, too, and the excess is 0.
     """
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
@@ -69,7 +70,8 @@ class Cut:
         self.level, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
         if self.bound == 0.0:
             self._keep_budgets(game, budgets)
-        self.suffices = self.q.max(initial=0.0) <= 1.0 and all(b.keeps(self.flow) for b in budgets)
+        over = [b.mean(self.flow) / b.limit - 1.0 for b in budgets if not b.keeps(self.flow)]
+        self.excess = max(over, default=0.0) if self.q.max(initial=0.0) <= 1.0 else np.inf
 
     def solve(self) -> None:
         """Nothing: it is solved."""
