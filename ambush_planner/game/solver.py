@@ -127,13 +127,18 @@ def most_unpredictable(problem: Problem) -> Solution:
     """Find the value and the law; at the deadline, the best strategy so far is returned."""
     if any(b.has_no_margin for b in problem.budgets):
         return _on_best_routes(problem)
-    slack = max(problem.slack, MIN_SLACK)
-    cut = None if hits_can_differ(problem.game) else Cut(problem.game, _binding(problem))
+    slack, cut = max(problem.slack, MIN_SLACK), _cut_of(problem)
+    tried: list[Solution] = []
     if cut and cut.excess <= MAX_EXCESS:
-        found = _Search(problem, cut, slack).run()
-        if found.value <= found.bound * (1.0 + slack + ROUNDING):
-            return found
-    return _Search(problem, _program_within_budgets(problem, slack, cut), slack).run()
+        tried.append(_Search(problem, cut, slack).run())
+        if _within(tried[0], slack) or time.monotonic() > problem.deadline:
+            return tried[0]
+    tried.append(_Search(problem, _program_within_budgets(problem, slack, cut), slack).run())
+    return max(tried, key=lambda each: (_within(each, slack), -each.value))
+
+
+def _within(solution: Solution, slack: float) -> bool:
+    return solution.value <= solution.bound * (1.0 + slack + ROUNDING)
 
 
 def _on_best_routes(problem: Problem) -> Solution:
@@ -168,7 +173,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
     At the deadline it may be lower; on trips it is what separate legs prove.
     """
     problem = Problem(game, budgets, gap, deadline)
-    cut = None if hits_can_differ(game) else Cut(game, _binding(problem))
+    cut = _cut_of(problem)
     if cut and cut.excess == 0.0:
         return cut.bound
     program = _program_within_budgets(problem, gap, cut)
@@ -178,6 +183,11 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
         else:
             program.solve()
     return program.bound
+
+
+def _cut_of(problem: Problem) -> Cut | None:
+    """The value without budgets, if a cut finds it."""
+    return None if hits_can_differ(problem.game) else Cut(problem.game, _binding(problem))
 
 
 def _binding(problem: Problem) -> tuple[Budget, ...]:
@@ -223,8 +233,7 @@ class _Search:
                 break
             chain = chain_of(self.game.network, self.program.flow)
             apart = APART * (sweep < SWEEPS - 1)
-            found = self._add_worst(chain, self.program.bound * (1.0 + self.slack), apart)
-            if not found:
+            if not self._add_worst(chain, self.program.bound * (1.0 + self.slack), apart):
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)
@@ -237,14 +246,17 @@ class _Search:
             self.program.solve()
 
     def _add_worst(self, chain: MarkovChain, above: float, apart: float) -> bool:
-        """Let the places that cost a strategy more than ``above`` join the program, if any do."""
+        """Add the places that cost a strategy more than ``above``, and solve the program again."""
         found = self._join_worst(chain, above, apart) > 0.0
         if found:
             self._solve_program()
         return found
 
     def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> float:
-        """Let such places join, so many reaches apart; return what the worst of them costs."""
+        """Add the places that cost more than ``above``; return the mean loss at the worst, or 0.
+
+        No two of them are within ``apart`` times the reach.
+        """
         if self.problem.ground is None:
             return 0.0
         if isinstance(self.program, Routes):

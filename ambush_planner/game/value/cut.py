@@ -59,9 +59,9 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 class Cut:
     """The least value without a reach and budgets; for several ambushers a lower bound.
 
-    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that, whose
-    mean costs are at most 1 + ``excess`` times the budgets. Both are optimal if no q exceeds 1,
-    which an infinite excess says, too, and the excess is 0.
+    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
+    are optimal if ``excess`` is 0: it is the largest share by which the flow exceeds a budget, or
+    infinite if some q exceeds 1.
     """
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
