@@ -180,7 +180,10 @@ def test_a_trip_with_stops_is_continued_through_those_that_remain(actions):
             assert said == 'departure 2 continued'
             assert_rest(path, whole, at)
         drive.block(*cell(whole, (met[1] + len(whole)) // 2))
-        assert 'departure 2 diverted' in asked(GOAL)[1]
+        path, said = asked(GOAL)
+        assert 'departure 2 diverted' in said
+        drive.robot.is_at(*path[len(path) // 2, :2])
+        assert asked(GOAL)[1] == asked(*stops, GOAL)[1] == 'departure 2 continued'
 
 
 def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once(actions):

@@ -18,6 +18,7 @@ not, it is another rest of the same plan that begins at one of the ``nodes_ahead
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -129,16 +130,16 @@ class TripUnderWay:
         for number, stop in enumerate(own.stops):
             if wanted and math.dist(wanted[0], stop) <= tolerance:
                 wanted.pop(0)
-            elif number not in self._passed:
+            elif number not in self.passed:
                 return False
         return not wanted
 
     def _asks_again(self, request: Destination) -> bool:
         """Whether a request for this trip names stops that have been passed."""
-        return len(request.stops) > len(self.destination.stops) - len(self._passed)
+        return len(request.stops) > len(self.destination.stops) - len(self.passed)
 
     @property
-    def _passed(self) -> set[int]:
+    def passed(self) -> set[int]:
         """The stops that have been passed, as indices of those requested."""
         ahead = self._nodes_along[self.passes] > self.progress + self.tolerance
         return set(range(len(self.destination.stops))) - set(self.visits[ahead].tolist())
@@ -165,15 +166,19 @@ class TripUnderWay:
         return np.array(found)
 
 
-def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination) -> TripUnderWay:
+def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination,
+            passed: Set[int] = frozenset()) -> TripUnderWay:
     """Return the trip on a path (L, 3) along a route of a plan.
 
-    A robot is on the path within the tube, its tracking error and a cell.
+    A robot is on the path within the tube, its tracking error and a cell. Stops that it has
+    ``passed`` before do not lie ahead again, even if the path leads back to them.
     """
     tube = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
     passes, which = plan.network.visited(route.nodes)
+    visits = np.array(plan.order, np.int64)[which]
+    ahead = ~np.isin(visits, list(passed))
     return TripUnderWay(
-        destination, path, route.nodes, route.points, passes, np.array(plan.order, np.int64)[which],
+        destination, path, route.nodes, route.points, passes[ahead], visits[ahead],
         tube + plan.options.drive.tracking_error + destination.cell, 2.0 * plan.spacing,
     )
 

@@ -284,8 +284,8 @@ class Dispatcher:
         path = self._path(drawn[1], trip)
         if departure.parameters.publish_path:
             self._publishers.publish('path', path)
-        self._under_way[before.destination.frames] = replace(
-            under_way, diversions=number, trip=trip_on(held.plan, *drawn, before.destination))
+        new = trip_on(held.plan, *drawn, before.destination, before.passed)
+        self._under_way[before.destination.frames] = replace(under_way, diversions=number, trip=new)
         self._reporter.set(last_answer='diverted')
         return self._answer(pending, path, f'departure {departure.number} diverted: its path is no '
                                            'longer clear, and another route of its plan is')
