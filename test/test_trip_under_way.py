@@ -9,6 +9,9 @@ from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ambush_planner import GameOptions, PlanningOptions, RiskMap, plan_trip
+from ambush_planner.planning import trip_under_way
+from ambush_planner.planning.plan import depart, departure_path
 from ambush_planner.planning.trip_under_way import Destination, TripUnderWay
 
 FRAMES = ('map', 'base_link')
@@ -72,6 +75,18 @@ def test_progress_only_grows_on_a_path_that_comes_near_itself():
 
 
 STOPS = ((4.0, 0.0), (8.0, 0.0))
+
+
+def test_a_stop_that_has_been_passed_does_not_lie_ahead_on_a_path_that_leads_back_to_it():
+    ends, stop = ((1.5, 1.5), (18.5, 1.5)), (10.5, 15.5)
+    plan = plan_trip(RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0), *ends,
+                     PlanningOptions(game=GameOptions(secured_radius=1.0)), stops=[stop])
+    route = depart(plan, 1)
+    path, wanted = departure_path(plan, route, 0.25), Destination(FRAMES, ends[1], 1.0, (stop,))
+    for passed, continues in (frozenset(), False), (frozenset([0]), True):
+        trip = trip_under_way.trip_on(plan, route, path, wanted, passed)
+        assert trip.continues(asked(ends[1]), ends[0], 0.0) == continues
+        assert trip.passed == passed
 
 
 @pytest.mark.parametrize(('x', 'stops', 'continues'), [
