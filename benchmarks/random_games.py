@@ -41,6 +41,7 @@ from ambush_planner import (
     StopBlocked,
     Strategy,
     StrategyOptions,
+    TimeLimit,
     build_network,
     plan_trip,
     solve,
@@ -61,6 +62,7 @@ CHECKED = 1000  # nodes
 SAME = 1e-6  # relative difference of values that are computed twice
 LOOSE = 1e-5  # relative tolerance of HiGHS, and of budgets
 ROUTES = 20  # drawn from each strategy
+LIMIT = 60.0  # for a game [s]; what has been found by then is checked, too
 SLOW = 30.0  # games that are printed [processor seconds]
 NODES = 150, 3000
 METHODS = ('uniform_delaunay',) * 6 + (
@@ -149,7 +151,8 @@ def drawn_options(rng: np.random.Generator, network: Network,
     strategy = StrategyOptions(
         max_detour=float(rng.choice([*DETOURS, 1.0 + rng.exponential(0.1)])),
         max_exposure=float(rng.choice([math.inf] * 7 + [1.0, 1.1, 1.3])),
-        risk_slack=float(rng.choice([0.0, 0.001, 0.01, 0.01, 0.01, 0.05, 0.3])))
+        risk_slack=float(rng.choice([0.0, 0.001, 0.01, 0.01, 0.01, 0.05, 0.3])),
+        time_limit=LIMIT)
     options = PlanningOptions(network=network_options, game=game, strategy=strategy)
     return replace(options, drive=replace(options.drive, tube=0.0))
 
@@ -172,10 +175,13 @@ def play(game: RandomGame, tally: Tally) -> None:
         tally.counts['refused'] += 1  # the threshold forbids all short routes
         return
     except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        tally.failures.append(f'{game.words}: {error!r} at {Path(place.filename).name}, '
-                              f'line {place.lineno}')
-        return
+        if not isinstance(error, TimeLimit) or error.strategy is None:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            tally.failures.append(f'{game.words}: {error!r} at {Path(place.filename).name}, '
+                                  f'line {place.lineno}')
+            return
+        tally.counts['late'] += 1
+        strategy = error.strategy
     seconds = time.process_time() - begin
     gap = strategy.value / max(strategy.lower_bound, 1e-300) - 1.0 if strategy.value else 0.0
     over = max(gap - game.options.strategy.risk_slack, 0.0)
@@ -266,8 +272,9 @@ def report(tally: Tally, first: int, games: int) -> str:
     slowest = max(result for each in tally.solved.values() for result in each)
     head = ('', 'games', 'seconds: median / 95 % / worst', 'within the slack', 'most over it [%]')
     return (f"{games} games, seeds from {first}, {tally.counts['refused']} of them without a route "
-            f"within threshold and budgets, {tally.counts['checked']} checked by recursion and "
-            f"HiGHS: **{len(tally.failures)} failures**. {conditions('highspy')}.\n\n"
+            f"within threshold and budgets, {tally.counts['late']} over {LIMIT:g} s, "
+            f"{tally.counts['checked']} checked by recursion and HiGHS: "
+            f"**{len(tally.failures)} failures**. {conditions('highspy')}.\n\n"
             f'{table(head, rows)}\n\nThe slowest: {slowest[2]}.'
             + ''.join(f'\n* {failure}' for failure in tally.failures))
 

@@ -29,6 +29,9 @@ from .faces import Faces
 PRECISION = 1e-3
 # Factor by which z falls at most in one step, until a budget is exceeded.
 STEP = 0.85
+# Share of the columns that have to be new if z stands still for them until a budget is exceeded:
+# lower down, most of the columns that join are not needed in the end.
+MANY = 0.1
 # Flow through a disc that shows that no potential keeps z.
 ENDLESS = 1e6
 # Share of a route's flow below which it is rounding.
@@ -97,10 +100,13 @@ class Potential:
         while True:
             endless = self._solve(z)
             height = self._heights()
+            new = self._join(z, height) if self._kept is self._potential else 0
+            if new > MANY * len(self._joined):
+                continue
             newer = self.bound * (1.0 + self._precision) if endless else max(self.bound, STEP * z)
             found = abs(newer - z) <= self._precision * z and not endless
             z = z if found else newer
-            if not self._join(z, height) and found:
+            if not new + self._join(z, height) and found:
                 self._z = z
                 return
 
