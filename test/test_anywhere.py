@@ -30,6 +30,8 @@ from ambush_planner import (
     StrategyOptions,
     plan_trip,
 )
+from ambush_planner.game.law.law import Law
+from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
@@ -57,7 +59,11 @@ class Case(NamedTuple):
 
     def losses(self):
         """Mean loss (K,) of an ambush at each place of the lattice, each route hit once."""
-        network, p = self.plan.network, self.plan.strategy.edge_probability
+        return self.losses_on(self.plan.strategy.edge_probability)
+
+    def losses_on(self, p):
+        """The same for another strategy (M,) on the plan's network."""
+        network = self.plan.network
         places, alpha = standing_places(self.risk_map, network, self.held, DENSE)
         hits = meets(network, places, self.reach + self.tube, self.held - self.tube)
         return alpha * hit_once(network, p, hits)
@@ -121,6 +127,19 @@ def test_no_mixture_of_drawn_routes_costs_less_than_the_bound(case):
              for route in strategy.sample_routes(80, np.random.default_rng(1))]
     least = solution.least(drawn, case[3], COVER)
     assert strategy.lower_bound <= least * (1.0 + 1e-6)
+
+
+@pytest.mark.filterwarnings('ignore:the gap is')
+def test_if_no_law_is_found_the_flow_of_the_program_is_the_strategy(monkeypatch):
+    kept = solved_case('hills', 2.5, -1.0, 1.2, 0.3)
+    monkeypatch.setattr(Law, 'round', lambda *_: False)
+    solution = solved(*ground(11, 'hills', 22), 2.5 * SPACING, -1.0, 1.2, 0.3)
+    strategy = solution.plan.strategy
+    assert strategy.expected_length <= 1.2 * strategy.shortest_length * (1.0 + 1e-6)
+    assert solution.losses().max() <= strategy.value * (1.0 + EQUAL)
+    best = kept.plan.strategy
+    shortest = kept.losses_on(shortest_route_strategy(best.game)).max()
+    assert best.value < strategy.value < shortest
 
 
 @pytest.mark.parametrize('case', SMALL, ids=str)

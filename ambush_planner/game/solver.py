@@ -49,8 +49,8 @@ PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 MAX_EXCESS = 0.07
 # Level at which a program in potentials begins, as a multiple of the value without budgets.
 FIRST_LEVEL = 2.0
-# Distance of places that join at once, as a share of the reach, where each is a row of a program or
-# the value is not known yet.
+# Distance of places that join at once, as a share of the reach, but in the last sweep: places that
+# are near each other hit nearly the same routes.
 APART = 0.25
 # Share of the time after which a program over a trip's routes ends: its law takes seconds.
 OF_TIME = 0.8
@@ -335,7 +335,7 @@ class _Search:
             if not law.round(q, prices, self.program.bound):
                 break
             known = len(self.loss)
-            self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack), 0.0)
+            self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack), APART)
             law.measure(self._level())
             self._keep(law)
             grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
@@ -425,8 +425,10 @@ class _Search:
         """The best strategy, its value and the row of its worst site."""
         if self.best:
             return self.best[1:]
-        p = strategy_within_budgets(self.game, self.budgets)
-        p = shortest_route_strategy(self.game) if p is None else p
+        p = self.program.flow
+        if not all(b.keeps(p) for b in self.budgets):
+            within = strategy_within_budgets(self.game, self.budgets)
+            p = shortest_route_strategy(self.game) if within is None else within
         return chain_of(self.game.network, p), worst_loss(self.game, p), -1
 
     def _unrolled(self, copied: Copied, sites: tuple[FloatArray, FloatArray, csr_matrix],
