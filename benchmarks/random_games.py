@@ -174,14 +174,16 @@ def play(game: RandomGame, tally: Tally) -> None:
     except (BudgetInfeasible, *NO_GAME):
         tally.counts['refused'] += 1  # the threshold forbids all short routes
         return
-    except Exception as error:
-        if not isinstance(error, TimeLimit) or error.strategy is None:
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            tally.failures.append(f'{game.words}: {error!r} at {Path(place.filename).name}, '
-                                  f'line {place.lineno}')
-            return
+    except TimeLimit as error:
         tally.counts['late'] += 1
+        if error.strategy is None:
+            return
         strategy = error.strategy
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        tally.failures.append(f'{game.words}: {error!r} at {Path(place.filename).name}, '
+                              f'line {place.lineno}')
+        return
     seconds = time.process_time() - begin
     gap = strategy.value / max(strategy.lower_bound, 1e-300) - 1.0 if strategy.value else 0.0
     over = max(gap - game.options.strategy.risk_slack, 0.0)
@@ -272,8 +274,8 @@ def report(tally: Tally, first: int, games: int) -> str:
     slowest = max(result for each in tally.solved.values() for result in each)
     head = ('', 'games', 'seconds: median / 95 % / worst', 'within the slack', 'most over it [%]')
     return (f"{games} games, seeds from {first}, {tally.counts['refused']} of them without a route "
-            f"within threshold and budgets, {tally.counts['late']} over {LIMIT:g} s, "
-            f"{tally.counts['checked']} checked by recursion and HiGHS: "
+            f"within threshold and budgets, {tally.counts['late']} ended by the limit of "
+            f"{LIMIT:g} s, {tally.counts['checked']} checked by recursion and HiGHS: "
             f"**{len(tally.failures)} failures**. {conditions('highspy')}.\n\n"
             f'{table(head, rows)}\n\nThe slowest: {slowest[2]}.'
             + ''.join(f'\n* {failure}' for failure in tally.failures))

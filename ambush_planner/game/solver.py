@@ -49,8 +49,8 @@ PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 MAX_EXCESS = 0.07
 # Level at which a program in potentials begins, as a multiple of the value without budgets.
 FIRST_LEVEL = 2.0
-# Distance of places that join at once, as a share of the reach, but in the last sweep: places that
-# are near each other hit nearly the same routes.
+# Least distance of places that join at once, as a share of the reach: places near each other hit
+# nearly the same routes. In the last sweeps of a program that is not over routes it is 0.
 APART = 0.25
 # Share of the time after which a program over a trip's routes ends: its law takes seconds.
 OF_TIME = 0.8

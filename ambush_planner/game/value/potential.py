@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 from ...arrays import FloatArray, IndexArray
 from ..budget import ROUNDING, Budget
 from ..certificate.curves import Circulation
-from ..law.acyclic import conserved_strategy
+from ..law.acyclic import conserved_strategy, without_cycles
 from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
 from .faces import Faces
@@ -29,8 +29,8 @@ from .faces import Faces
 PRECISION = 1e-3
 # Factor by which z falls at most in one step, until a budget is exceeded.
 STEP = 0.85
-# Share of the columns that have to be new if z stands still for them until a budget is exceeded:
-# lower down, most of the columns that join are not needed in the end.
+# While the budget is kept, z stays if more than this share of the discs' columns is new: at a lower
+# z, most of the columns that join would not be needed in the end.
 MANY = 0.1
 # Flow through a disc that shows that no potential keeps z.
 ENDLESS = 1e6
@@ -106,7 +106,7 @@ class Potential:
             newer = self.bound * (1.0 + self._precision) if endless else max(self.bound, STEP * z)
             found = abs(newer - z) <= self._precision * z and not endless
             z = z if found else newer
-            if not new + self._join(z, height) and found:
+            if not (new + self._join(z, height)) and found:
                 self._z = z
                 return
 
@@ -131,7 +131,7 @@ class Potential:
             return shortest
         excess = float(p[p > 0.0] @ self.budget.excess[p > 0.0])
         share = min(self.budget.margin / excess, 1.0) if excess > 0.0 else 1.0
-        return share * p + (1.0 - share) * shortest
+        return without_cycles(self.game.network, share * p + (1.0 - share) * shortest)
 
     def _start_with_links(self) -> None:
         """The model without discs at its optimum: links of the shortest-path tree are full."""
