@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, frozen_array
+from ..arrays import ROUNDING, FloatArray, frozen_array
 from ..errors import SolverFailed
-from .budget import ROUNDING, Budget
+from .budget import Budget
 from .certificate.curves import Circulation
 from .game import Game
 

@@ -9,20 +9,17 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import ROUNDING, FloatArray
 from ..errors import BudgetInfeasible
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from .game import Game
 
-# Least margin of a budget, as a share of the best route's cost: smaller ones are rounding.
-MIN_MARGIN = 1e-12
-# Largest margin, as a share of the limit, at which only the best routes are within it.
-NO_MARGIN = 1e-9
+# Least margin of a budget as a share of the best route's cost, or of an edge's largest cost if that
+# is 0: if a budget allowed the best routes only, a program would have no room.
+LEAST_MARGIN = 1e-10
 # Relative overrun of a budget that a solver's strategy may have.
 BUDGET_TOLERANCE = 5e-7
-# Relative rounding of sums and comparisons.
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +33,7 @@ class Budget:
     cost : (M,)
         Cost of each edge, >= 0.
     limit
-        Largest mean cost; ``inf``: no limit.
+        Largest mean cost; ``inf``: no limit. It is raised a little if only the best routes fit.
     least
         Cost of the best route of the whole network.
     name, unit
@@ -74,13 +71,15 @@ class Budget:
     def __post_init__(self) -> None:
         if not self.binds:
             return
-        best = self._behind[self.game.network.source]
+        best = float(self._behind[self.game.network.source])
         if best > self.limit * (1.0 + ROUNDING):
             raise BudgetInfeasible(
                 f'the best playable route has {self.name} {best:.6g} {self.unit}, more than the '
                 f'budget of {self.limit:.6g} {self.unit}; raise {self.option}, or '
                 'alpha_threshold'
             )
+        scale = best or float(self.cost.max(initial=0.0)) or 1.0
+        object.__setattr__(self, 'limit', max(self.limit, best + LEAST_MARGIN * scale))
 
     @cached_property
     def _behind(self) -> FloatArray:
@@ -96,17 +95,10 @@ class Budget:
         """Whether there is a limit at all."""
         return bool(np.isfinite(self.limit))
 
-    @property
-    def has_no_margin(self) -> bool:
-        """Whether only the best routes are within the limit."""
-        return self.binds and self.margin <= NO_MARGIN * self.limit
-
     @cached_property
     def margin(self) -> float:
         """The limit minus the best playable route's cost, > 0."""
-        best = float(self._behind[self.game.network.source])
-        scale = best or float(self.cost.max(initial=0.0))
-        return max(self.limit - best, MIN_MARGIN * scale, np.finfo(float).tiny)
+        return self.limit - float(self._behind[self.game.network.source])
 
     @cached_property
     def excess(self) -> FloatArray:

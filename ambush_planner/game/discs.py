@@ -14,13 +14,11 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from ..network.network import Network
 
 # Discs that are handled together: bounds the memory, pairs of a disc and an edge nearby.
 _CENTRES_AT_ONCE = 500
-# Relative rounding of distances, so that only candidates are chosen by it.
-_ROUNDING = 1e-9
 
 
 def inside(offset: FloatArray, radius: float) -> BoolArray:
@@ -69,7 +67,7 @@ class ExposedEdges:
         self._count = len(network.edges)
         self._parts = parts = _exposed_parts(network, edges, held)
         # By a margin, so that the edge before an exposed node certainly has an exposed part there.
-        exposed = ~held._replace(radii=held.radii * (1.0 + _ROUNDING)).covers(network.points)
+        exposed = ~held._replace(radii=held.radii * (1.0 + ROUNDING)).covers(network.points)
         exposed[network.source] = False  # no edge before it
         tails = network.tails[parts.edge]
         self._tails, self._from_exposed = network.points[tails], exposed[tails]
@@ -188,20 +186,20 @@ def _close_pairs(begins: _Begins, centres: FloatArray, reach: float, length: Flo
     """
     if not len(length):
         return (np.empty(0, dtype=np.int64),) * 3
-    far = (reach + float(length.max())) * (1.0 + _ROUNDING)
+    far = (reach + float(length.max())) * (1.0 + ROUNDING)
     pairs = cKDTree(begins.points).sparse_distance_matrix(cKDTree(centres), far,
                                                           output_type='ndarray')
     place, centre, distance = pairs['i'], pairs['j'], pairs['v']
-    near = distance <= (reach + begins.longest[place]) * (1.0 + _ROUNDING)
-    near &= ~(begins.at_tails[place] & (distance < reach * (1.0 - _ROUNDING)))
+    near = distance <= (reach + begins.longest[place]) * (1.0 + ROUNDING)
+    near &= ~(begins.at_tails[place] & (distance < reach * (1.0 - ROUNDING)))
     place, centre, distance = place[near], centre[near], distance[near]
     count = begins.parts[place]
     each = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     part = begins.order[np.repeat(begins.first[place], count) + each]
     centre, distance = np.repeat(centre, count), np.repeat(distance, count)
-    near = distance <= (reach + length[part]) * (1.0 + _ROUNDING)
-    near &= ~(at_tail[part] & (distance < reach * (1.0 - _ROUNDING)))
-    unsure = ~at_tail[part] | (distance <= reach * (1.0 + _ROUNDING))
+    near = distance <= (reach + length[part]) * (1.0 + ROUNDING)
+    near &= ~(at_tail[part] & (distance < reach * (1.0 - ROUNDING)))
+    unsure = ~at_tail[part] | (distance <= reach * (1.0 + ROUNDING))
     return part[near], centre[near], np.flatnonzero(unsure[near])
 
 

@@ -16,7 +16,8 @@ from .certificate.certificate import Certificate, lower_bound
 from .certificate.curves import Circulation
 from .game import Game, HeldPlace, make_game
 from .hits import worst_loss
-from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, within_slack
+from .slack import CERTIFICATE_TOLERANCE, ceiling
+from .strategy import Strategy, StrategyOptions, within_slack
 
 
 def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
@@ -29,7 +30,7 @@ def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
                     'length', network.travel_unit)
     least = strategy.least_exposure
     if math.isfinite(most) and network is not strategy.network:
-        factor = most / max(least, np.finfo(float).tiny)
+        factor = most / least if least > 0.0 else 0.0
         least = least_cost(network, network.edge_exposure)
         most = factor * least
     return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
@@ -85,7 +86,6 @@ def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
         return 0.0
     # With a length weight, the weighted sum is minimal and sets the scale.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
-    gap = strategy.value / (1.0 + slack) - strategy.lower_bound
+    gap = strategy.value / ceiling(1.0, options.slack) - strategy.lower_bound
     scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
     return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0

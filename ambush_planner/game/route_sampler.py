@@ -113,9 +113,11 @@ def route_edges(network: Network, route: IndexArray) -> IndexArray:
     return found
 
 
-def shortest_route(network: Network, edge: IndexArray) -> IndexArray:
-    """Nodes (K,) of a shortest route that uses only the edges with indices ``edge``."""
-    return shortest_path(network.edges[edge], network.travel_costs[edge], len(network.points),
+def shortest_route(network: Network, edge: IndexArray,
+                   cost: FloatArray | None = None) -> IndexArray:
+    """Nodes (K,) of a route of least ``cost`` (M,), by default travel cost, on some edges (m,)."""
+    cost = network.travel_costs if cost is None else cost
+    return shortest_path(network.edges[edge], cost[edge], len(network.points),
                          network.source, network.target)
 
 
@@ -126,9 +128,10 @@ def route_strategy(network: Network, route: IndexArray) -> FloatArray:
     return p
 
 
-def shortest_route_strategy(game: Game) -> FloatArray:
-    """The strategy p (M,) of always driving the shortest playable route."""
-    return route_strategy(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))
+def shortest_route_strategy(game: Game, cost: FloatArray | None = None) -> FloatArray:
+    """The strategy p (M,) of always driving the playable ``shortest_route``."""
+    edge = np.flatnonzero(game.playable)
+    return route_strategy(game.network, shortest_route(game.network, edge, cost))
 
 
 def route_entropy(network: Network, p: FloatArray) -> float:

@@ -14,16 +14,17 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..arrays import BoolArray, FloatArray, frozen_array
+from ..arrays import ROUNDING, BoolArray, FloatArray, frozen_array
 from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, at_nodes
-from .budget import NO_MARGIN, ROUNDING, Budget
+from .budget import Budget
 from .certificate.certificate import lower_bound
 from .certificate.curves import Circulation
 from .game import Game
@@ -33,8 +34,7 @@ from .law.chain import MarkovChain, chain_of
 from .law.copies import Copied, law_on_copies
 from .law.gibbs import acyclic_network
 from .law.law import STEP, Law
-from .route_sampler import shortest_route_strategy
-from .two_routes import strategy_within_budgets
+from .slack import ceiling, within
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
@@ -124,47 +124,29 @@ class Solution(NamedTuple):
 
 
 def most_unpredictable(problem: Problem) -> Solution:
-    """Find the value and the law; at the deadline, the best strategy so far is returned."""
-    if any(b.has_no_margin for b in problem.budgets):
-        return _on_best_routes(problem)
-    slack, cut = max(problem.slack, MIN_SLACK), _cut_of(problem)
-    tried: list[Solution] = []
-    if cut and cut.excess <= MAX_EXCESS:
-        tried.append(_Search(problem, cut, slack).run())
-        if _within(tried[0], slack) or time.monotonic() > problem.deadline:
-            return tried[0]
-    tried.append(_Search(problem, _program_within_budgets(problem, slack, cut), slack).run())
-    return max(tried, key=lambda each: (_within(each, slack), -each.value))
+    """Find the value and the law; at the deadline, the best strategy so far is returned.
 
-
-def _within(solution: Solution, slack: float) -> bool:
-    return solution.value <= solution.bound * (1.0 + slack + ROUNDING)
-
-
-def _on_best_routes(problem: Problem) -> Solution:
-    """Solve where a budget leaves no margin, on the edges of the routes that are best for it.
-
-    There it is no limit. Its price makes every other route cost more than the value.
+    Raises BudgetInfeasible if no strategy is within all budgets.
     """
-    tight = [b.has_no_margin for b in problem.budgets]
-    over = [problem.game.through(b.excess) / b.limit if each else np.zeros(len(b.cost))
-            for b, each in zip(problem.budgets, tight, strict=True)]
-    near = np.all([each <= NO_MARGIN for each in over], axis=0)
-    length, exposure = (replace(b, limit=np.inf) if each else b
-                        for b, each in zip(problem.budgets, tight, strict=True))
-    game = problem.game.restricted_to(near) or problem.game
-    found = most_unpredictable(replace(problem, game=game, budgets=(length, exposure)))
-    prices = tuple(
-        found.value / (b.limit * float(o[o > NO_MARGIN].min(initial=np.inf))) if each else price
-        for b, o, each, price in zip(problem.budgets, over, tight, found.ambusher.prices,
-                                     strict=True))
-    ambusher, count = replace(found.ambusher, prices=prices), len(problem.game.playable)
-    playable = np.append(problem.game.playable, found.game.playable[count:])
-    whole = replace(found.game, playable=frozen_array(playable, np.bool_))
-    length, exposure = (replace(b, game=whole, limit=own.limit) for b, own in zip(
-        found.budgets, problem.budgets, strict=True))
-    bound = lower_bound(whole, ambusher, (length, exposure))
-    return found._replace(game=whole, budgets=(length, exposure), ambusher=ambusher, bound=bound)
+    slack, best = max(problem.slack, MIN_SLACK), None
+    for program in _programs(problem, slack):
+        found = _Search(problem, program, slack).run()
+        if found and (best is None or found.value < best.value
+                      or within(found.value, found.bound, slack)):
+            best = found
+        if best and (within(best.value, best.bound, slack)
+                     or time.monotonic() > problem.deadline):
+            break
+    assert best is not None  # the flow of the last program is within the budgets
+    return best
+
+
+def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Routes]:
+    """The program without budgets if its flow nearly keeps them, then the one within them."""
+    cut = _cut_of(problem)
+    if cut and cut.excess <= MAX_EXCESS:
+        yield cut
+    yield _program_within_budgets(problem, slack, cut)
 
 
 def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline: float) -> float:
@@ -221,8 +203,8 @@ class _Search:
         self.law: Law | None = None
         self.copied: Copied | None = None
 
-    def run(self) -> Solution:
-        """Find the value, then the law."""
+    def run(self) -> Solution | None:
+        """Find the value, then the law; None if nothing found is within the budgets."""
         if isinstance(self.program, Routes) and self.game.network.legs > 1:
             self._find_labels(self.program)
             if self.copied:
@@ -233,12 +215,14 @@ class _Search:
                 break
             chain = chain_of(self.game.network, self.program.flow)
             apart = APART * (sweep < SWEEPS - 1)
-            if not self._add_worst(chain, self.program.bound * (1.0 + self.slack), apart):
+            if not self._add_worst(chain, ceiling(self.program.bound, self.slack), apart):
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)
             if self._done() or law.rounds == 0:
                 break
+        if self.best is None and not self._keeps_budgets(self.program.flow):
+            return None
         return self._solution()
 
     def _solve_program(self) -> None:
@@ -280,7 +264,7 @@ class _Search:
         if not k or not level.any():
             return level
         value = float(np.sort(level)[-k:].sum())
-        most = max(self.program.bound, value * (1.0 + self.slack / 2.0) / (1.0 + self.slack))
+        most = max(self.program.bound, ceiling(value, self.slack / 2.0) / ceiling(1.0, self.slack))
         return level * (most / value)
 
     def _find_labels(self, program: Routes) -> None:
@@ -295,7 +279,7 @@ class _Search:
             program.prove_by_legs()
         apart, before = 1.0, program.value
         for _ in range(MAX_SWEEPS):
-            above = program.value * (1.0 + self.slack / 2.0)
+            above = ceiling(program.value, self.slack / 2.0)
             if time.monotonic() > program.deadline or (
                     not self._join_worst(program.mixture, above, apart) and apart == APART):
                 break
@@ -335,11 +319,11 @@ class _Search:
             if not law.round(q, prices, self.program.bound):
                 break
             known = len(self.loss)
-            self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack), APART)
+            self._add_worst(law.chain, ceiling(self.program.bound, JOINING * self.slack), APART)
             law.measure(self._level())
             self._keep(law)
             grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
-            if law.value <= law.limit and (law.exact or not grew):
+            if law.good and (law.exact or not grew):
                 break
             law.step = 1.0 if law.worst >= known else step
         return law
@@ -368,13 +352,15 @@ class _Search:
         A strategy over a budget counts for nothing.
         """
         p = law.chain.uses(len(self.game.playable))
-        if not all(b.keeps(p) for b in self.budgets):
+        if not self._keeps_budgets(p):
             return
-        good = law.value <= law.limit * (1.0 + ROUNDING)
-        rating = good, law.entropy if good else -law.value
+        rating = law.good, law.entropy if law.good else -law.value
         if self.best is None or rating > self.best[0]:
             self.best = rating, law.chain, law.value, law.worst
             self.problem.progress(law.value, self.program.bound)
+
+    def _keeps_budgets(self, p: FloatArray) -> bool:
+        return all(b.keeps(p) for b in self.budgets)
 
     def _done(self) -> bool:
         return self._late() or self.best is not None and self.best[0][0]
@@ -426,9 +412,6 @@ class _Search:
         if self.best:
             return self.best[1:]
         p = self.program.flow
-        if not all(b.keeps(p) for b in self.budgets):
-            within = strategy_within_budgets(self.game, self.budgets)
-            p = shortest_route_strategy(self.game) if within is None else within
         return chain_of(self.game.network, p), worst_loss(self.game, p), -1
 
     def _unrolled(self, copied: Copied, sites: tuple[FloatArray, FloatArray, csr_matrix],

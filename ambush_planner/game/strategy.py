@@ -23,14 +23,12 @@ from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
 from .route_sampler import RouteSampler, entropy, route_entropy
+from .slack import CERTIFICATE_TOLERANCE, within
 from .solver import Ground, Multipliers, Problem, most_unpredictable
-from .two_routes import strategy_within_budgets
 from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, unseen
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
-# A published value is at most (1 + risk_slack + this) times its bound.
-CERTIFICATE_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +89,11 @@ class StrategyOptions:
             raise InvalidOption(
                 f'max_exposure {self.max_exposure} needs the solver max_entropy, got {self.solver}'
             )
+
+    @property
+    def slack(self) -> float:
+        """The risk slack of the solver: 0 for linear programs."""
+        return self.risk_slack if self.solver == 'max_entropy' else 0.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -357,7 +360,6 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
     deadline = time.monotonic() + options.time_limit
     _check_losses(game.network)
     budgets = make_budgets(game, options)
-    strategy_within_budgets(game, budgets)
     if options.solver != 'max_entropy':
         return _by_linear_program(game, budgets, options, deadline)
     found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm,
@@ -395,10 +397,10 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
 
 def within_slack(strategy: Strategy, options: StrategyOptions) -> bool:
     """Whether value and lower bound are as near to each other as the options ask for."""
-    slack = CERTIFICATE_TOLERANCE + options.risk_slack * (options.solver == 'max_entropy')
     # With a length weight, the weighted sum is minimal and sets the scale of the gap.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    return strategy.value + weighed <= (strategy.lower_bound + weighed) * (1.0 + slack)
+    return within(strategy.value + weighed, strategy.lower_bound + weighed,
+                  options.slack + CERTIFICATE_TOLERANCE)
 
 
 def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: StrategyOptions,

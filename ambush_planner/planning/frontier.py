@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
+from ..game.slack import within
 from ..game.strategy import Strategy, StrategyOptions, solve
 from ..maps.risk_map import RiskMap
 from ..network.construction import build_network
@@ -143,7 +144,7 @@ def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
     same = [each for each in rows if each.risk_slack == row.risk_slack and not each.error]
     tighter = [each for each in same if each.max_detour <= row.max_detour]
     best = min(tighter, key=lambda each: each.value, default=row)
-    if best.value < row.value * (1.0 - row.risk_slack):
+    if not within(row.value, best.value, row.risk_slack):
         row = replace(best, swept=row.swept, max_detour=row.max_detour, lower_bound=row.lower_bound)
     bound = max((each.lower_bound for each in same if each.max_detour >= row.max_detour),
                 default=row.lower_bound)

@@ -19,6 +19,7 @@ from ..arrays import sums
 from ..errors import InvalidOption
 from ..game.game import HeldPlace
 from ..game.revaluation import bound_if_held
+from ..game.slack import within
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
@@ -95,7 +96,7 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
             each for each in candidates.items() if each[0] not in taken]
         if not (places := _by_charge(strategy, given, radius)):
             break
-        steps.append(_best_of(places, radius, strategy, 1.0 + options.strategy.risk_slack, solved))
+        steps.append(_best_of(places, radius, strategy, options.strategy.risk_slack, solved))
         strategy = steps[-1].strategy
     return Holding(before, tuple(steps))
 
@@ -106,13 +107,14 @@ def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: f
     held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
     bounds = np.array([bound_if_held(before, each) for each in held])
     values, last = np.full(len(held), np.inf), before
-    while len(left := np.flatnonzero(np.isinf(values) & (bounds * slack < values.min()))):
-        k = int(left[bounds[left].argmin()])
+    while left := [k for k in np.flatnonzero(np.isinf(values)).tolist()
+                   if not within(values.min(), bounds[k], slack)]:
+        k = min(left, key=lambda each: float(bounds[each]))
         last = solved(held[k], last)
         values[k], bounds[k] = last.value, last.lower_bound
-        for j in left[left != k].tolist():
+        for j in set(left) - {k}:
             bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
-    best = int(np.flatnonzero(values <= values.min() * slack)[0])
+    best = next(k for k, value in enumerate(values) if within(value, values.min(), slack))
     # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
     others = float(np.delete(bounds, best).min(initial=np.inf))
     return Held(*places[best], solved(held[best]), others, int(np.isfinite(values).sum()),

@@ -16,11 +16,12 @@ from itertools import combinations, pairwise, permutations
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import ROUNDING, FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit
 from ..game.ambusher import capped_at_one
 from ..game.certificate.best_response import Ground, shares_by_leg
 from ..game.game import Game, make_game
+from ..game.slack import ceiling
 from ..game.strategy import Strategy
 from ..game.value.cut import solve_by_min_cut
 from ..game.value.routes import LEG_SEARCH, Progress, unseen
@@ -39,8 +40,6 @@ from .solving import WarmStart, solve_on_network
 ORDERS = ('given', 'best', 'random')
 # Largest number of stops for which all orders (5040) are compared, and for a random order (24).
 MAX_COMPARED, MAX_RANDOM_STOPS = 7, 4
-# Relative rounding of lengths and values.
-ROUNDING = 1e-9
 
 Position = tuple[float, float]
 
@@ -251,14 +250,14 @@ class _StopOrderSearch:
         best: tuple[Strategy, tuple[int, ...]] | None = None
         while left.any():
             least = float(bounds[left].min())
-            near = left & (bounds <= least * (1.0 + slack) + ROUNDING)
+            near = left & (bounds <= ceiling(least, slack) + ROUNDING)
             k = int(np.flatnonzero(near)[np.argmin(lengths[near])])
             left[k] = False
             try:
                 strategy = self._solve(orders[k], float(lengths[k]), limit)
                 if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
                     best = strategy, tuple(orders[k].tolist())
-                enough = best[0].value * (1.0 - ROUNDING) / (1.0 + slack)
+                enough = best[0].value * (1.0 - ROUNDING) / ceiling(1.0, slack)
                 left &= bounds < enough
                 bounds[left] = np.maximum(bounds[left],
                                           self._bounds(strategy, legs[:, left], limit))

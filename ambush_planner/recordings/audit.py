@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import ROUNDING, FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
 from ..game.route_sampler import RouteSampler
 from ..game.strategy import Strategy
@@ -43,8 +43,6 @@ FOLLOWED = 49
 SAME_POSITION = 1e-3
 # Routes drawn at a time; bounds memory to about 100 MB.
 ROUTES_AT_ONCE = 20_000
-# Statistics closer than this, relative, are equal but for rounding.
-ROUNDING = 1e-9
 
 Steps = tuple[IndexArray, IndexArray]
 

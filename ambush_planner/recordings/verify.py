@@ -21,7 +21,8 @@ from ..errors import AmbushPlannerError, TimeLimit
 from ..game.law.acyclic import is_acyclic
 from ..game.law.chain import chain_of
 from ..game.revaluation import open_gap
-from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve_game
+from ..game.slack import CERTIFICATE_TOLERANCE
+from ..game.strategy import Strategy, make_budgets, solve_game
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network
@@ -248,8 +249,7 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
             raise
         again = late.strategy
     # Values differ within the slack that was asked for, and as far as a solve was cut short.
-    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
-    allowed = (slack + 2.0 * CERTIFICATE_TOLERANCE) * again.value + max(
+    allowed = (options.slack + 2.0 * CERTIFICATE_TOLERANCE) * again.value + max(
         open_gap(strategy, options), open_gap(again, options)
     )
     if abs(strategy.value - again.value) <= allowed:

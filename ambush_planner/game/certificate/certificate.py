@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray, sums
+from ...arrays import ROUNDING, FloatArray, sums
 from ...errors import SolverFailed
 from ..ambusher import Ambusher
-from ..budget import ROUNDING, Budget
+from ..budget import Budget
 from ..game import Game
 from ..hits import hits_can_differ, worst_loss
 from ..value.faces import make_faces

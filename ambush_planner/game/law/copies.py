@@ -22,6 +22,7 @@ from ...arrays import FloatArray, IndexArray, frozen_array, sums
 from ...errors import SolverFailed
 from ...network.trip_graph import with_copies
 from ..game import Game
+from ..slack import ceiling, within
 from ..value.mixtures import Mixtures
 from ..value.routes import MIN_FLOW, TIGHT, Routes
 from .acyclic import conserved_strategy, order_potential, rank_around
@@ -94,8 +95,8 @@ def law_on_copies(routes: Routes, slack: float, deadline: float) -> Copied | Non
         except SolverFailed:  # these routes exceed a budget
             continue
         value = few.value(shares)
-        if value <= routes.value * (1.0 + FEW_LOSE * slack) or every:
-            limit = max(routes.bound * (1.0 + slack), value * (1.0 + slack / 2.0))
+        if within(value, routes.value, FEW_LOSE * slack) or every:
+            limit = max(ceiling(routes.bound, slack), ceiling(value, slack / 2.0))
             found = _Laws(routes, few, shares, limit, slack, count // 2).best(deadline)
             if found and (best is None or found.value < best.value):
                 best = found

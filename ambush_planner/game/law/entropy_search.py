@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import ROUNDING, BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
 
 # Evaluations of L-BFGS before Newton's method starts; on large networks, where Newton's steps are
@@ -38,8 +38,6 @@ NEWTON_LIMITS, MAX_STEPS, MORE_ROUNDS = 1500, 500, 3
 MIN_GAIN = 1e-5
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 5e-4
-# Rounding of the function's value, relative to its terms.
-ROUNDING = 1e-9
 # Largest weight of an edge; beyond, sums along a route lose all decimals.
 MAX_WEIGHT = 1e16
 # Smaller multipliers count as 0.

@@ -18,6 +18,7 @@ from scipy.sparse import csr_matrix, diags, vstack
 
 from ...arrays import FloatArray, IndexArray
 from ..budget import Budget
+from ..slack import ceiling, within
 from .chain import MarkovChain
 from .entropy_search import maximize_entropy
 from .gibbs import AcyclicNetwork
@@ -91,6 +92,7 @@ class Law:
     def measure(self, level: FloatArray) -> None:
         """Find the value of p, and rows that are exact at p, for a new ``level`` (S,)."""
         self.level, limit = level, level / self._loss
+        self._level_value = self._sum_of_largest(level)
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
         hits = self._most_hits(self.chain)
@@ -121,14 +123,19 @@ class Law:
     @property
     def limit(self) -> float:
         """Value at which the law is within the slack."""
-        return self._sum_of_largest(self.level) * (1.0 + self.slack)
+        return ceiling(self._level_value, self.slack)
+
+    @property
+    def good(self) -> bool:
+        """Whether the value is within the slack of the level's."""
+        return within(self.value, self._level_value, self.slack)
 
     def round(self, q: FloatArray, prices: FloatArray, bound: float) -> bool:
         """One law within rows that are exact at p, and a step towards it; False if there is none.
 
         q (S,) and the prices of the budgets are the first multipliers, up to a factor.
         """
-        near, aim = self._near, self.level * (1.0 + AIM * self.slack) / self._loss
+        near, aim = self._near, self.level * ceiling(1.0, AIM * self.slack) / self._loss
         if self.rounds:
             known = self._claimed[near] > 0.0
             excess = np.where(known, self._hits - self._claimed[near], 0.0)
@@ -148,7 +155,7 @@ class Law:
             return False
         self.multipliers[:], self.prices = 0.0, found.multipliers[len(sites) :]
         self.multipliers[sites] = found.multipliers[: len(sites)]
-        whole = np.append(self.level[sites] * (1.0 + self.slack) / self._loss[sites] / most,
+        whole = np.append(self.level[sites] * ceiling(1.0, self.slack) / self._loss[sites] / most,
                           np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
         self.entropy_bound = found.log_partition + float(whole @ found.multipliers)
         self._go_towards(found.p)
@@ -190,7 +197,7 @@ class Law:
         while True:
             self.chain = MarkovChain(self.network, (1.0 - step) * old + step * newest)
             value = self._value_of(self.chain) if step > SHORTEST else 0.0
-            if value <= max(self.limit * (1.0 + OVERSHOOT * self.slack),
+            if value <= max(ceiling(self.limit, OVERSHOOT * self.slack),
                             before + PROMISE * step * (self.limit - before)):
                 return
             step /= 2.0

@@ -9,7 +9,6 @@ route a mean loss of at least one over the cut's capacity. Both are optimal.
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +16,11 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from ...arrays import BoolArray, FloatArray, sums
-from ...errors import BudgetInfeasible, SolverFailed
+from ...errors import SolverFailed
 from ..budget import Budget
 from ..game import Game
 from ..law.acyclic import without_cycles
 from ..route_sampler import shortest_route_strategy
-from ..two_routes import strategy_within_budgets
 
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
 # several rounds on the residual network reach double precision.
@@ -68,8 +66,6 @@ class Cut:
         cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
         self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
         self.level, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
-        if self.bound == 0.0:
-            self._keep_budgets(game, budgets)
         over = [b.mean(self.flow) / b.limit - 1.0 for b in budgets if not b.keeps(self.flow)]
         self.excess = max(over, default=0.0) if self.q.max(initial=0.0) <= 1.0 else np.inf
 
@@ -78,14 +74,6 @@ class Cut:
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Nothing: all sites are nodes of the network."""
-
-    def _keep_budgets(self, game: Game, budgets: tuple[Budget, ...]) -> None:
-        """Avoid all sites by another strategy if the shortest route exceeds a budget."""
-        safe = game.avoiding_all_sites()
-        assert safe is not None
-        with contextlib.suppress(BudgetInfeasible):
-            found = strategy_within_budgets(safe, budgets)
-            self.flow = self.flow if found is None else found
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:

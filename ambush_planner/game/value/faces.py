@@ -16,8 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ...arrays import BoolArray, FloatArray, IndexArray
-from ..budget import ROUNDING
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from ..game import Game
 from ..route_sampler import shortest_route
 

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 from ...arrays import FloatArray, IndexArray
 from ...errors import BudgetInfeasible, InvalidOption
 from ..ambusher import Ambusher, at_nodes
-from ..budget import NO_MARGIN, Budget
+from ..budget import Budget
 from ..certificate.certificate import entry_bound
 from ..game import Game
 from ..hits import entry_value
@@ -30,6 +30,8 @@ MAX_VISITS = 1e6
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # Range of values that are solved in the unit 1.
 ORDINARY = (1e-2, 1e2)
+# Largest margin of a budget, as a share of its limit, at which no interior point is feasible.
+NO_MARGIN = 1e-9
 # Largest residual of A p = b, and the number of corrections to reach it.
 CONSERVED, ATTEMPTS = 1e-13, 10
 
@@ -114,7 +116,7 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     q, price = _ambusher(game, program, result, price)
-    if row_added and length_weight == 0.0 and length.has_no_margin:
+    if row_added and length_weight == 0.0 and _leaves_no_margin(length):
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or own.limit <= length.limit)
@@ -144,12 +146,16 @@ def _loss_unit(game: Game) -> float:
     return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 
 
+def _leaves_no_margin(budget: Budget) -> bool:
+    """Whether only the best routes fit."""
+    return budget.margin <= NO_MARGIN * budget.limit
+
+
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
-    if length_weight == 0.0 and length.has_no_margin:
-        # Only shortest routes fit; with the others, no interior point is feasible.
+    if length_weight == 0.0 and _leaves_no_margin(length):
         near = game.through(length.excess) <= NO_MARGIN * length.limit
         game = game.restricted_to(near) or game
     for _ in range(MAX_UNITS):

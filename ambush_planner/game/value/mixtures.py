@@ -130,15 +130,17 @@ class Mixtures:
         weight = np.repeat(shares, list(map(len, self.routes)))
         return sums(np.concatenate(self.routes), weight, edges)
 
-    def least_excess(self) -> tuple[float, FloatArray]:
-        """The least greatest excess of a mixture, and how much each budget (B,) counts in it."""
+    def of_least_excess(self) -> Mixture:
+        """The mixture of least greatest excess: that is its value. Its prices weigh the budgets."""
         excess = np.array(self._excess).T
         rows = np.column_stack((excess, -np.ones(len(excess))))
         cost, each = np.zeros(rows.shape[1]), np.ones((1, rows.shape[1]))
         cost[-1], each[0, -1] = 1.0, 0.0
         result = _solved(highs.Program(cost, csr_matrix(rows), np.zeros(len(excess)),
                                        csr_matrix(each), np.ones(1)), highs.OPTIMALITY[0])
-        return float(result.fun), np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+        weights = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+        return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
+                       np.zeros((self._groups, len(self.loss))), weights)
 
     def solve(self, precision: float) -> Mixture:
         """The mixture of least value, to a relative gap of ``precision``.

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import FloatArray, IndexArray
-from ..budget import ROUNDING, Budget
+from ...arrays import ROUNDING, FloatArray, IndexArray
+from ..budget import Budget
 from ..certificate.curves import Circulation
 from ..law.acyclic import conserved_strategy, without_cycles
 from ..route_sampler import shortest_route_strategy
@@ -62,7 +62,6 @@ class Potential:
         self._kept: FloatArray | None = None  # the latest potential within the budget
         self.circulation: Circulation | None = None
         self.q, self.price = np.zeros(0), 0.0
-        self._limit = budget.limit or budget.margin
         self._start_with_links()
         self.add_sites(self.game.hits, self.game.loss[self.game.sites])
 
@@ -123,7 +122,7 @@ class Potential:
     @property
     def flow(self) -> FloatArray:
         """The level lines' flow (M,), without cycles and within the budget."""
-        shortest = shortest_route_strategy(self.game)
+        shortest = shortest_route_strategy(self.game, self.budget.cost)
         if self._kept is None:
             return shortest
         p = conserved_strategy(self.game, self.faces.flow(self._kept), NEGLIGIBLE)
@@ -143,7 +142,7 @@ class Potential:
         both = np.concatenate((ends, ends[::-1]), axis=1)
         graph = csr_matrix((np.tile(most, 2), both), (game.node_count,) * 2)
         before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
-        most /= self._limit
+        most /= self.budget.limit
         self._real = real = np.flatnonzero(faces.left != faces.right)
         # The others are bridges, each between a face and itself.
         self._bridges = np.where(faces.left == faces.right, most * faces.crossed, 0.0)
@@ -208,7 +207,7 @@ class Potential:
         proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
-            self.price = 1.0 / (total * self._limit)
+            self.price = 1.0 / (total * self.budget.limit)
             through = self._bridges.copy()
             through[self._real] = found.x[:links]
             self.circulation = self._circulation(through / total, turned * -flow / total)

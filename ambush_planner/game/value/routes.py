@@ -18,13 +18,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ...arrays import BoolArray, FloatArray, IndexArray, sums
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import BudgetInfeasible
 from ..ambusher import capped_at_one
-from ..budget import ROUNDING, Budget
+from ..budget import Budget
 from ..certificate.best_response import Grounds
 from ..game import Game
 from ..law.acyclic import conserved_strategy
+from ..slack import within
 from .mixtures import Mixture, Mixtures
 
 # Relative gaps of the linear programs: while routes join, and once none does.
@@ -130,8 +131,13 @@ class Routes:
 
     @property
     def flow(self) -> FloatArray:
-        """The mixture as an acyclic strategy (M,)."""
+        """The mixture as an acyclic strategy (M,) within the budgets."""
         used = self.mixtures.flow(self.shares, len(self.game.playable))
+        over = np.maximum(self.excess @ used - self.mixtures.limit, 0.0)
+        if over.any():  # as far as the program's precision allows
+            inside = self.mixtures.flow(self.mixtures.of_least_excess().shares, len(used))
+            room = np.maximum(self.mixtures.limit - self.excess @ inside, 0.0)[over > 0.0]
+            used = inside + float((room / (room + over[over > 0.0])).min()) * (used - inside)
         found = conserved_strategy(self.game, used, MIN_FLOW)
         assert found is not None  # a route has a share of at least one in their number
         return found
@@ -172,7 +178,7 @@ class Routes:
     def _ended(self) -> bool:
         self._progress(self.value, self.bound)
         rounding = ROUNDING * float(self.loss.max(initial=0.0))
-        proved = self.value <= max(self.bound * (1.0 + self.gap), rounding)
+        proved = within(self.value, max(self.bound, rounding), self.gap)
         return proved or time.monotonic() > self.deadline
 
     def _begin(self) -> None:
@@ -182,13 +188,14 @@ class Routes:
             self._add(self._whole.shortest(cost, free))
         if len(self.excess) < 2:
             return
-        least, weights = self.mixtures.least_excess()
-        while least > 1.0 and self._add(self._whole.shortest(weights @ self.excess, free)):
-            least, weights = self.mixtures.least_excess()
-        if least > 1.0 + ROUNDING:
+        least = self.mixtures.of_least_excess()
+        while least.value > 1.0 and self._add(self._whole.shortest(least.prices @ self.excess,
+                                                                   free)):
+            least = self.mixtures.of_least_excess()
+        if least.value > 1.0 + ROUNDING:
             names = ' and '.join(b.option for b in self._budgets if b.binds)
             raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
-        self.mixtures.limit = max(least, 1.0)
+        self.mixtures.limit = max(least.value, 1.0)
 
     def _add(self, route: IndexArray) -> bool:
         return self.mixtures.add(route, self._whole.met(route), self.excess[:, route].sum(axis=1))
@@ -303,7 +310,7 @@ class Routes:
                 added = self._add_entering_ways(mixture)
             if not added:
                 precision, added = TIGHT, self._proof_by_legs(mixture)
-                if not added or self.bound >= mixture.value * (1.0 - self.gap / 2.0):
+                if not added or within(mixture.value, self.bound, self.gap / 2.0):
                     return
             if self._ended():
                 return
