@@ -285,7 +285,7 @@ class _Search:
                 break
             with _trying():
                 program.solve(prove=False)
-                if program.value < before * (1.0 + self.slack / 4.0):  # the bound may be near
+                if within(program.value, before, self.slack / 4.0):  # the bound may be near
                     program.prove_by_legs()
             apart, before = max(apart / 2.0, APART), program.value
         with _trying():
@@ -304,7 +304,7 @@ class _Search:
                 return
             with _trying():
                 program.solve(prove=not joined)
-            if not joined and program.value > mixed * (1.0 - self.slack / 4.0):
+            if not joined and within(mixed, program.value, self.slack / 4.0):
                 return
 
     def _find_law(self, step: float) -> Law:
