@@ -76,8 +76,12 @@ class Places(Protocol):
 class Ground(Protocol):
     """A map on which an ambusher may wait at other places than the network's nodes."""
 
-    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> Any:
-        """The ``Places`` that cost drawn routes more than ``above``, so far apart [m]."""
+    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
+              rough: bool) -> Any:
+        """The ``Places`` that cost drawn routes more than ``above``, so far apart [m].
+
+        A ``rough`` search can miss the worst.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +219,7 @@ class _Search:
                 break
             chain = chain_of(self.game.network, self.program.flow)
             apart = APART * (sweep < SWEEPS - 1)
-            if not self._add_worst(chain, ceiling(self.program.bound, self.slack), apart):
+            if not self._add_worst(chain, ceiling(self.program.bound, self.slack), apart, True):
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)
@@ -229,14 +233,16 @@ class _Search:
         with _trying():
             self.program.solve()
 
-    def _add_worst(self, chain: MarkovChain, above: float, apart: float) -> bool:
+    def _add_worst(self, chain: MarkovChain, above: float, apart: float,
+                   rough: bool = False) -> bool:
         """Add the places that cost a strategy more than ``above``, and solve the program again."""
-        found = self._join_worst(chain, above, apart) > 0.0
+        found = self._join_worst(chain, above, apart, rough) > 0.0
         if found:
             self._solve_program()
         return found
 
-    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float) -> float:
+    def _join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
+                    rough: bool = False) -> float:
         """Add the places that cost more than ``above``; return the mean loss at the worst, or 0.
 
         No two of them are within ``apart`` times the reach.
@@ -245,7 +251,7 @@ class _Search:
             return 0.0
         if isinstance(self.program, Routes):
             apart = max(apart, APART)
-        found = self.problem.ground.worst(drawn, above, apart * self.game.reach)
+        found = self.problem.ground.worst(drawn, above, apart * self.game.reach, rough)
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
@@ -281,7 +287,7 @@ class _Search:
         for _ in range(MAX_SWEEPS):
             above = ceiling(program.value, self.slack / 2.0)
             if time.monotonic() > program.deadline or (
-                    not self._join_worst(program.mixture, above, apart) and apart == APART):
+                    not self._join_worst(program.mixture, above, apart, True) and apart == APART):
                 break
             with _trying():
                 program.solve(prove=False)
@@ -373,7 +379,7 @@ class _Search:
         chain, value, worst = self._best_strategy()
         if self.problem.ground:
             value, worst = self._worst_known(chain, value, worst)
-            found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING), 0.0)
+            found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING), 0.0, False)
             if len(found.points):
                 value, worst = float(found.mean_loss[0]), len(self.loss)
                 self._add_sites(found)

@@ -117,25 +117,30 @@ class CellSearch:
             self._first *= _DIVISION
 
     def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float = 0.0,
-              among: IndexArray | None = None) -> Places:
+              rough: bool = False, among: IndexArray | None = None) -> Places:
         """Places that cost drawn routes more than ``above``, the worst first.
 
         Of each cell only the worst part is returned that was not returned before, and none within
-        ``apart`` [m] of a worse one. Without ``among`` (K, 2) all cells count.
+        ``apart`` [m] of a worse one. A ``rough`` search is faster, but can miss the worst place: of
+        blocks within ``apart`` of each other it follows the one of the largest bound. Without
+        ``among`` (K, 2) all cells count.
         """
         side, p = self._first if among is None else 1, drawn.uses(len(self._game.playable))
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
         while True:
-            blocks = self._above(blocks, side, p, drawn, above)
+            blocks = self._above(blocks, side, p, drawn, above, apart * rough)
             if side == 1:
                 break
             blocks = self._cells.divided(blocks, side)
             side //= _DIVISION
-        return self._of_parts(blocks, p, drawn, above, apart)
+        found = self._of_parts(blocks, p, drawn, above, apart)
+        if rough and not len(found.points):
+            return self.worst(drawn, above, apart)
+        return found
 
     def _above(self, blocks: IndexArray, side: int, p: FloatArray,
-               drawn: MarkovChain | RouteMixture, above: float) -> IndexArray:
-        """The blocks (K, 2) in which a place may cost more than ``above``."""
+               drawn: MarkovChain | RouteMixture, above: float, apart: float) -> IndexArray:
+        """The blocks (K, 2), so far ``apart``, in which a place may cost more than ``above``."""
         loss = self._cells.of_blocks(side)[tuple(blocks.T)]
         blocks, loss = blocks[loss > above], loss[loss > above]
         rows, row = self._rows(blocks, side)
@@ -143,8 +148,12 @@ class CellSearch:
         blocks, loss, row = blocks[most > above], loss[most > above], row[most > above]
         if side > _DIVISION or side == self._parts == 1:
             return blocks
-        hits = drawn.meets(rows[row])
-        return np.asarray(blocks[loss * hits > above])
+        losses = loss * drawn.meets(rows[row])
+        order = np.argsort(-losses, kind='stable')
+        order = order[losses[order] > above]
+        if np.sqrt(2.0) * side * self._cells.resolution <= apart:
+            order = _apart(self._cells.centres(blocks, side), order, apart)
+        return np.asarray(blocks[np.sort(order)])
 
     def _of_parts(self, cells: IndexArray, p: FloatArray, drawn: MarkovChain | RouteMixture,
                   above: float, apart: float) -> Places:
