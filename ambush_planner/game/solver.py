@@ -280,14 +280,12 @@ class _Search:
         seconds.
         """
         with _trying():
-            program.prove_by_legs()
             program.solve(prove=False)
-            program.prove_by_legs()
         apart, before = 1.0, program.value
         for _ in range(MAX_SWEEPS):
             above = ceiling(program.value, self.slack / 2.0)
             if time.monotonic() > program.deadline or (
-                    not self._join_worst(program.mixture, above, apart, True) and apart == APART):
+                    not self._join_worst(program.mixture, above, apart) and apart == APART):
                 break
             with _trying():
                 program.solve(prove=False)
