@@ -160,7 +160,7 @@ class _Laws:
             near = np.flatnonzero(np.asarray(rows.sum(axis=1)).ravel() > 1.0)
             moved = np.append(near, np.arange(len(self._loss), len(start)))
             found = maximize_entropy(self.network, csr_matrix(vstack((rows[near], self._excess))),
-                                     start[moved], TOLERANCE * self.slack, deadline)
+                                     start[moved], TOLERANCE * self.slack, deadline, len(near))
             evaluations += found.evaluations
             if found.infeasible or not len(found.p):
                 break
