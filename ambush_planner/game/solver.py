@@ -219,7 +219,7 @@ class _Search:
                 break
             chain = chain_of(self.game.network, self.program.flow)
             apart = APART * (sweep < SWEEPS - 1)
-            if not self._add_worst(chain, ceiling(self.program.bound, self.slack), apart, True):
+            if not self._add_worst(chain, ceiling(self.program.bound, self.slack), apart, sweep == 0):
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)
