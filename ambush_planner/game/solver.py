@@ -218,8 +218,8 @@ class _Search:
             if self._late() or (sweep >= SWEEPS and self.program.bound > 0.0):
                 break
             chain = chain_of(self.game.network, self.program.flow)
-            apart = APART * (sweep < SWEEPS - 1)
-            if not self._add_worst(chain, ceiling(self.program.bound, self.slack), apart, sweep == 0):
+            above, apart = ceiling(self.program.bound, self.slack), APART * (sweep < SWEEPS - 1)
+            if not self._add_worst(chain, above, apart, rough=sweep == 0):
                 break
         for step in (STEP, CAREFUL_STEP):
             law = self._find_law(step)

@@ -66,6 +66,7 @@ class Law:
         self._loss, self.level = np.zeros(0), np.zeros(0)
         self._claimed, self._reserve = np.zeros(0), np.zeros(0)
         self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
+        self._before = self.multipliers, self.prices  # those of the round before the last
         self.rounds, self.step, self.evaluations, self.entropy_bound = 0, 1.0, 0, np.nan
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -153,7 +154,8 @@ class Law:
                 break
         if found.infeasible or not len(found.p):
             return False
-        self.multipliers[:], self.prices = 0.0, found.multipliers[len(sites) :]
+        self._before = self.multipliers, self.prices
+        self.multipliers, self.prices = np.zeros(len(self._loss)), found.multipliers[len(sites) :]
         self.multipliers[sites] = found.multipliers[: len(sites)]
         whole = np.append(self.level[sites] * ceiling(1.0, self.slack) / self._loss[sites] / most,
                           np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
@@ -180,13 +182,16 @@ class Law:
 
     def _start(self, limits: csr_matrix, sites: IndexArray, q: FloatArray, prices: FloatArray,
                bound: float) -> FloatArray:
-        """The multipliers of the round before, or the best multiple of the ambusher's strategy."""
-        start = np.concatenate((self.multipliers[sites], self.prices))
-        if start.any() or not q.any() or bound == 0.0:
-            return start
-        ambusher = np.concatenate((q[sites] * self.level[sites], prices * self._margin)) / bound
-        return min((ambusher * 2.0**k for k in range(DOUBLINGS)),
-                   key=lambda v: self.network.law(limits.T @ v)[0] + float(v.sum()))
+        """The best multipliers of the last two rounds, or multiple of the ambusher's strategy.
+
+        A chain far from the one before can have rows for which the last multipliers are far off.
+        """
+        starts = [np.append(np.pad(v, (0, len(self._loss) - len(v)))[sites], each)
+                  for v, each in ((self.multipliers, self.prices), self._before)]
+        if not starts[0].any() and q.any() and bound > 0.0:
+            ambusher = np.append(q[sites] * self.level[sites], prices * self._margin) / bound
+            starts = [ambusher * 2.0**k for k in range(DOUBLINGS)]
+        return min(starts, key=lambda v: self.network.law(limits.T @ v)[0] + float(v.sum()))
 
     def _go_towards(self, newest: FloatArray) -> None:
         """Take the whole step if the value keeps to its limit, else a shorter one."""
