@@ -30,9 +30,11 @@ from ambush_planner import (
     StrategyOptions,
     plan_trip,
 )
+from ambush_planner.game.law.chain import chain_of
 from ambush_planner.game.law.law import Law
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ambush_planner.planning.cell_losses import CellLosses, CellSearch
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
 
@@ -140,6 +142,21 @@ def test_if_no_law_is_found_the_flow_of_the_program_is_the_strategy(monkeypatch)
     best = kept.plan.strategy
     shortest = kept.losses_on(shortest_route_strategy(best.game)).max()
     assert best.value < strategy.value < shortest
+
+
+def test_a_rough_search_finds_a_place_if_any_costs_more():
+    solution = solved_case('hills', 2.5, -1.0, 1.2, 0.3)
+    game, apart = solution.plan.strategy.game, 1.0
+    chain = chain_of(game.network, shortest_route_strategy(game))
+    worst = solution.losses_on(shortest_route_strategy(game)).max()
+    for above in worst * np.array([0.2, 0.8, 0.95, 0.999, 1.2]):
+        rough, exact = (
+            CellSearch(CellLosses(solution.risk_map, False), game).worst(chain, above, apart, each)
+            for each in (True, False))
+        assert bool(len(rough.points)) == bool(len(exact.points))
+        assert (rough.mean_loss > above).all()
+        between = np.linalg.norm(rough.points[:, None] - rough.points, axis=2)
+        assert (between + 2.0 * apart * np.eye(len(between)) > apart).all()
 
 
 @pytest.mark.parametrize('case', SMALL, ids=str)

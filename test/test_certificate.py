@@ -23,7 +23,9 @@ from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.certificate import certify, lower_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
-from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE, make_budgets
+from ambush_planner.game.route_sampler import shortest_route_strategy
+from ambush_planner.game.slack import CERTIFICATE_TOLERANCE
+from ambush_planner.game.strategy import make_budgets
 
 SLACK = StrategyOptions().risk_slack
 
@@ -126,7 +128,10 @@ def test_a_budget_below_the_best_route_is_infeasible():
     lengths = game.network.lengths
     with pytest.raises(BudgetInfeasible, match=r'length 3 .*raise max_detour'):
         Budget(game, lengths, 2.9, 3.0, 'length', 'm')
-    assert Budget.length(game, 1.0).margin > 0.0
+    shortest = Budget.length(game, 1.0)
+    assert 0.0 < shortest.margin < 1e-9 and shortest.keeps(shortest_route_strategy(game))
+    nothing = Budget(game, 0.0 * lengths, 0.0, 0.0, 'exposure', 'loss x m')
+    assert 0.0 < nothing.margin < 1e-9 and nothing.keeps(shortest_route_strategy(game))
     assert not Budget.none(game).binds and Budget.none(game).least == pytest.approx(3.0)
 
 
