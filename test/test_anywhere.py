@@ -145,8 +145,8 @@ def test_if_no_law_is_found_the_flow_of_the_program_is_the_strategy(monkeypatch)
 
 
 def test_a_rough_search_finds_a_place_if_any_costs_more():
-    solution = solved_case('hills', 2.5, -1.0, 1.2, 0.3)
-    game, apart = solution.plan.strategy.game, 1.0
+    solution = solved_case('maze', 2.5, -1.0, 1.5, 0.3)
+    game, apart = solution.plan.strategy.game, 3.0
     chain = chain_of(game.network, shortest_route_strategy(game))
     worst = solution.losses_on(shortest_route_strategy(game)).max()
     for above in worst * np.array([0.2, 0.8, 0.95, 0.999, 1.2]):
