@@ -28,6 +28,7 @@ from ambush_planner import (
     PlanningOptions,
     RiskMap,
     StrategyOptions,
+    TimeLimit,
     plan_trip,
 )
 from ambush_planner.game.law.chain import chain_of
@@ -142,6 +143,18 @@ def test_if_no_law_is_found_the_flow_of_the_program_is_the_strategy(monkeypatch)
     best = kept.plan.strategy
     shortest = kept.losses_on(shortest_route_strategy(best.game)).max()
     assert best.value < strategy.value < shortest
+
+
+def test_a_plan_that_has_proved_nothing_in_time_does_not_search_for_a_bound():
+    # An ambusher at all places alike proves little, and that by a search that takes minutes.
+    options = PlanningOptions(network=NetworkOptions(spacing=SPACING), drive=DriveOptions(tube=0.3),
+                              game=GameOptions(ambush_radius=3.0),
+                              strategy=StrategyOptions(time_limit=1e-6))
+    with pytest.raises(TimeLimit) as late:
+        plan_trip(*ground(11, 'hills', 22), options)
+    ambusher = late.value.strategy.ambusher
+    assert late.value.strategy.lower_bound == 0.0
+    assert ambusher.circulation is not None and not len(ambusher.circulation.site)
 
 
 def test_a_rough_search_finds_a_place_if_any_costs_more():

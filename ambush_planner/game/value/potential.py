@@ -60,7 +60,9 @@ class Potential:
         self._z, self.bound = first, 0.0
         self._potential: FloatArray | None = None
         self._kept: FloatArray | None = None  # the latest potential within the budget
-        self.circulation: Circulation | None = None
+        none = np.zeros(0, dtype=np.int64)
+        self.circulation: Circulation | None = Circulation(np.zeros(len(faces.left)), none, none,
+                                                           np.zeros(0))
         self.q, self.price = np.zeros(0), 0.0
         self._start_with_links()
         self.add_sites(self.game.hits, self.game.loss[self.game.sites])
