@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of every published strategy by independent oracles; budgets, time limits, errors."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -323,6 +324,32 @@ def test_any_budgets_are_kept_or_infeasible(network, radius, detour, exposure):
     check_flow(network, strategy.edge_probability, 'max_entropy')
     assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
     assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
+
+
+@pytest.mark.parametrize('ambushers', [1, 2])
+@pytest.mark.parametrize('detour', [1.0, 1.2, np.inf])
+def test_without_any_time_there_is_a_strategy_within_the_budget(detour, ambushers):
+    points = [[0, 0], [0.2, 2], [0.4, 4], [2, 4.1], [3.6, 4], [3.8, 2], [4, 0]]
+    edges = [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (0, 4), (4, 2), (2, 6)]
+    network = Network(points, [0, 1, 0, 1, 0, 1, 0], edges, 0, 6)
+    options = StrategyOptions(max_detour=detour, time_limit=1e-6)
+    try:
+        strategy = solve(network, GameOptions(ambushers=ambushers), options)
+    except TimeLimit as late:
+        strategy = late.strategy
+    check_flow(network, strategy.edge_probability, 'max_entropy')
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
+
+
+def test_all_shortest_routes_are_drawn_alike_if_the_budget_allows_no_others():
+    x, y = np.meshgrid(np.arange(4.0), np.arange(4.0))
+    points = np.column_stack((x.ravel(), y.ravel()))
+    links = [(a, b) for a in range(16) for b in range(16)
+             if np.abs(points[a] - points[b]).sum() == 1.0]
+    alpha = np.append(np.append(0.0, np.ones(14)), 0.0)
+    network = Network(points, alpha, links, 0, 15)
+    strategy = solve(network, options=StrategyOptions(max_detour=1.0, risk_slack=10.0))
+    assert strategy.route_entropy == pytest.approx(math.log(20.0), rel=1e-3)
 
 
 def test_budgets_that_contradict_each_other_are_named():

@@ -33,7 +33,7 @@ class Budget:
     cost : (M,)
         Cost of each edge, >= 0.
     limit
-        Largest mean cost; ``inf``: no limit. It is raised a little if only the best routes fit.
+        Largest mean cost; ``inf``: no limit. It is raised to leave the least margin.
     least
         Cost of the best route of the whole network.
     name, unit

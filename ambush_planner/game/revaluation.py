@@ -30,7 +30,7 @@ def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
                     'length', network.travel_unit)
     least = strategy.least_exposure
     if math.isfinite(most) and network is not strategy.network:
-        factor = most / least if least > 0.0 else 0.0
+        factor = most / least if least > 0.0 else 1.0
         least = least_cost(network, network.edge_exposure)
         most = factor * least
     return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')

@@ -38,7 +38,7 @@ from .slack import ceiling, within
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
-from .value.routes import Progress, RouteMixture, Routes, unseen
+from .value.routes import MIN_FLOW, Progress, RouteMixture, Routes, unseen
 
 # Smallest risk slack of the search, relative to the value.
 MIN_SLACK = 9e-6
@@ -78,7 +78,7 @@ class Ground(Protocol):
 
     def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
               rough: bool) -> Any:
-        """The ``Places`` that cost drawn routes more than ``above``, so far apart [m].
+        """The ``Places`` that cost drawn routes more than ``above``, no two within ``apart`` [m].
 
         A ``rough`` search can miss the worst.
         """
@@ -114,6 +114,7 @@ class Solution(NamedTuple):
     On a trip the game's network can have copies of the trip's nodes and edges, after these.
     ``value`` is the strategy's, ``bound`` what the ambusher proves. ``entropy_bound`` is the most
     entropy [nats] that a strategy on the same acyclic network can have within the same limits.
+    ``late``: with more time the search would have gone on.
     """
 
     game: Game
@@ -125,6 +126,7 @@ class Solution(NamedTuple):
     multipliers: Multipliers | None
     evaluations: int
     entropy_bound: float
+    late: bool
 
 
 def most_unpredictable(problem: Problem) -> Solution:
@@ -280,6 +282,7 @@ class _Search:
         seconds.
         """
         with _trying():
+            program.prove_by_legs()
             program.solve(prove=False)
         apart, before = 1.0, program.value
         for _ in range(MAX_SWEEPS):
@@ -301,7 +304,8 @@ class _Search:
                 return
             joined = self._join_worst(copied.chain, copied.limit, APART)
             rating, mixed = (True, -max(copied.value, joined)), program.value
-            if self.best is None or rating > self.best[0]:
+            keeps = self._keeps_budgets(copied.chain.uses(len(self.game.playable)))
+            if keeps and (self.best is None or rating > self.best[0]):
                 self.copied = copied
                 self.best = rating, copied.chain, copied.value, copied.worst
             if self._late():
@@ -333,9 +337,10 @@ class _Search:
         return law
 
     def _new_law(self, step: float) -> Law:
-        game, flow = self.game, self.program.flow
-        if self.program.bound == 0.0:  # no route may be hit at all
-            game = game.avoiding(self.entering) or game
+        game, flow = self._noticeable(self.program.flow), self.program.flow
+        safe = game.avoiding(self.entering) if self.program.bound == 0.0 else None
+        if safe and not flow[~safe.playable].any():  # no route is hit at all
+            game = safe
         rank = rank_around(game, flow, order_potential(game))
         part = forward_part(game, rank)
         assert part is not None  # it contains the flow
@@ -349,6 +354,15 @@ class _Search:
             law.start_from(self.problem.warm.sites[self.game.sites],
                            np.array([price for price, b in prices if b.binds]), self._level())
         return law
+
+    def _noticeable(self, flow: FloatArray) -> Game:
+        """The game without edges that the budgets leave to less than ``MIN_FLOW`` of the routes.
+
+        So all best routes for a budget that allows no others are in one order of the nodes.
+        """
+        game = self.game
+        used = [game.through(b.excess) <= b.margin / MIN_FLOW for b in self.budgets if b.binds]
+        return game.restricted_to(np.all([game.playable, *used], axis=0) | (flow > 0.0)) or game
 
     def _keep(self, law: Law) -> None:
         """Keep the strategy of most entropy within the slack, else the one of least value.
@@ -371,6 +385,9 @@ class _Search:
 
     def _late(self) -> bool:
         return time.monotonic() > self.problem.deadline
+
+    def _was_late(self) -> bool:
+        return self._late() or isinstance(self.program, Routes) and self.program.late
 
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
@@ -400,7 +417,7 @@ class _Search:
         per_hit[game.sites] = weight[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64), self._of_all_budgets(prices))
         return Solution(game, self.budgets, chain.uses(len(game.playable)), value, bound, ambusher,
-                        multipliers, self.law.evaluations, self.law.entropy_bound)
+                        multipliers, self.law.evaluations, self.law.entropy_bound, self._was_late())
 
     def _worst_known(self, chain: MarkovChain, value: float, worst: int) -> tuple[float, int]:
         """The value and the row of the worst site, with those that joined for other strategies."""
@@ -428,7 +445,7 @@ class _Search:
         length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.budgets)
         ambusher = replace(ambusher, q=at_nodes(game, q))
         return Solution(game, (length, exposure), p, value, bound, ambusher, None,
-                        copied.evaluations, np.nan)
+                        copied.evaluations, np.nan, self._was_late())
 
     def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
         """The ambusher q (S,) in the game with the ``kept`` sites, and his bound."""
@@ -444,6 +461,8 @@ class _Search:
             node[kept] = game.sites
             ambusher = replace(ambusher, circulation=Circulation(found.through, node[found.site],
                                                            found.face, found.flow))
+        if self.program.bound == 0.0:  # a search for what he proves can take minutes
+            return ambusher, 0.0
         return ambusher, lower_bound(game, ambusher, self.budgets)
 
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:

@@ -369,7 +369,7 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
                        entropy_bound=found.entropy_bound)
     if within_slack(strategy, options):
         return strategy
-    if time.monotonic() < deadline:
+    if not found.late:
         return replace(strategy, counting_gap=True)
     raise TimeLimit(
         f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '

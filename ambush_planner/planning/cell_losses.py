@@ -135,12 +135,12 @@ class CellSearch:
             side //= _DIVISION
         found = self._of_parts(blocks, p, drawn, above, apart)
         if rough and not len(found.points):
-            return self.worst(drawn, above, apart)
+            return self.worst(drawn, above, apart, among=among)
         return found
 
     def _above(self, blocks: IndexArray, side: int, p: FloatArray,
                drawn: MarkovChain | RouteMixture, above: float, apart: float) -> IndexArray:
-        """The blocks (K, 2), so far ``apart``, in which a place may cost more than ``above``."""
+        """Blocks (K, 2) in which a place may cost more, no two of them within ``apart`` [m]."""
         loss = self._cells.of_blocks(side)[tuple(blocks.T)]
         blocks, loss = blocks[loss > above], loss[loss > above]
         rows, row = self._rows(blocks, side)

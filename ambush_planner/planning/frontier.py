@@ -141,6 +141,8 @@ def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
 
     A solve that ran out of time may be worse than one within tighter budgets.
     """
+    if row.error:
+        return row
     same = [each for each in rows if each.risk_slack == row.risk_slack and not each.error]
     tighter = [each for each in same if each.max_detour <= row.max_detour]
     best = min(tighter, key=lambda each: each.value, default=row)
@@ -148,4 +150,4 @@ def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
         row = replace(best, swept=row.swept, max_detour=row.max_detour, lower_bound=row.lower_bound)
     bound = max((each.lower_bound for each in same if each.max_detour >= row.max_detour),
                 default=row.lower_bound)
-    return row if row.error else replace(row, lower_bound=max(row.lower_bound, bound))
+    return replace(row, lower_bound=max(row.lower_bound, bound))

@@ -96,7 +96,7 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
             each for each in candidates.items() if each[0] not in taken]
         if not (places := _by_charge(strategy, given, radius)):
             break
-        steps.append(_best_of(places, radius, strategy, options.strategy.risk_slack, solved))
+        steps.append(_best_of(places, radius, strategy, options.strategy.slack, solved))
         strategy = steps[-1].strategy
     return Holding(before, tuple(steps))
 

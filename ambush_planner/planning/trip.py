@@ -245,12 +245,12 @@ class _StopOrderSearch:
     def _best_order(self, orders: IndexArray, legs: IndexArray, lengths: FloatArray,
                     limit: float) -> tuple[Strategy, tuple[int, ...], str]:
         """Solve the most promising order until no other can be better."""
-        slack, bounds = self._options.strategy.risk_slack, self._cut_bounds(orders, legs)
+        slack, bounds = self._options.strategy.slack, self._cut_bounds(orders, legs)
         left = np.ones(len(orders), dtype=bool)
         best: tuple[Strategy, tuple[int, ...]] | None = None
         while left.any():
             least = float(bounds[left].min())
-            near = left & (bounds <= ceiling(least, slack) + ROUNDING)
+            near = left & (bounds <= ceiling(least, slack))
             k = int(np.flatnonzero(near)[np.argmin(lengths[near])])
             left[k] = False
             try:

@@ -127,7 +127,9 @@ class _Laws:
         self._most_counted = _largest(hits, self.label, len(self._begin))
         self._conceded = np.column_stack([np.ravel(each) for each in entries]) > (
             ONCE * self._most_counted)
-        self._excess = csr_matrix(routes.excess[:, self.network.edge] / (1.0 - KEPT_MARGIN))
+        excess = [b.excess[self.network.edge] / b.margin for b in routes.budgets if b.binds]
+        shape = len(excess), len(self.network.edge)
+        self._excess = csr_matrix(np.reshape(excess, shape) / (1.0 - KEPT_MARGIN))
 
     def _copies(self, around: list[IndexArray], width: int) -> None:
         """Join copies around acyclic sets of edges at source and target; the first has no width."""

@@ -182,22 +182,22 @@ class Law:
 
     def _start(self, limits: csr_matrix, sites: IndexArray, q: FloatArray, prices: FloatArray,
                bound: float) -> FloatArray:
-        """The best multipliers of the last two rounds, or multiple of the ambusher's strategy.
+        """The better of the last two rounds' multipliers; at first the ambusher's may be better.
 
-        A chain far from the one before can have rows for which the last multipliers are far off.
+        Rows of a chain far from the one before can ask for multipliers far from the last ones.
         """
         starts = [np.append(np.pad(v, (0, len(self._loss) - len(v)))[sites], each)
                   for v, each in ((self.multipliers, self.prices), self._before)]
-        if not starts[0].any() and q.any() and bound > 0.0:
+        if self.rounds == 0 and q.any() and bound > 0.0:
             ambusher = np.append(q[sites] * self.level[sites], prices * self._margin) / bound
-            starts = [ambusher * 2.0**k for k in range(DOUBLINGS)]
+            starts[1:] = [ambusher * 2.0**k for k in range(DOUBLINGS)]
         return min(starts, key=lambda v: self.network.law(limits.T @ v)[0] + float(v.sum()))
 
     def _go_towards(self, newest: FloatArray) -> None:
         """Take the whole step if the value keeps to its limit, else a shorter one."""
         before, old, step = self.value, self.chain.p, self.step
         self.chain = MarkovChain(self.network, newest)
-        if self.rounds == 0 or self._value_of(self.chain) <= self.limit:
+        if self.rounds == 0 or within(self._value_of(self.chain), self._level_value, self.slack):
             return
         while True:
             self.chain = MarkovChain(self.network, (1.0 - step) * old + step * newest)

@@ -131,7 +131,10 @@ class Mixtures:
         return sums(np.concatenate(self.routes), weight, edges)
 
     def of_least_excess(self) -> Mixture:
-        """The mixture of least greatest excess: that is its value. Its prices weigh the budgets."""
+        """The mixture whose greatest excess is least: that is its value.
+
+        Its prices are how much each budget counts in it.
+        """
         excess = np.array(self._excess).T
         rows = np.column_stack((excess, -np.ones(len(excess))))
         cost, each = np.zeros(rows.shape[1]), np.ones((1, rows.shape[1]))

@@ -49,7 +49,7 @@ class Potential:
     def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float,
                  first: float = np.inf) -> None:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
-        self._precision = min(gap, PRECISION)
+        self._precision = min(max(gap, 2.0 / ENDLESS), PRECISION)  # an endless flow proves no more
         # Pairs of a face and a part of a rim, part by part, and the first pair of each part.
         self._face, self._site, self._lift, self._part, self._first = (
             np.zeros(0, dtype=np.int64) for _ in range(5))
@@ -60,9 +60,7 @@ class Potential:
         self._z, self.bound = first, 0.0
         self._potential: FloatArray | None = None
         self._kept: FloatArray | None = None  # the latest potential within the budget
-        none = np.zeros(0, dtype=np.int64)
-        self.circulation: Circulation | None = Circulation(np.zeros(len(faces.left)), none, none,
-                                                           np.zeros(0))
+        self.circulation: Circulation | None = None
         self.q, self.price = np.zeros(0), 0.0
         self._start_with_links()
         self.add_sites(self.game.hits, self.game.loss[self.game.sites])

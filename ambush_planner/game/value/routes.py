@@ -72,13 +72,15 @@ class Routes:
         His prices of the budgets [loss per unit of cost].
     routes, shares
         The routes, as edges, and their probabilities (C,).
+    late : bool
+        Whether the deadline ended the search.
 
     Raises BudgetInfeasible if no strategy is within all budgets.
     """
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
                  progress: Progress = unseen) -> None:
-        self.game, self.gap, self.deadline, self._budgets = game, gap, deadline, budgets
+        self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
         self._progress = progress
         binding = [b for b in budgets if b.binds]
         excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MAX_EXCESS), 0.0)
@@ -86,7 +88,7 @@ class Routes:
         self.excess = np.reshape(excess, (len(binding), len(game.playable)))
         legs = int(game.network.stops_before[-1]) + 1
         self.mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
-        self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
+        self.bound, self.value, self.shares, self.late = 0.0, math.inf, np.zeros(0), False
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
         self.add_sites(game.hits, game.loss[game.sites])
@@ -116,7 +118,7 @@ class Routes:
     @property
     def prices(self) -> FloatArray:
         """His prices of the budgets that bind [loss per unit of cost]."""
-        margins = [b.margin for b in self._budgets if b.binds]
+        margins = [b.margin for b in self.budgets if b.binds]
         return np.asarray(self._prices / np.array(margins))
 
     @property
@@ -178,8 +180,10 @@ class Routes:
     def _ended(self) -> bool:
         self._progress(self.value, self.bound)
         rounding = ROUNDING * float(self.loss.max(initial=0.0))
-        proved = within(self.value, max(self.bound, rounding), self.gap)
-        return proved or time.monotonic() > self.deadline
+        if within(self.value, max(self.bound, rounding), self.gap):
+            return True
+        self.late = time.monotonic() > self.deadline
+        return self.late
 
     def _begin(self) -> None:
         """Add the best route for each budget, and others until a mixture is within all budgets."""
@@ -193,7 +197,7 @@ class Routes:
                                                                    free)):
             least = self.mixtures.of_least_excess()
         if least.value > 1.0 + ROUNDING:
-            names = ' and '.join(b.option for b in self._budgets if b.binds)
+            names = ' and '.join(b.option for b in self.budgets if b.binds)
             raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
         self.mixtures.limit = max(least.value, 1.0)
 
