@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from ..arrays import ROUNDING, FloatArray
+from ..arrays import ROUNDING, FloatArray, IndexArray
 from ..errors import BudgetInfeasible
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
@@ -123,6 +125,12 @@ class Budget:
         """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
         used = p > 0.0
         return max(float(p[used] @ self.excess[used]) - self.margin, 0.0)
+
+
+def margin_rows(budgets: Sequence[Budget], edge: IndexArray) -> csr_matrix:
+    """Rows (B, m) of the budgets that bind: shares of the margin that edges (m,) take."""
+    rows = [b.excess[edge] / b.margin for b in budgets if b.binds]
+    return csr_matrix(np.reshape(rows, (len(rows), len(edge))))
 
 
 def least_cost(network: Network, cost: FloatArray) -> float:

@@ -337,7 +337,8 @@ class _Search:
         return law
 
     def _new_law(self, step: float) -> Law:
-        game, flow = self._noticeable(self.program.flow), self.program.flow
+        flow = self.program.flow
+        game = self._noticeable(flow)
         safe = game.avoiding(self.entering) if self.program.bound == 0.0 else None
         if safe and not flow[~safe.playable].any():  # no route is hit at all
             game = safe

@@ -106,8 +106,8 @@ def few_routes(plan: Plan, most: int, equal: bool = False,
     paths = driven_paths(plan.corridors, routes, plan.spacing, plan.options.drive.turning_radius)
     if plan.network.seconds is None:
         costs[0] = [np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths]
-    limits = [(cost / (budget.limit or 1.0)) for cost, budget in zip(
-        costs, plan.strategy.budgets, strict=True) if budget.binds]
+    limits = [cost / budget.limit for cost, budget in zip(costs, plan.strategy.budgets, strict=True)
+              if budget.binds]
     search = _Search(PathMixtures(plan.risk_map, plan, paths),
                      np.reshape(limits, (len(limits), len(paths))), equal)
     sizes = [*(k for k in CURVE if k < most), most]
@@ -137,7 +137,7 @@ def _promising(plan: Plan, routes: list[IndexArray],
     hit = csr_matrix(game.hits @ uses)
     hit.data[:] = 1.0  # however often a route comes back
     costs = np.array([budget.cost @ uses for budget in budgets])
-    limits = np.array([[budget.limit or 1.0] for budget in budgets])
+    limits = np.array([[budget.limit] for budget in budgets])
     best = best_shares(hit.multiply(game.loss[game.sites][:, None]).tocsr(), costs / limits)
     order = np.argsort(-best.shares, kind='stable')[:most]
     return [routes[k] for k in order], costs[:, order]

@@ -21,6 +21,7 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 from ...arrays import FloatArray, IndexArray, frozen_array, sums
 from ...errors import SolverFailed
 from ...network.trip_graph import with_copies
+from ..budget import margin_rows
 from ..game import Game
 from ..slack import ceiling, within
 from ..value.mixtures import Mixtures
@@ -127,9 +128,7 @@ class _Laws:
         self._most_counted = _largest(hits, self.label, len(self._begin))
         self._conceded = np.column_stack([np.ravel(each) for each in entries]) > (
             ONCE * self._most_counted)
-        excess = [b.excess[self.network.edge] / b.margin for b in routes.budgets if b.binds]
-        shape = len(excess), len(self.network.edge)
-        self._excess = csr_matrix(np.reshape(excess, shape) / (1.0 - KEPT_MARGIN))
+        self._excess = margin_rows(routes.budgets, self.network.edge) / (1.0 - KEPT_MARGIN)
 
     def _copies(self, around: list[IndexArray], width: int) -> None:
         """Join copies around acyclic sets of edges at source and target; the first has no width."""

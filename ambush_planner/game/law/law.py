@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from ...arrays import FloatArray, IndexArray
-from ..budget import Budget
+from ..budget import Budget, margin_rows
 from ..slack import ceiling, within
 from .chain import MarkovChain
 from .entropy_search import maximize_entropy
@@ -59,9 +59,7 @@ class Law:
         binding = [b for b in budgets if b.binds]
         # A law may exceed its limits by the tolerance, but not a budget.
         self._margin = np.array([b.margin * (1.0 - self._tolerance) for b in binding])
-        self._excess = csr_matrix(np.reshape(
-            [b.excess[network.edge] / m for b, m in zip(binding, self._margin, strict=True)],
-            (len(binding), len(network.edge))))
+        self._excess = margin_rows(binding, network.edge) / (1.0 - self._tolerance)
         self._entering = csr_matrix((0, len(p)))
         self._loss, self.level = np.zeros(0), np.zeros(0)
         self._claimed, self._reserve = np.zeros(0), np.zeros(0)
