@@ -61,7 +61,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
         right.scatter(*route.worst_place, s=130, color=AMBUSHER, edgecolors='white', zorder=5)
         right.annotate(
             f'worst place of the\n{route.name}: loss {route.loss:.2f}', route.worst_place,
-            xytext=(0.97, 0.33 - 0.14 * k), textcoords='axes fraction', ha='right',
+            xytext=(0.97, 0.33 - 0.14 * k), textcoords='axes fraction', ha='right', ma='left',
             path_effects=HALO, zorder=9,
             arrowprops={'arrowstyle': '-', 'relpos': (0.0, 0.5), 'linewidth': 1.2},
         )
