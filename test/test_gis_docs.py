@@ -31,6 +31,10 @@ def words(text):
     return ' '.join(re.findall(r'[a-z]{3,}', text))
 
 
+def numbers(text):
+    return [*map(float, re.findall(NUMBER, text))]
+
+
 def sources(kind):
     return [''.join(cell['source']) for cell in CELLS if cell['cell_type'] == kind]
 
@@ -61,8 +65,14 @@ def test_every_command_of_the_page_works(tmp_path):
     assert shown[:4] == printed[:4] and len(shown) == 11
     for one, other in zip(shown, printed, strict=True):
         assert words(one) == words(other)
-        assert [*map(float, re.findall(NUMBER, one))] == pytest.approx(
-            [*map(float, re.findall(NUMBER, other))], rel=0.02)
+        rest, _, bound = one.partition('better than')
+        its_rest, _, its_bound = other.partition('better than')
+        assert numbers(rest) == pytest.approx(numbers(its_rest), rel=0.02)
+        # Which bound rules the others out depends on which of several optimal ambushers was found,
+        # and so on the processor. It is never more than the slack below the value of the place.
+        if bound:
+            value = numbers(its_rest)[1]
+            assert 0.98 * value < float(its_bound) < 1.02 * float(bound)
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
     shown = next(text for kind, text in BLOCKS if kind == 'text' and 'routes' in text)
     assert set(words(shown).split()) <= set(words(done.stdout).split())
