@@ -49,7 +49,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     if found is None:  # rounding where the budget just fits, or nothing can be lost
         assert routes.bound == 0.0
         return
-    unrolled, p = found.unrolled(game)
+    unrolled, p = found.unrolled(found.chain)
     network, base, edge = unrolled.network, game.network, edges_of(game, found)
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
     count = len(base.points)
@@ -82,7 +82,7 @@ def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     found = law_on_copies(routes, SLACK, math.inf)
     if found is None:
         return
-    unrolled, p = found.unrolled(game)
+    unrolled, p = found.unrolled(found.chain)
     network, edge = unrolled.network, edges_of(game, found)
     chance: dict[bytes, float] = {}
     labelled = 0.0
@@ -115,7 +115,7 @@ def test_legs_that_have_to_agree():
     assert routes.value == pytest.approx(0.5, rel=1e-2)
     found = law_on_copies(routes, SLACK, math.inf)
     assert found.value <= 0.5 * (1.0 + 1.5 * SLACK)
-    unrolled, p = found.unrolled(game)
+    unrolled, p = found.unrolled(found.chain)
     assert worst_loss(unrolled, p) == pytest.approx(found.value)
     assert route_entropy(unrolled.network, p) <= math.log(4.0)
 

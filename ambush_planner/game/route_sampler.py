@@ -73,9 +73,8 @@ class RouteSampler:
         node, route = np.full(n, self._source), np.arange(n)
         routes, edges = [], []
         while len(node):
-            chance, step = rng.random(len(node)), first[node]
-            for end in self._ends:
-                step += chance >= end[node]
+            step = np.searchsorted(self._ends, node + rng.random(len(node)), side='right')
+            step = np.minimum(step, first[node + 1] - 1)  # the sum can be rounded up
             routes.append(route)
             edges.append(self._used[step])
             node = heads[edges[-1]]
@@ -85,17 +84,10 @@ class RouteSampler:
 
     @cached_property
     def _ends(self) -> FloatArray:
-        """Cumulative shares (D - 1, N) at which the steps of each node end; inf for the last one.
-
-        D is the largest number of steps from a node.
-        """
+        """The node of each step plus its cumulative share there, at which the step ends."""
         first, steps = np.array(self._first), np.array(self._steps)
-        tails = np.repeat(np.arange(len(first) - 1), np.diff(first))
-        place = np.arange(len(tails)) - first[tails]
-        last = first[tails + 1] - 1
-        ends = np.full((len(first) - 1, int(place.max(initial=0)) + 1), np.inf)
-        ends[tails, place] = np.where(np.arange(len(tails)) < last, steps / steps[last], np.inf)
-        return np.ascontiguousarray(ends.T[:-1])
+        tails = self._network.tails[self._used]
+        return np.asarray(tails + steps / steps[first[tails + 1] - 1])
 
     def _next(self, node: int, rng: np.random.Generator) -> int:
         first, last = self._first[node], self._first[node + 1] - 1

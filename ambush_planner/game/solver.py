@@ -31,7 +31,7 @@ from .game import Game
 from .hits import hits_can_differ, worst_loss
 from .law.acyclic import forward_part, order_potential, rank_around
 from .law.chain import MarkovChain, chain_of
-from .law.copies import Copied, law_on_copies
+from .law.copies import LawOnCopies, law_on_copies
 from .law.gibbs import acyclic_network
 from .law.law import STEP, Law
 from .slack import ceiling, within
@@ -207,7 +207,9 @@ class _Search:
         # Rating, strategy, its value and the row of its worst site.
         self.best: tuple[tuple[bool, float], MarkovChain, float, int] | None = None
         self.law: Law | None = None
-        self.copied: Copied | None = None
+        # On a trip: the latest law on copies, and that of the best strategy.
+        self.copies: LawOnCopies | None = None
+        self.copied: LawOnCopies | None = None
 
     def run(self) -> Solution | None:
         """Find the value, then the law; None if nothing found is within the budgets."""
@@ -263,8 +265,9 @@ class _Search:
         self.points = np.concatenate((self.points, found.points))
         self.entering = csr_matrix(vstack((self.entering, found.entering)))
         self.loss = np.append(self.loss, found.alpha)
-        if self.law:
-            self.law.add_sites(found.entering, found.alpha)
+        for law in (self.law, self.copies):
+            if law:
+                law.add_sites(found.entering, found.alpha)
 
     def _level(self) -> FloatArray:
         """What each site (S,) may cause; the k largest add up to the value at a slack of 0."""
@@ -299,21 +302,25 @@ class _Search:
             program.prove_by_legs()
             program.solve()
         for _ in range(ROUNDS):
-            copied = law_on_copies(program, self.slack, self.problem.deadline)
-            if copied is None or self.best and self._late():
+            if self.copies is None or not self.copies.run(self.problem.deadline):
+                self.copies = law_on_copies(program, self.slack, self.problem.deadline)
+            copies = self.copies
+            if copies is None or self.best and self._late():
                 return
-            joined = self._join_worst(copied.chain, copied.limit, APART)
-            rating, mixed = (True, -max(copied.value, joined)), program.value
-            keeps = self._keeps_budgets(copied.chain.uses(len(self.game.playable)))
+            chain, value, worst = copies.chain, copies.value, copies.worst
+            joined = self._join_worst(chain, copies.limit, APART)
+            rating, mixed = (True, -max(value, joined)), program.value
+            keeps = self._keeps_budgets(chain.uses(len(self.game.playable)))
             if keeps and (self.best is None or rating > self.best[0]):
-                self.copied = copied
-                self.best = rating, copied.chain, copied.value, copied.worst
+                self.copied, self.best = copies, (rating, chain, value, worst)
             if self._late():
                 return
             with _trying():
                 program.solve(prove=not joined)
-            if not joined and within(mixed, program.value, self.slack / 4.0):
-                return
+            if not joined:
+                if within(mixed, program.value, self.slack / 4.0):
+                    return
+                self.copies = None
 
     def _find_law(self, step: float) -> Law:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
@@ -412,7 +419,7 @@ class _Search:
         game = self.game.with_sites(*sites)
         ambusher, bound = self._judged(game, q, kept)
         if self.copied:
-            return self._unrolled(self.copied, sites, ambusher, q[kept], value, bound)
+            return self._unrolled(self.copied, chain, sites, ambusher, q[kept], value, bound)
         assert self.law is not None
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weight[kept]
@@ -422,7 +429,7 @@ class _Search:
 
     def _worst_known(self, chain: MarkovChain, value: float, worst: int) -> tuple[float, int]:
         """The value and the row of the worst site, with those that joined for other strategies."""
-        most = self.loss * np.minimum(self.entering @ chain.uses(self.entering.shape[1]), 1.0)
+        most = self.loss * chain.meets_at_most(self.entering)
         more = np.flatnonzero(most > value * (1.0 + ROUNDING))
         losses = self.loss[more] * chain.meets(self.entering[more])
         if losses.max(initial=0.0) <= value * (1.0 + ROUNDING):
@@ -436,11 +443,12 @@ class _Search:
         p = self.program.flow
         return chain_of(self.game.network, p), worst_loss(self.game, p), -1
 
-    def _unrolled(self, copied: Copied, sites: tuple[FloatArray, FloatArray, csr_matrix],
-                  ambusher: Ambusher, q: FloatArray, value: float, bound: float) -> Solution:
+    def _unrolled(self, copied: LawOnCopies, chain: MarkovChain,
+                  sites: tuple[FloatArray, FloatArray, csr_matrix], ambusher: Ambusher,
+                  q: FloatArray, value: float, bound: float) -> Solution:
         """The solution on the copies' network, with the sites added there as well."""
-        edge = np.append(np.arange(len(self.game.playable)), copied.chain.network.edge)
-        game, p = copied.unrolled(self.game)
+        edge = np.append(np.arange(len(self.game.playable)), copied.network.edge)
+        game, p = copied.unrolled(chain)
         points, loss, entering = sites
         game = game.with_sites(points, loss, csr_matrix(entering[:, edge]))
         length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.budgets)

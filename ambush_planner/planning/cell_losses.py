@@ -125,26 +125,26 @@ class CellSearch:
         blocks within ``apart`` of each other it follows the one of the largest bound. Without
         ``among`` (K, 2) all cells count.
         """
-        side, p = self._first if among is None else 1, drawn.uses(len(self._game.playable))
+        side = self._first if among is None else 1
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
         while True:
-            blocks = self._above(blocks, side, p, drawn, above, apart * rough)
+            blocks = self._above(blocks, side, drawn, above, apart * rough)
             if side == 1:
                 break
             blocks = self._cells.divided(blocks, side)
             side //= _DIVISION
-        found = self._of_parts(blocks, p, drawn, above, apart)
+        found = self._of_parts(blocks, drawn, above, apart)
         if rough and not len(found.points):
             return self.worst(drawn, above, apart, among=among)
         return found
 
-    def _above(self, blocks: IndexArray, side: int, p: FloatArray,
-               drawn: MarkovChain | RouteMixture, above: float, apart: float) -> IndexArray:
+    def _above(self, blocks: IndexArray, side: int, drawn: MarkovChain | RouteMixture,
+               above: float, apart: float) -> IndexArray:
         """Blocks (K, 2) in which a place may cost more, no two of them within ``apart`` [m]."""
         loss = self._cells.of_blocks(side)[tuple(blocks.T)]
         blocks, loss = blocks[loss > above], loss[loss > above]
         rows, row = self._rows(blocks, side)
-        most = loss * np.minimum((rows @ p)[row], 1.0)
+        most = loss * drawn.meets_at_most(rows)[row]
         blocks, loss, row = blocks[most > above], loss[most > above], row[most > above]
         if side > _DIVISION or side == self._parts == 1:
             return blocks
@@ -155,7 +155,7 @@ class CellSearch:
             order = _apart(self._cells.centres(blocks, side), order, apart)
         return np.asarray(blocks[np.sort(order)])
 
-    def _of_parts(self, cells: IndexArray, p: FloatArray, drawn: MarkovChain | RouteMixture,
+    def _of_parts(self, cells: IndexArray, drawn: MarkovChain | RouteMixture,
                   above: float, apart: float) -> Places:
         """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_cells(cells), self._parts
@@ -167,7 +167,7 @@ class CellSearch:
         out = ~self._game.held.shrunk(self._widened).covers(points)
         parts, which, points = parts[out], which[out], points[out]
         rows, row = self._rows(parts, 1.0 / n)
-        most = loss[which] * np.minimum((rows @ p)[row], 1.0)
+        most = loss[which] * drawn.meets_at_most(rows)[row]
         some = np.flatnonzero((most > above) & ~np.isin(row, self._returned))
         which, points, row = which[some], points[some], row[some]
         losses = loss[which] * drawn.meets(rows[row])

@@ -50,6 +50,9 @@ class MarkovChain:
         self._at_ahead, self._at_behind = np.argsort(onwards.order), np.argsort(backwards.order)
         self._unvisited = (self.visits <= MIN_VISITS).astype(np.float64)
         self._per_visit = (1.0 - self._unvisited) / np.maximum(self.visits, MIN_VISITS)
+        # How likely a route is in each part.
+        begin = network.tail == 0
+        self._weight = sums(network.part[begin], self.p[begin], int(network.part.max()) + 1)
         self._into = np.searchsorted(network.head[onwards.order], np.arange(network.count + 1))
 
     def uses(self, edges: int) -> FloatArray:
@@ -60,6 +63,19 @@ class MarkovChain:
         """P(hit) (K,) by sites whose discs are entered by the whole network's edges (K, M)."""
         return self.hits(self.network.columns(rows))
 
+    def meets_at_most(self, rows: csr_matrix) -> FloatArray:
+        """An upper bound (K,) of ``meets`` that is fast to find.
+
+        In each part of the network, entries and routes are at least as many as hits.
+        """
+        part, weight = self.network.part, self._weight
+        if len(weight) == 1:
+            return np.minimum(rows @ self.uses(rows.shape[1]), 1.0)
+        uses = csr_matrix((self.p, (self.network.edge, part)), (rows.shape[1], len(weight)))
+        entries = csr_matrix(rows @ uses)
+        entries.data = np.minimum(entries.data, weight[entries.indices])
+        return np.asarray(entries.sum(axis=1)).ravel()
+
     @property
     def entropy(self) -> float:
         """Entropy of a drawn route [nats]."""
@@ -68,11 +84,14 @@ class MarkovChain:
 
     def hits(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
-        hit = np.zeros(rows.shape[0])
+        sites, count, entry = rows.shape[0], len(self._weight), rows.tocoo()
+        key, row = np.unique(entry.row.astype(np.int64) * count + self.network.part[entry.col], return_inverse=True)
+        rows = csr_matrix((entry.data, (row, entry.col)), (len(key), rows.shape[1]))
+        hit = np.zeros(len(key))
         tails, weight = self.network.tail[rows.indices], self.share[rows.indices] * rows.data
         for site, own, _, _, arriving in self._each(rows):
             hit[site] = arriving[tails[own]] @ weight[own]
-        return np.minimum(hit, 1.0)
+        return np.minimum(sums(key // count, hit, sites), 1.0)
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
         """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""

@@ -13,7 +13,7 @@ counts with its whole weight, times the largest load with which they enter.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
@@ -45,40 +45,7 @@ ONCE = 1.0 + 1e-9
 EXACT = 200
 
 
-@dataclass(frozen=True, eq=False)
-class Copied:
-    """A law on copies of the ground.
-
-    Attributes
-    ----------
-    chain : MarkovChain
-        On the copies' edges; ``chain.network.edge`` are the trip's edges that they stand for.
-    node : (n,)
-        The trip's node that each copied node stands for, without source and target.
-    value : float
-        What the best ambush costs on average, each route counted once.
-    limit : float
-        What it may cost.
-    worst : int
-        The row of the site that costs most.
-    evaluations : int
-        Of the Gibbs law.
-    """
-
-    chain: MarkovChain
-    node: IndexArray
-    value: float
-    limit: float
-    worst: int
-    evaluations: int
-
-    def unrolled(self, game: Game) -> tuple[Game, FloatArray]:
-        """The trip's game with the copies' nodes and edges after its own, and the p (M',) there."""
-        p = np.append(np.zeros(len(game.playable)), self.chain.p)
-        return _on_copies(game, self.chain.network, self.node), frozen_array(p, np.float64)
-
-
-def law_on_copies(routes: Routes, slack: float, deadline: float) -> Copied | None:
+def law_on_copies(routes: Routes, slack: float, deadline: float) -> LawOnCopies | None:
     """The law on copies around few routes of a solved program, or around more if it costs too much.
 
     Its value is at most (1 + slack) times the bound if possible, or (1 + slack / 2) times that of
@@ -87,7 +54,7 @@ def law_on_copies(routes: Routes, slack: float, deadline: float) -> Copied | Non
     bound is 0: one chain on the edges that no site hits needs no labels.
     """
     order, count = np.argsort(-routes.shares, kind='stable'), FEWEST
-    best: Copied | None = None
+    best: LawOnCopies | None = None
     while routes.bound > 0.0 and time.monotonic() < deadline:
         few, every = routes.mixtures.among(order[:count]), count >= len(order)
         count *= 2
@@ -98,37 +65,66 @@ def law_on_copies(routes: Routes, slack: float, deadline: float) -> Copied | Non
         value = few.value(shares)
         if within(value, routes.value, FEW_LOSE * slack) or every:
             limit = max(ceiling(routes.bound, slack), ceiling(value, slack / 2.0))
-            found = _Laws(routes, few, shares, limit, slack, count // 2).best(deadline)
-            if found and (best is None or found.value < best.value):
-                best = found
+            law = LawOnCopies(routes, few, shares, limit, slack, count // 2)
+            if law.run(deadline, LAWS) and (best is None or law.value < best.value):
+                best = law
             if every or best and best.value <= limit:
                 return best
     return best
 
 
-class _Laws:
-    """Laws on copies around the mixture of some routes, with a value of at most ``limit``."""
+class LawOnCopies:
+    """Laws on copies around the mixture of some routes, with a value of at most ``limit``.
+
+    Attributes
+    ----------
+    chain : MarkovChain
+        On the copies' edges; ``chain.network.edge`` are the trip's edges that they stand for.
+    node : (n,)
+        The trip's node that each copied node stands for, without source and target.
+    value : float
+        What the best ambush costs on average, each route counted once.
+    worst : int
+        The row of the site that costs most.
+    evaluations : int
+        Of the Gibbs law.
+    """
 
     def __init__(self, routes: Routes, few: Mixtures, shares: FloatArray, limit: float,
                  slack: float, count: int) -> None:
-        self.game, self.limit, self.slack = routes.game, limit, slack
-        self._loss, self._entering = routes.loss, routes.entering
-        self._ambushers = few.ambushers
-        level = few.level(shares, routes.gap)
-        most = level * limit * (1.0 - (1.0 - AIM) * slack) / few.value(shares)
-        self._most = most / self._loss
-        edges = len(self.game.playable)
-        ground = conserved_strategy(self.game, few.flow(shares, edges), MIN_FLOW)
+        self.game, self.limit, self.slack, self.evaluations = routes.game, limit, slack, 0
+        self._few, self._shares, self._gap = few, shares, routes.gap
+        ground = conserved_strategy(self.game, few.flow(shares, len(self.game.playable)), MIN_FLOW)
         assert ground is not None
         self._copies([np.flatnonzero(ground), *few.routes], max(WIDTH // count, 1))
-        # By site and label: whether the label concedes the site.
-        entries = [np.zeros(len(self._loss)), *(self._entering[:, route].sum(axis=1)
-                                                for route in few.routes)]
-        hits = csr_matrix(self._entering[:, self.network.edge])
-        self._most_counted = _largest(hits, self.label, len(self._begin))
-        self._conceded = np.column_stack([np.ravel(each) for each in entries]) > (
-            ONCE * self._most_counted)
         self._excess = margin_rows(routes.budgets, self.network.edge) / (1.0 - KEPT_MARGIN)
+        self._prices, self._multipliers = np.zeros(self._excess.shape[0]), np.zeros(0)
+        self._hits = csr_matrix((0, len(self.label)))
+        # By site and label: the largest count of an entry, and whether the label concedes the site.
+        self._largest = np.zeros((0, len(self._begin)))
+        self._conceded = np.zeros(self._largest.shape, dtype=bool)
+        self._know(routes.entering)
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
+        self._few.add_sites(entering, loss)
+        self._know(entering)
+
+    def _know(self, entering: csr_matrix) -> None:
+        hits = self.network.columns(entering)
+        entry, largest = hits.tocoo(), np.zeros((hits.shape[0], len(self._begin)))
+        np.maximum.at(largest, (entry.row, self.label[entry.col]), entry.data)
+        entries = [np.zeros(hits.shape[0]), *(np.ravel(entering[:, route].sum(axis=1))
+                                              for route in self._few.routes)]
+        self._hits = csr_matrix(vstack((self._hits, hits)))
+        self._largest = np.vstack((self._largest, largest))
+        self._conceded = np.vstack((self._conceded, np.column_stack(entries) > ONCE * largest))
+        self._multipliers = np.append(self._multipliers, np.zeros(len(largest)))
+
+    def unrolled(self, chain: MarkovChain) -> tuple[Game, FloatArray]:
+        """The trip's game with the copies' nodes and edges after its own, and a law's p (M',)."""
+        p = np.append(np.zeros(len(self.game.playable)), chain.p)
+        return _on_copies(self.game, self.network, self.node), frozen_array(p, np.float64)
 
     def _copies(self, around: list[IndexArray], width: int) -> None:
         """Join copies around acyclic sets of edges at source and target; the first has no width."""
@@ -152,64 +148,59 @@ class _Laws:
         self._begin = [np.flatnonzero((self.network.tail == 0) & (self.label == k))
                        for k in range(len(around))]
 
-    def best(self, deadline: float) -> Copied | None:
-        """The last law within the limit, else the one of least value; None if there is none."""
-        start, best = np.zeros(len(self._loss) + self._excess.shape[0]), None
-        hits, evaluations = csr_matrix(self._entering[:, self.network.edge]), 0
-        for _ in range(LAWS):
-            rows = csr_matrix(diags(1.0 / self._most) @ self._counted(hits))
+    def run(self, deadline: float, laws: int = 1) -> bool:
+        """Find the last of some laws within the limit, else the one of least value.
+
+        Each concedes by the law before. Returns False if there is none.
+        """
+        level = self._few.level(self._shares, self._gap) / self._few.value(self._shares)
+        most = level * self.limit * (1.0 - (1.0 - AIM) * self.slack) / self._few.loss
+        self.value = np.inf
+        for _ in range(laws):
+            rows = csr_matrix(diags(1.0 / most) @ self._counted())
             near = np.flatnonzero(np.asarray(rows.sum(axis=1)).ravel() > 1.0)
-            moved = np.append(near, np.arange(len(self._loss), len(start)))
             found = maximize_entropy(self.network, csr_matrix(vstack((rows[near], self._excess))),
-                                     start[moved], TOLERANCE * self.slack, deadline, len(near))
-            evaluations += found.evaluations
+                                     np.append(self._multipliers[near], self._prices),
+                                     TOLERANCE * self.slack, deadline, len(near))
+            self.evaluations += found.evaluations
             if found.infeasible or not len(found.p):
                 break
-            start[:] = 0.0
-            start[moved] = found.multipliers
+            self._multipliers[:] = 0.0
+            self._multipliers[near], self._prices = np.split(found.multipliers, [len(near)])
             chain = MarkovChain(self.network, found.p)
-            losses = self._losses(hits, chain)
-            value = float(np.sort(losses)[len(losses) - self._ambushers :].sum())
             if (self._excess @ chain.p * (1.0 - KEPT_MARGIN) > 1.0).any():  # the time is up
                 break
-            if best is None or value <= max(self.limit, best.value):
-                best = Copied(chain, self.node, value, self.limit, int(losses.argmax()),
-                              evaluations)
-        return best
+            losses = self._losses(chain)
+            value = float(np.sort(losses)[len(losses) - self._few.ambushers :].sum())
+            if value <= max(self.limit, self.value):
+                self.chain, self.value, self.worst = chain, value, int(losses.argmax())
+        return self.value < np.inf
 
-    def _counted(self, hits: csr_matrix) -> csr_matrix:
+    def _counted(self) -> csr_matrix:
         """The rows (S, m) of the limits: entries, or the weight of a label that concedes."""
-        entry, (site, label) = hits.tocoo(), np.nonzero(self._conceded)
+        entry, (site, label) = self._hits.tocoo(), np.nonzero(self._conceded)
         kept = ~self._conceded[entry.row, self.label[entry.col]]
         begin = [self._begin[k] for k in label]
         row = np.concatenate((entry.row[kept], np.repeat(site, list(map(len, begin)))))
         column = np.concatenate((entry.col[kept], *begin))
-        most = np.repeat(self._most_counted[site, label], list(map(len, begin)))
+        most = np.repeat(self._largest[site, label], list(map(len, begin)))
         counts = np.append(entry.data[kept], most)
-        return csr_matrix((counts, (row, column)), hits.shape)
+        return csr_matrix((counts, (row, column)), self._hits.shape)
 
-    def _losses(self, hits: csr_matrix, chain: MarkovChain) -> FloatArray:
+    def _losses(self, chain: MarkovChain) -> FloatArray:
         """Mean losses (S,) of a law; in the next one, labels concede what they enter twice in it.
 
         Those that are not among the largest are upper bounds.
         """
-        entry, labels, law = hits.tocoo(), len(self._begin), chain.p
-        entries = sums(entry.row * labels + self.label[entry.col], entry.data * law[entry.col],
-                       len(self._loss) * labels).reshape(-1, labels)
-        weight = np.array([law[begin].sum() for begin in self._begin])
-        weight = weight * self._most_counted
+        entry, labels, loss = self._hits.tocoo(), len(self._begin), self._few.loss
+        entries = sums(entry.row * labels + self.label[entry.col], entry.data * chain.p[entry.col],
+                       len(loss) * labels).reshape(-1, labels)
+        weight = np.array([chain.p[begin].sum() for begin in self._begin]) * self._largest
         self._conceded = entries > weight * ONCE
-        losses = self._loss * np.minimum(entries, weight).sum(axis=1)
+        losses = loss * np.minimum(entries, weight).sum(axis=1)
         worst = np.argsort(-losses)[:EXACT]
-        losses[worst] = self._loss[worst] * chain.hits(hits[worst])
+        losses[worst] = loss[worst] * chain.hits(self._hits[worst])
         return np.asarray(losses)
-
-
-def _largest(hits: csr_matrix, label: IndexArray, labels: int) -> FloatArray:
-    """The largest count of an entry in ``hits`` (S, m) by site and label (S, labels)."""
-    entry, largest = hits.tocoo(), np.zeros((hits.shape[0], labels))
-    np.maximum.at(largest, (entry.row, label[entry.col]), entry.data)
-    return largest
 
 
 def _part(game: Game, used: IndexArray, potential: FloatArray,

@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ...arrays import FloatArray, IndexArray, sums
 from ...network.network import Network
@@ -53,6 +54,11 @@ class AcyclicNetwork:
         kept = column >= 0
         first = np.concatenate(([0], np.cumsum(kept)))[rows.indptr]
         return csr_matrix((rows.data[kept], column[kept], first), (rows.shape[0], len(self.edge)))
+
+    @cached_property
+    def part(self) -> IndexArray:
+        """The part (m,) of each edge: parts have no node but source and target in common."""
+        return _parts(self.tail, self.head, self.count)[np.where(self.tail, self.tail, self.head)]
 
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -161,8 +167,18 @@ def acyclic_network(network: Network, edge: IndexArray, rank: IndexArray) -> Acy
     place = np.full(len(network.points), -1)
     place[nodes] = np.arange(len(nodes))
     tail, head = place[network.edges[edge]].T
+    # Part by part, so that what happens in one part takes a pass over this part only.
+    place = np.argsort(np.argsort(_parts(tail, head, len(nodes)), kind='stable'))
+    tail, head = place[tail], place[head]
     order = np.lexsort((head, tail))
     return AcyclicNetwork(tail[order], head[order], edge[order])
+
+
+def _parts(tail: IndexArray, head: IndexArray, count: int) -> IndexArray:
+    """The part (n,) of each node, in the order of their first nodes; the target's is the last."""
+    inner = (tail > 0) & (head < count - 1)
+    graph = csr_matrix((np.ones(np.count_nonzero(inner)), (tail[inner], head[inner])), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -358,6 +358,10 @@ class RouteMixture:
         """Expected uses of each of the network's ``edges``."""
         return sums(self._edge, self._shares[self._route], edges)
 
+    def meets_at_most(self, rows: csr_matrix) -> FloatArray:
+        """An upper bound (K,) of ``meets`` that is fast to find."""
+        return np.minimum(rows @ self.uses(rows.shape[1]), 1.0)
+
     def meets(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, M).
 
