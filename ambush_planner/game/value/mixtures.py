@@ -130,6 +130,17 @@ class Mixtures:
         weight = np.repeat(shares, list(map(len, self.routes)))
         return sums(np.concatenate(self.routes), weight, edges)
 
+    def drawn(self, shares: FloatArray, rng: np.random.Generator) -> IndexArray:
+        """A route of edges drawn from a mixture, way by way if these lead from stop to stop."""
+        begin, end = np.array(self._between[: len(shares)]).T
+        ways, at = [], 0
+        while at < end.max():
+            weight = np.where(begin == at, shares, 0.0)
+            k = int(rng.choice(len(shares), p=weight / weight.sum()))
+            ways.append(self.routes[k])
+            at = end[k]
+        return np.concatenate(ways)
+
     def of_least_excess(self) -> Mixture:
         """The mixture whose greatest excess is least: that is its value.
 

@@ -42,7 +42,9 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
 # The same for the ways of one leg.
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
 # Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
-FIRST_TURN, LEG_ROUNDS = 16, 60
+FIRST_TURN, LEG_ROUNDS = 16, 400
+# Trips that are drawn from the legs' mixture each time it is found.
+TRIPS = 100
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
 # edge that it does not.
 MAX_EXCESS, MIN_FLOW = 1e7, 1e-7
@@ -305,19 +307,25 @@ class Routes:
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
-        precision = LOOSE
+        precision, centre = LOOSE, None
+        quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
         for _ in range(LEG_ROUNDS):
-            mixture, added = self._of_legs.solve(precision), 0
+            mixture, added, last = self._of_legs.solve(precision), 0, precision == TIGHT
             if not mixture.q.any():  # no site needs to be met
                 return
-            if precision == LOOSE and self.game.reach > 0.0:
-                added = self._add_entering_ways(mixture)
+            if not last:
+                centre = mixture if centre is None else _between(centre, mixture)
+                added = quick(centre) + quick(mixture)
             if not added:
                 precision, added = TIGHT, self._proof_by_legs(mixture)
-                if not added or within(mixture.value, self.bound, self.gap / 2.0):
-                    return
+            if within(mixture.value, self.bound, self.gap / 2.0) or last and not added:
+                break
             if self._ended():
                 return
+        for _ in range(TRIPS):
+            self._add(self._of_legs.drawn(mixture.shares, self._rng))
+        if len(self.shares):
+            self.shares = np.pad(self.shares, (0, len(self.routes) - len(self.shares)))
 
     def _add_entering_ways(self, mixture: Mixture) -> int:
         """Add each leg's way of least cost if every entry is charged."""
