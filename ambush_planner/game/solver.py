@@ -52,8 +52,9 @@ FIRST_LEVEL = 2.0
 # Least distance of places that join at once, as a share of the reach: places near each other hit
 # nearly the same routes. In the last sweeps of a program that is not over routes it is 0.
 APART = 0.25
-# Share of the time after which a program over a trip's routes ends: its law takes seconds.
-OF_TIME = 0.8
+# Shares of the time after which places no longer join a program over a trip's routes, and after
+# which it ends: its proof and its law take seconds.
+JOINED, SOLVED = 0.6, 0.8
 # Rounds in which places join before the first law, in the last of them all; more while the value
 # is 0.
 SWEEPS, MAX_SWEEPS = 3, 20
@@ -191,9 +192,7 @@ def _program_within_budgets(problem: Problem, slack: float,
         if faces and faces.same_both_ways(budget.cost):
             first = FIRST_LEVEL * cut.bound if cut else np.inf
             return Potential(faces, budget, PROGRAM_GAP * slack, problem.deadline, first)
-    now, legs = time.monotonic(), game.network.legs
-    deadline = now + (problem.deadline - now) * (OF_TIME if legs > 1 else 1.0)
-    return Routes(game, binding, ROUTES_GAP * slack, deadline, problem.progress)
+    return Routes(game, binding, ROUTES_GAP * slack, problem.deadline, problem.progress)
 
 
 class _Search:
@@ -284,8 +283,11 @@ class _Search:
         Places join a mixture of routes first, and prove its value once they have: a proof takes
         seconds.
         """
+        begin, end = time.monotonic(), self.problem.deadline
+        program.deadline = begin + JOINED * (end - begin)
         with _trying():
-            program.prove_by_legs()
+            if self.game.reach == 0.0:
+                program.prove_by_legs()
             program.solve(prove=False)
         apart, before = 1.0, program.value
         for _ in range(MAX_SWEEPS):
@@ -298,6 +300,7 @@ class _Search:
                 if within(program.value, before, self.slack / 4.0):  # the bound may be near
                     program.prove_by_legs()
             apart, before = max(apart / 2.0, APART), program.value
+        program.deadline = begin + SOLVED * (end - begin)
         with _trying():
             program.prove_by_legs()
             program.solve()

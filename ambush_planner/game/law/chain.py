@@ -70,7 +70,7 @@ class MarkovChain:
         """
         part, weight = self.network.part, self._weight
         if len(weight) == 1:
-            return np.minimum(rows @ self.uses(rows.shape[1]), 1.0)
+            return np.asarray(np.minimum(rows @ self.uses(rows.shape[1]), 1.0))
         uses = csr_matrix((self.p, (self.network.edge, part)), (rows.shape[1], len(weight)))
         entries = csr_matrix(rows @ uses)
         entries.data = np.minimum(entries.data, weight[entries.indices])
@@ -84,14 +84,16 @@ class MarkovChain:
 
     def hits(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
-        sites, count, entry = rows.shape[0], len(self._weight), rows.tocoo()
-        key, row = np.unique(entry.row.astype(np.int64) * count + self.network.part[entry.col], return_inverse=True)
+        sites, parts, entry = rows.shape[0], len(self._weight), rows.tocoo()
+        # A pass over one part is short, and a route is in one part only.
+        by_part = entry.row.astype(np.int64) * parts + self.network.part[entry.col]
+        key, row = np.unique(by_part, return_inverse=True)
         rows = csr_matrix((entry.data, (row, entry.col)), (len(key), rows.shape[1]))
         hit = np.zeros(len(key))
         tails, weight = self.network.tail[rows.indices], self.share[rows.indices] * rows.data
         for site, own, _, _, arriving in self._each(rows):
             hit[site] = arriving[tails[own]] @ weight[own]
-        return np.minimum(sums(key // count, hit, sites), 1.0)
+        return np.minimum(sums(key // parts, hit, sites), 1.0)
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
         """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""

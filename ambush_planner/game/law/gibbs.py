@@ -177,7 +177,8 @@ def acyclic_network(network: Network, edge: IndexArray, rank: IndexArray) -> Acy
 def _parts(tail: IndexArray, head: IndexArray, count: int) -> IndexArray:
     """The part (n,) of each node, in the order of their first nodes; the target's is the last."""
     inner = (tail > 0) & (head < count - 1)
-    graph = csr_matrix((np.ones(np.count_nonzero(inner)), (tail[inner], head[inner])), (count, count))
+    ones = np.ones(np.count_nonzero(inner))
+    graph = csr_matrix((ones, (tail[inner], head[inner])), (count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 

@@ -41,9 +41,10 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
             (math.inf, 4_000_000, 1e-2))
 # The same for the ways of one leg.
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
-# Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
+# Rounds before the legs' program runs, or is proved, for the first time, then twice as many and so
+# on; its rounds.
 FIRST_TURN, LEG_ROUNDS = 16, 400
-# Trips that are drawn from the legs' mixture each time it is found.
+# Trips that are drawn from the legs' mixture to begin with.
 TRIPS = 100
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
 # edge that it does not.
@@ -307,25 +308,26 @@ class Routes:
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
-        precision, centre = LOOSE, None
+        precision, turn, centre = LOOSE, FIRST_TURN, None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
-        for _ in range(LEG_ROUNDS):
+        for rounds in range(LEG_ROUNDS):
             mixture, added, last = self._of_legs.solve(precision), 0, precision == TIGHT
             if not mixture.q.any():  # no site needs to be met
                 return
             if not last:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = quick(centre) + quick(mixture)
-            if not added:
-                precision, added = TIGHT, self._proof_by_legs(mixture)
+            precision = precision if added else TIGHT
+            if not added or rounds == turn:
+                added += self._proof_by_legs(mixture)
+                turn *= 2
             if within(mixture.value, self.bound, self.gap / 2.0) or last and not added:
                 break
             if self._ended():
                 return
-        for _ in range(TRIPS):
-            self._add(self._of_legs.drawn(mixture.shares, self._rng))
-        if len(self.shares):
-            self.shares = np.pad(self.shares, (0, len(self.routes) - len(self.shares)))
+        if not len(self.shares):
+            for _ in range(TRIPS):
+                self._add(self._of_legs.drawn(mixture.shares, self._rng))
 
     def _add_entering_ways(self, mixture: Mixture) -> int:
         """Add each leg's way of least cost if every entry is charged."""
@@ -368,7 +370,7 @@ class RouteMixture:
 
     def meets_at_most(self, rows: csr_matrix) -> FloatArray:
         """An upper bound (K,) of ``meets`` that is fast to find."""
-        return np.minimum(rows @ self.uses(rows.shape[1]), 1.0)
+        return np.asarray(np.minimum(rows @ self.uses(rows.shape[1]), 1.0))
 
     def meets(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, M).
