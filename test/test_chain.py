@@ -79,6 +79,9 @@ def test_hits_entropy_and_derivatives_are_those_of_all_routes(case):
     chain, (by_hand, entropy) = MarkovChain(case.network, p), case.by_enumeration(p)
     assert chain.hits(case.entering) == pytest.approx(by_hand, abs=1e-12)
     assert chain.entropy == pytest.approx(entropy, abs=1e-9)
+    most = chain.meets_at_most(case.game.hits)
+    assert (by_hand <= most + 1e-12).all()
+    assert (most <= np.minimum(case.entering @ p, 1.0) + 1e-12).all()
     whole = np.zeros(len(case.game.network.edges))
     whole[case.network.edge] = p
     assert hit_probabilities(case.game, whole) == pytest.approx(by_hand, abs=1e-12)

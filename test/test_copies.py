@@ -9,6 +9,7 @@ from games import drawn_routes, examples, is_acyclic, unbalanced
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
+from scipy.sparse import csr_matrix, vstack
 from test_routes import games
 
 from ambush_planner import GameOptions, Network, StrategyOptions
@@ -73,6 +74,31 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     assert found.value >= routes.bound * (1.0 - 1e-9)
     limit = max(routes.bound * (1.0 + SLACK), routes.value * (1.0 + SLACK))
     assert found.value <= limit * (1.0 + 1e-3) or len(routes.routes) == 1
+
+
+@examples(10)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]))
+def test_sites_join_the_same_copies(seed, reach):
+    game, _, routes = solved(seed, reach, 1.3)
+    found = law_on_copies(routes, SLACK, math.inf)
+    if found is None:
+        return
+    # A place whose disc two sites' discs fill, and nothing of which is known so far.
+    first, second = np.random.default_rng(seed).integers(0, len(routes.loss), 2)
+    both = csr_matrix(routes.entering[first].maximum(routes.entering[second]))
+    loss = 0.7 * routes.loss[[first]]
+    found.add_sites(both, loss)
+    if not found.run(math.inf):
+        return  # the copies have no strategy within the limits
+    unrolled, p = found.unrolled(found.chain)
+    ways = drawn_routes(unrolled.network, p)
+    entering = csr_matrix(vstack((routes.entering, both)))
+    rows = entering[:, edges_of(game, found)]
+    hit = [sum(one for way, one in ways.items() if row[:, list(way)].nnz) for row in rows]
+    np.testing.assert_allclose(found.chain.meets(entering), hit, atol=1e-9)
+    losses = np.append(routes.loss, loss) * hit
+    assert found.value == pytest.approx(losses.max(), rel=1e-9)
+    assert losses[found.worst] == pytest.approx(losses.max(), rel=1e-9)
 
 
 @examples(8)
