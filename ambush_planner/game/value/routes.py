@@ -6,8 +6,8 @@ prices of the budgets (``mixtures``); routes that cost less against these than t
 join. They are found leg by leg by Dijkstra's method with every entry charged, except where another
 leg meets the site; later also from routes of the mixture; last by label searches, which also prove
 bounds (``best_response``). A trip's bound usually comes from its legs, each with its own share of
-every site: a program of its own, over the legs' ways, finds the shares. Trips drawn from its mixture
-are the first routes if it runs first.
+every site: a program of its own, over the legs' ways, finds the shares. Without a reach it runs
+first, and trips drawn from its mixture are the first routes.
 """
 
 from __future__ import annotations
