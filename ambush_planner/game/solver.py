@@ -206,15 +206,16 @@ class _Search:
         # Rating, strategy, its value and the row of its worst site.
         self.best: tuple[tuple[bool, float], MarkovChain, float, int] | None = None
         self.law: Law | None = None
-        # On a trip: the latest law on copies, and that of the best strategy.
+        # On a trip: the latest law on copies, and that with the copies of the best strategy.
+        self.on_copies: LawOnCopies | None = None
         self.copies: LawOnCopies | None = None
-        self.copied: LawOnCopies | None = None
 
     def run(self) -> Solution | None:
         """Find the value, then the law; None if nothing found is within the budgets."""
         if isinstance(self.program, Routes) and self.game.network.legs > 1:
-            self._find_labels(self.program)
-            if self.copied:
+            self._solve_trip(self.program)
+            self._find_law_on_copies(self.program)
+            if self.copies:
                 return self._solution()
         self._solve_program()
         for sweep in range(MAX_SWEEPS):
@@ -264,7 +265,7 @@ class _Search:
         self.points = np.concatenate((self.points, found.points))
         self.entering = csr_matrix(vstack((self.entering, found.entering)))
         self.loss = np.append(self.loss, found.alpha)
-        for law in (self.law, self.copies):
+        for law in (self.law, self.on_copies):
             if law:
                 law.add_sites(found.entering, found.alpha)
 
@@ -277,12 +278,8 @@ class _Search:
         most = max(self.program.bound, ceiling(value, self.slack / 2.0) / ceiling(1.0, self.slack))
         return level * (most / value)
 
-    def _find_labels(self, program: Routes) -> None:
-        """On a trip, a law on labelled copies of the ground.
-
-        Places join a mixture of routes first, and prove its value once they have: a proof takes
-        seconds.
-        """
+    def _solve_trip(self, program: Routes) -> None:
+        """Let places join a mixture of routes, then prove its value: a proof takes seconds."""
         begin, end = time.monotonic(), self.problem.deadline
         program.deadline = begin + JOINED * (end - begin)
         with _trying():
@@ -304,18 +301,25 @@ class _Search:
         with _trying():
             program.prove_by_legs()
             program.solve()
+
+    def _find_law_on_copies(self, program: Routes) -> None:
+        """On a trip, rounds of a law on labelled copies of the ground.
+
+        Places that cost it too much join it; new copies are made if it then has no strategy, or if
+        the program finds a better mixture.
+        """
         for _ in range(ROUNDS):
-            if self.copies is None or not self.copies.run(self.problem.deadline):
-                self.copies = law_on_copies(program, self.slack, self.problem.deadline)
-            copies = self.copies
-            if copies is None or self.best and self._late():
+            if self.on_copies is None or not self.on_copies.run(self.problem.deadline):
+                self.on_copies = law_on_copies(program, self.slack, self.problem.deadline)
+            law = self.on_copies
+            if law is None or self.best and self._late():
                 return
-            chain, value, worst = copies.chain, copies.value, copies.worst
-            joined = self._join_worst(chain, copies.limit, APART)
+            chain, value, worst = law.chain, law.value, law.worst
+            joined = self._join_worst(chain, law.limit, APART)
             rating, mixed = (True, -max(value, joined)), program.value
             keeps = self._keeps_budgets(chain.uses(len(self.game.playable)))
             if keeps and (self.best is None or rating > self.best[0]):
-                self.copied, self.best = copies, (rating, chain, value, worst)
+                self.best, self.copies = (rating, chain, value, worst), law
             if self._late():
                 return
             with _trying():
@@ -323,7 +327,7 @@ class _Search:
             if not joined:
                 if within(mixed, program.value, self.slack / 4.0):
                     return
-                self.copies = None
+                self.on_copies = None
 
     def _find_law(self, step: float) -> Law:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
@@ -421,8 +425,8 @@ class _Search:
         sites = self.points[added], self.loss[added], csr_matrix(self.entering[added])
         game = self.game.with_sites(*sites)
         ambusher, bound = self._judged(game, q, kept)
-        if self.copied:
-            return self._unrolled(self.copied, chain, sites, ambusher, q[kept], value, bound)
+        if self.copies:
+            return self._unrolled(self.copies, chain, sites, ambusher, q[kept], value, bound)
         assert self.law is not None
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weight[kept]
@@ -446,18 +450,18 @@ class _Search:
         p = self.program.flow
         return chain_of(self.game.network, p), worst_loss(self.game, p), -1
 
-    def _unrolled(self, copied: LawOnCopies, chain: MarkovChain,
+    def _unrolled(self, law: LawOnCopies, chain: MarkovChain,
                   sites: tuple[FloatArray, FloatArray, csr_matrix], ambusher: Ambusher,
                   q: FloatArray, value: float, bound: float) -> Solution:
         """The solution on the copies' network, with the sites added there as well."""
-        edge = np.append(np.arange(len(self.game.playable)), copied.network.edge)
-        game, p = copied.unrolled(chain)
+        edge = np.append(np.arange(len(self.game.playable)), law.network.edge)
+        game, p = law.unrolled(chain)
         points, loss, entering = sites
         game = game.with_sites(points, loss, csr_matrix(entering[:, edge]))
         length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.budgets)
         ambusher = replace(ambusher, q=at_nodes(game, q))
         return Solution(game, (length, exposure), p, value, bound, ambusher, None,
-                        copied.evaluations, np.nan, self._was_late())
+                        law.evaluations, np.nan, self._was_late())
 
     def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
         """The ambusher q (S,) in the game with the ``kept`` sites, and his bound."""
