@@ -84,7 +84,10 @@ class RouteSampler:
 
     @cached_property
     def _ends(self) -> FloatArray:
-        """The node of each step plus its cumulative share there, at which the step ends."""
+        """The node of each step plus its cumulative share there, at which the step ends.
+
+        So shares are rounded to 1e-10 if there are a million nodes.
+        """
         first, steps = np.array(self._first), np.array(self._steps)
         tails = self._network.tails[self._used]
         return np.asarray(tails + steps / steps[first[tails + 1] - 1])

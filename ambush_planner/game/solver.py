@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -52,9 +53,9 @@ FIRST_LEVEL = 2.0
 # Least distance of places that join at once, as a share of the reach: places near each other hit
 # nearly the same routes. In the last sweeps of a program that is not over routes it is 0.
 APART = 0.25
-# Shares of the time after which places no longer join a program over a trip's routes, and after
-# which it ends: its proof and its law take seconds.
-JOINED, SOLVED = 0.6, 0.8
+# Shares of the time after which a program over a trip's routes ends, as its law takes seconds; and
+# its first proof if places join later, and its last one if they joined until then.
+SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
 # Rounds in which places join before the first law, in the last of them all; more while the value
 # is 0.
 SWEEPS, MAX_SWEEPS = 3, 20
@@ -206,16 +207,16 @@ class _Search:
         # Rating, strategy, its value and the row of its worst site.
         self.best: tuple[tuple[bool, float], MarkovChain, float, int] | None = None
         self.law: Law | None = None
-        # On a trip: the latest law on copies, and that with the copies of the best strategy.
-        self.on_copies: LawOnCopies | None = None
-        self.copies: LawOnCopies | None = None
+        # On a trip: the latest law on copies, and the one whose copies the best strategy is on.
+        self.latest_copies: LawOnCopies | None = None
+        self.best_copies: LawOnCopies | None = None
 
     def run(self) -> Solution | None:
         """Find the value, then the law; None if nothing found is within the budgets."""
         if isinstance(self.program, Routes) and self.game.network.legs > 1:
             self._solve_trip(self.program)
             self._find_law_on_copies(self.program)
-            if self.copies:
+            if self.best_copies:
                 return self._solution()
         self._solve_program()
         for sweep in range(MAX_SWEEPS):
@@ -265,7 +266,7 @@ class _Search:
         self.points = np.concatenate((self.points, found.points))
         self.entering = csr_matrix(vstack((self.entering, found.entering)))
         self.loss = np.append(self.loss, found.alpha)
-        for law in (self.law, self.on_copies):
+        for law in (self.law, self.latest_copies):
             if law:
                 law.add_sites(found.entering, found.alpha)
 
@@ -281,7 +282,9 @@ class _Search:
     def _solve_trip(self, program: Routes) -> None:
         """Let places join a mixture of routes, then prove its value: a proof takes seconds."""
         begin, end = time.monotonic(), self.problem.deadline
-        program.deadline = begin + JOINED * (end - begin)
+        if self.game.reach > 0.0 and end < math.inf:
+            self._prove_until(program, begin + FIRST_PROOF * (end - begin))
+        program.deadline = begin + SOLVED * (end - begin)
         with _trying():
             if self.game.reach == 0.0:
                 program.prove_by_legs()
@@ -297,10 +300,17 @@ class _Search:
                 if within(program.value, before, self.slack / 4.0):  # the bound may be near
                     program.prove_by_legs()
             apart, before = max(apart / 2.0, APART), program.value
-        program.deadline = begin + SOLVED * (end - begin)
+        if time.monotonic() > program.deadline:
+            self._prove_until(program, begin + LAST_PROOF * (end - begin))
+            return
         with _trying():
             program.prove_by_legs()
             program.solve()
+
+    def _prove_until(self, program: Routes, deadline: float) -> None:
+        program.deadline = deadline
+        with _trying():
+            program.prove_by_legs()
 
     def _find_law_on_copies(self, program: Routes) -> None:
         """On a trip, rounds of a law on labelled copies of the ground.
@@ -309,9 +319,9 @@ class _Search:
         the program finds a better mixture.
         """
         for _ in range(ROUNDS):
-            if self.on_copies is None or not self.on_copies.run(self.problem.deadline):
-                self.on_copies = law_on_copies(program, self.slack, self.problem.deadline)
-            law = self.on_copies
+            if self.latest_copies is None or not self.latest_copies.run(self.problem.deadline):
+                self.latest_copies = law_on_copies(program, self.slack, self.problem.deadline)
+            law = self.latest_copies
             if law is None or self.best and self._late():
                 return
             chain, value, worst = law.chain, law.value, law.worst
@@ -319,15 +329,15 @@ class _Search:
             rating, mixed = (True, -max(value, joined)), program.value
             keeps = self._keeps_budgets(chain.uses(len(self.game.playable)))
             if keeps and (self.best is None or rating > self.best[0]):
-                self.best, self.copies = (rating, chain, value, worst), law
-            if self._late():
+                self.best, self.best_copies = (rating, chain, value, worst), law
+            if self._late() or not joined and keeps and within(value, program.bound, self.slack):
                 return
             with _trying():
                 program.solve(prove=not joined)
             if not joined:
                 if within(mixed, program.value, self.slack / 4.0):
                     return
-                self.on_copies = None
+                self.latest_copies = None
 
     def _find_law(self, step: float) -> Law:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
@@ -425,8 +435,8 @@ class _Search:
         sites = self.points[added], self.loss[added], csr_matrix(self.entering[added])
         game = self.game.with_sites(*sites)
         ambusher, bound = self._judged(game, q, kept)
-        if self.copies:
-            return self._unrolled(self.copies, chain, sites, ambusher, q[kept], value, bound)
+        if self.best_copies:
+            return self._unrolled(self.best_copies, chain, sites, ambusher, q[kept], value, bound)
         assert self.law is not None
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weight[kept]

@@ -50,9 +50,6 @@ class MarkovChain:
         self._at_ahead, self._at_behind = np.argsort(onwards.order), np.argsort(backwards.order)
         self._unvisited = (self.visits <= MIN_VISITS).astype(np.float64)
         self._per_visit = (1.0 - self._unvisited) / np.maximum(self.visits, MIN_VISITS)
-        # How likely a route is in each part.
-        begin = network.tail == 0
-        self._weight = sums(network.part[begin], self.p[begin], int(network.part.max()) + 1)
         self._into = np.searchsorted(network.head[onwards.order], np.arange(network.count + 1))
 
     def uses(self, edges: int) -> FloatArray:
@@ -66,9 +63,11 @@ class MarkovChain:
     def meets_at_most(self, rows: csr_matrix) -> FloatArray:
         """An upper bound (K,) of ``meets`` that is fast to find.
 
-        In each part of the network, entries and routes are at least as many as hits.
+        P(hit) in a part of the network is at most the expected entries there, and how likely a
+        route is there, as no entry counts more than 1.
         """
-        part, weight = self.network.part, self._weight
+        part, begin = self.network.part, self.network.tail == 0
+        weight = sums(part[begin], self.p[begin], int(part.max()) + 1)
         if len(weight) == 1:
             return np.asarray(np.minimum(rows @ self.uses(rows.shape[1]), 1.0))
         uses = csr_matrix((self.p, (self.network.edge, part)), (rows.shape[1], len(weight)))
@@ -84,16 +83,11 @@ class MarkovChain:
 
     def hits(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
-        sites, parts, entry = rows.shape[0], len(self._weight), rows.tocoo()
-        # A pass over one part is short, and a route is in one part only.
-        by_part = entry.row.astype(np.int64) * parts + self.network.part[entry.col]
-        key, row = np.unique(by_part, return_inverse=True)
-        rows = csr_matrix((entry.data, (row, entry.col)), (len(key), rows.shape[1]))
-        hit = np.zeros(len(key))
+        hit = np.zeros(rows.shape[0])
         tails, weight = self.network.tail[rows.indices], self.share[rows.indices] * rows.data
         for site, own, _, _, arriving in self._each(rows):
             hit[site] = arriving[tails[own]] @ weight[own]
-        return np.minimum(sums(key // parts, hit, sites), 1.0)
+        return np.minimum(hit, 1.0)
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
         """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""

@@ -58,7 +58,11 @@ class AcyclicNetwork:
     @cached_property
     def part(self) -> IndexArray:
         """The part (m,) of each edge: parts have no node but source and target in common."""
-        return _parts(self.tail, self.head, self.count)[np.where(self.tail, self.tail, self.head)]
+        inner = (self.tail > 0) & (self.head < self.count - 1)
+        ends = np.ones(np.count_nonzero(inner)), (self.tail[inner], self.head[inner])
+        _, part = connected_components(csr_matrix(ends, (self.count, self.count)), directed=False)
+        of_edge = part[np.where(self.tail, self.tail, self.head)]
+        return np.asarray(np.unique(of_edge, return_inverse=True)[1], dtype=np.int64)
 
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -167,19 +171,8 @@ def acyclic_network(network: Network, edge: IndexArray, rank: IndexArray) -> Acy
     place = np.full(len(network.points), -1)
     place[nodes] = np.arange(len(nodes))
     tail, head = place[network.edges[edge]].T
-    # Part by part, so that what happens in one part takes a pass over this part only.
-    place = np.argsort(np.argsort(_parts(tail, head, len(nodes)), kind='stable'))
-    tail, head = place[tail], place[head]
     order = np.lexsort((head, tail))
     return AcyclicNetwork(tail[order], head[order], edge[order])
-
-
-def _parts(tail: IndexArray, head: IndexArray, count: int) -> IndexArray:
-    """The part (n,) of each node, in the order of their first nodes; the target's is the last."""
-    inner = (tail > 0) & (head < count - 1)
-    ones = np.ones(np.count_nonzero(inner))
-    graph = csr_matrix((ones, (tail[inner], head[inner])), (count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:

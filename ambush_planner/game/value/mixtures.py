@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, identity, vstack
 
-from ...arrays import FloatArray, IndexArray, sums
+from ...arrays import ROUNDING, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from . import highs
 
@@ -106,8 +106,9 @@ class Mixtures:
 
     def losses(self, shares: FloatArray) -> FloatArray:
         """Mean loss (S,) that each site causes a mixture."""
-        weight = np.repeat(shares, list(map(len, self._met))) * np.concatenate(self._counts)
-        sites = np.concatenate(self._met)
+        known = len(shares)  # routes may have joined since
+        sites, counts = (np.concatenate(each[:known]) for each in (self._met, self._counts))
+        weight = np.repeat(shares, list(map(len, self._met[:known]))) * counts
         return self.loss * np.bincount(sites, weight, len(self.loss))
 
     def level(self, shares: FloatArray, gap: float) -> FloatArray:
@@ -127,15 +128,15 @@ class Mixtures:
 
     def flow(self, shares: FloatArray, edges: int) -> FloatArray:
         """Expected uses (M,) of the edges."""
-        weight = np.repeat(shares, list(map(len, self.routes)))
-        return sums(np.concatenate(self.routes), weight, edges)
+        routes = self.routes[: len(shares)]
+        return sums(np.concatenate(routes), np.repeat(shares, list(map(len, routes))), edges)
 
     def drawn(self, shares: FloatArray, rng: np.random.Generator) -> IndexArray:
         """A route of edges drawn from a mixture, way by way if these lead from stop to stop."""
         begin, end = np.array(self._between[: len(shares)]).T
         ways, at = [], 0
         while at < end.max():
-            weight = np.where(begin == at, shares, 0.0)
+            weight = np.where(begin == at, shares + ROUNDING, 0.0)
             k = int(rng.choice(len(shares), p=weight / weight.sum()))
             ways.append(self.routes[k])
             at = end[k]

@@ -42,10 +42,11 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
             (math.inf, 4_000_000, 1e-2))
 # The same for the ways of one leg.
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
-# Rounds before the legs' program runs, or is proved, for the first time, then twice as many and so
-# on; its rounds.
-FIRST_TURN, LEG_ROUNDS = 16, 400
-# Trips that are drawn from the legs' mixture to begin with.
+# Rounds before the legs' program runs for the first time, then twice as many and so on.
+FIRST_TURN = 16
+# Rounds of the legs' program, and those in which it is proved although ways still join.
+LEG_ROUNDS, PROOFS = 400, (16, 32, 64, 128, 256)
+# Trips without a reach that are drawn from the legs' mixture to begin with.
 TRIPS = 100
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
 # edge that it does not.
@@ -304,29 +305,31 @@ class Routes:
 
     def prove_by_legs(self) -> None:
         """Improve the bound by the program in which each leg has sites of its own."""
-        if self._ended() or not len(self.loss):
+        if self.bound > 0.0 and self._ended() or not len(self.loss):
             return
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
-        precision, turn, centre = LOOSE, FIRST_TURN, None
+        precision, centre = LOOSE, None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
         for rounds in range(LEG_ROUNDS):
-            mixture, added, last = self._of_legs.solve(precision), 0, precision == TIGHT
+            mixture, added = self._of_legs.solve(precision), 0
             if not mixture.q.any():  # no site needs to be met
                 return
-            if not last:
+            if precision == LOOSE:
+                added = quick(mixture)
+                if centre is not None:
+                    added += quick(_between(centre, mixture))
                 centre = mixture if centre is None else _between(centre, mixture)
-                added = quick(centre) + quick(mixture)
+            was_tight, late = precision == TIGHT, self._ended()
             precision = precision if added else TIGHT
-            if not added or rounds == turn:
+            if not added or rounds in PROOFS or late and self.bound == 0.0:
                 added += self._proof_by_legs(mixture)
-                turn *= 2
-            if within(mixture.value, self.bound, self.gap / 2.0) or last and not added:
-                break
-            if self._ended():
+            if late:
                 return
-        if not len(self.shares):
+            if within(mixture.value, self.bound, self.gap / 2.0) or was_tight and not added:
+                break
+        if self.game.reach == 0.0 and not len(self.shares):
             for _ in range(TRIPS):
                 self._add(self._of_legs.drawn(mixture.shares, self._rng))
 
