@@ -76,6 +76,8 @@ def law_on_copies(routes: Routes, slack: float, deadline: float) -> LawOnCopies 
 class LawOnCopies:
     """Laws on copies around the mixture of some routes, with a value of at most ``limit``.
 
+    A run finds ``chain``, ``value`` and ``worst``.
+
     Attributes
     ----------
     chain : MarkovChain

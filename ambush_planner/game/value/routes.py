@@ -310,17 +310,18 @@ class Routes:
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
-        precision, centre = LOOSE, None
+        precision = LOOSE
+        centre: Mixture | None = None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
         for rounds in range(LEG_ROUNDS):
             mixture, added = self._of_legs.solve(precision), 0
             if not mixture.q.any():  # no site needs to be met
                 return
             if precision == LOOSE:
-                added = quick(mixture)
-                if centre is not None:
-                    added += quick(_between(centre, mixture))
-                centre = mixture if centre is None else _between(centre, mixture)
+                added, before, centre = quick(mixture), centre, mixture
+                if before:
+                    centre = _between(before, mixture)
+                    added += quick(centre)
             was_tight, late = precision == TIGHT, self._ended()
             precision = precision if added else TIGHT
             if not added or rounds in PROOFS or late and self.bound == 0.0:
