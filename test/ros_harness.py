@@ -28,7 +28,7 @@ from waiting import TIMEOUT, wait_until
 
 from ambush_planner.commands.node_process import lock_domain
 from ambush_planner.recordings import type_name
-from ambush_planner.ros import dispatcher
+from ambush_planner.ros import planner_node
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.ros.topics import REQUESTS
@@ -233,7 +233,7 @@ def stage(directory=None, parameters=None, domain=None, **planner_arguments):
         domain = stack.enter_context(free_domain()) if domain is None else domain
         own, other = (stack.enter_context(ros_context(domain)) for _ in range(2))
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
-        stack.enter_context(mock.patch.object(dispatcher, '_MAX_SHUTDOWN', TIMEOUT))
+        stack.enter_context(mock.patch.object(planner_node, '_LAST_RECORDINGS_TIME', TIMEOUT))
         planner = PlannerNode(context=own, parameter_overrides=overrides, **planner_arguments)
         stack.enter_context(spinning(planner, SingleThreadedExecutor(context=own)))
         node = Node('client', context=other, namespace=planner.get_namespace())

@@ -2,18 +2,24 @@
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json
+from contextlib import contextmanager
 from importlib import import_module
+from threading import Event
+from unittest.mock import Mock
 
 import interfaces
 import numpy as np
 import pytest
 from commands import run_here
+from nav_msgs.srv import GetPlan
 from robots import ROBOT, Robot
 from ros_harness import pose, risk_grid, stage, wait_until
 from test_compute_path import Goals
+from waiting import TIMEOUT
 
 from ambush_planner.commands import audit
 from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.recordings import durable_files
 from ambush_planner.recordings.verify import Verifier
 
 FLAT = np.full((20, 20), 10, dtype=np.int8)
@@ -87,6 +93,77 @@ def test_a_trip_that_is_continued_is_one_departure(tmp_path):
     seen = run_here(audit, tmp_path, '--json')
     assert seen.code == 0 and json.loads(seen.out)['departures'] == 6
     assert all(Verifier().verify(file).problems == [] for file in tmp_path.rglob('*.mcap'))
+
+
+@contextmanager
+def slow_disk(monkeypatch):
+    """A disk that does not answer until the yielded event is set; the second one tells of it."""
+    go_on, asked, flush = Event(), Event(), durable_files.os.fsync
+
+    def waits(descriptor):
+        asked.set()
+        assert go_on.wait(TIMEOUT)
+        flush(descriptor)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(durable_files.os, 'fsync', waits)
+        try:
+            yield go_on, asked
+        finally:
+            go_on.set()
+
+
+def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
+        tmp_path, monkeypatch):
+    request = GetPlan.Request(start=HERE, goal=GOAL)
+    with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
+        drive, client = Drive(running), running.client
+        drive.robot.is_at(1.5, 5.5)
+        client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        with slow_disk(monkeypatch) as (go_on, asked):
+            answers = [client.send('get_plan', request) for _ in range(5)]
+            wait_until(asked.is_set, 'a recording')
+            answers.append(client.send('get_plan', request))
+            client.call('cancel')  # answered after it, on the same executor
+            assert not client.received['path'] and not any(each.done() for each in answers)
+            go_on.set()
+            wait_until(lambda: all(each.done() for each in answers), 'the answers')
+        paths = [path_from_ros(each.result().plan) for each in answers]
+        assert all(np.array_equal(paths[0], each) for each in paths)
+        drive.departures(1)
+        assert len(client.received['path']) == 1 == len(list(tmp_path.rglob('*.mcap')))
+
+
+def test_a_departure_whose_required_recording_fails_is_not_under_way(tmp_path, monkeypatch):
+    with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
+        drive, client = Drive(running), running.client
+        drive.robot.is_at(1.5, 5.5)
+        client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        with monkeypatch.context() as patch:
+            patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
+            assert not client.get_plan(HERE, GOAL).poses
+            client.diagnostics(code='RECORDING_FAILED', departures='0')
+        drive.ask('new')
+        assert len(client.received['path']) == 1 == len(list(tmp_path.rglob('*.mcap')))
+
+
+def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path, monkeypatch):
+    with stage(tmp_path, parameters={'recording.required': True}) as running:
+        client = running.give()
+        assert client.call('new_route').success
+        with slow_disk(monkeypatch) as (go_on, asked):
+            waiting = client.send('new_route')
+            wait_until(asked.is_set, 'a recording')
+            running.planner.trigger_deactivate()
+            go_on.set()
+            wait_until(waiting.done, 'an answer')
+        assert 'inactive' in waiting.result().message
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the end of the other file')
+        assert len(client.received['path']) == 1
+        (listed,) = tmp_path.rglob('metadata.yaml')
+        wait_until(lambda: listed.read_text().count('"path"') == 1, 'the list')
 
 
 def test_new_routes_and_robots_elsewhere_are_departures_and_each_robot_has_its_own(drive):

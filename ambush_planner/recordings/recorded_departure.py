@@ -59,8 +59,8 @@ class RecordedDeparture:
     id, number
         Unique to the departure; its number in the node's run, from 1.
     call
-        ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, and the fields of
-        ``request`` and ``response``.
+        ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, the fields of the
+        ``request``, and the ``remarks`` of the response.
     ends
         The ends of the driven path, which may lie near the trip's [m].
     route : (K,)

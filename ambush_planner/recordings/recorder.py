@@ -81,12 +81,21 @@ class Recorder:
                 raise
             return path
 
+    def remove(self, path: Path) -> None:
+        """Remove the recording of a departure that has not left."""
+        with self._lock, recording_to(path):
+            path.unlink(missing_ok=True)
+            self._write_list(path.parent)
+
     def _write_list(self, folder: Path) -> None:
         with recording_to(folder / FILE_NAME):
             # rosbag2 refuses a folder whose metadata.yaml lists a file that is missing.
             present = set(os.listdir(folder))
             self._files = [each for each in self._files if each.name in present]
-            write_durably(folder / FILE_NAME, bag_text(self._files))
+            if self._files:
+                write_durably(folder / FILE_NAME, bag_text(self._files))
+            else:
+                (folder / FILE_NAME).unlink(missing_ok=True)
 
     def _session_folder(self) -> Path:
         if self._folder is None or self._next >= MAX_FILES or not self._folder.is_dir():

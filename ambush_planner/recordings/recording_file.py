@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 COMPRESSIONS = ('zstd', 'lz4', 'none')
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '9'
+FORMAT = '10'
 _CHUNK_SIZE = 2**20  # bytes
 
 

@@ -21,7 +21,7 @@ from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
-from .requests import Requests, plan_response
+from .requests import Requests
 from .topics import REQUESTS
 
 # The actions and their types.
@@ -70,12 +70,7 @@ class ComputePath:
             *self._plan_request(handle.request), client=self._name
         ))
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
-        departure.add_done_callback(self._departed)
-
-    def _departed(self, departure: Future[Answer]) -> None:
-        self._wake.trigger()
-        if not departure.cancelled() and departure.exception() is None:
-            self._requests.answered(departure.result(), plan_response(departure.result()))
+        departure.add_done_callback(lambda _: self._wake.trigger())
 
     def _cancel(self, handle: Any) -> CancelResponse:
         """Cancel a goal, unless its route has been drawn."""

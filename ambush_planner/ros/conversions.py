@@ -86,12 +86,12 @@ def installed_type(module: str, name: str) -> Any:
         return None
 
 
-def fields_of(message: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return the fields of a message, nested ones included, as JSON values, except ``but``.
+def fields_of(message: Any) -> dict[str, Any]:
+    """Return the fields of a message, nested ones included, as JSON values.
 
     For messages of numbers and strings, without arrays.
     """
-    values = {name: getattr(message, name) for name in _field_names(message) if name not in but}
+    values = {name: getattr(message, name) for name in _field_names(message)}
     return {name: fields_of(value) if _field_names(value) else value
             for name, value in values.items()}
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,12 +29,11 @@ from .plan_cache import CachedPlan
 
 @dataclass(frozen=True, eq=False)
 class ServiceCall:
-    """A service call: the service's type and full name, the request, and how it is answered."""
+    """A service call: the service's type and full name, and the request."""
 
     kind: Any
     name: str
     request: Any
-    respond: Callable[[Answer], Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +52,9 @@ class Departure:
     """One convoy's departure; times are nanoseconds of the node's clock.
 
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
-    map and a nearby trip. ``published`` is the path and ``others`` are markers and diagnostics, as
-    they were published. ``worth`` is what it is worth on that map. ``remarks`` are on the start,
-    which may have been ``joined`` to the plan, and on recordings that failed. The ``response`` was
-    given at ``end_ns``; None until then.
+    map and a nearby trip. ``published`` is the path, and ``markers`` and the ``report`` are those
+    published with it. ``worth`` is what it is worth on that map. ``remarks`` are on the start,
+    which may have been ``joined`` to the plan, and on recordings that failed.
     """
 
     id: str
@@ -71,13 +68,13 @@ class Departure:
     route: Route
     path: Path
     published: RecordedMessage
-    others: tuple[RecordedMessage, ...]
+    markers: tuple[RecordedMessage, ...]
     begin_ns: int
     end_ns: int
     worth: Assessment
     tight_turns: int
     remarks: str = ''
-    response: Any = None
+    report: RecordedMessage | None = None
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
@@ -91,7 +88,7 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     inputs = [_received(each, begin)
               for each in (planned_on, trip.start, trip.goal, trip.via) if each]
     published = [replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
-                 for each in (*departure.others, departure.published)]
+                 for each in (*departure.markers, departure.report, departure.published) if each]
     return [*inputs, *published]
 
 
@@ -115,9 +112,7 @@ def metadata_entries(departure: Departure) -> dict[str, Any]:
         'call': {
             'service': call.name, 'type': type_name(call.kind),
             'request_ns': departure.begin_ns, 'response_ns': departure.end_ns,
-            'request': fields_of(call.request),
-            # The path in an answer is the recorded one.
-            'response': fields_of(departure.response, but=('plan',)),
+            'request': fields_of(call.request), 'remarks': departure.remarks,
         },
     }
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 import secrets
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Any
 from uuid import uuid4
 
@@ -29,10 +29,9 @@ from ..planning.moved_start import other_rest
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan, Route
 from ..planning.trip_under_way import Destination, TripUnderWay, trip_on
-from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
 from ..worker.serial_executor import SerialExecutor
-from ..worker.solve_errors import SolveCancelled, for_the_log
+from ..worker.solve_errors import SolveCancelled
 from .conversions import path_to_ros
 from .current_map import CurrentMap
 from .departure_record import Answer, Departure, ServiceCall
@@ -45,9 +44,6 @@ from .recordings import Recordings
 from .reporter import Reporter
 from .topics import Publishers
 
-# Maximum time from the start of the shutdown to the end of the last recording [s]; half of the time
-# in which the node has to end.
-_MAX_SHUTDOWN = 1.0
 # Maximum number of solves for one departure while the map changes.
 _MAX_SOLVES = 4
 # Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
@@ -72,11 +68,15 @@ class _Pending:
 
 @dataclass(frozen=True, eq=False)
 class _UnderWay:
-    """A trip, the departure that it began with, and how often it has been diverted since."""
+    """A trip, the departure that it began with, and how often it has been diverted since.
+
+    ``left`` is done once the path is published; with ``recording.required`` that takes a while.
+    """
 
     trip: TripUnderWay
     departure: Departure
     request: TripRequest
+    left: Future[None]
     diversions: int = 0
 
 
@@ -89,9 +89,11 @@ class Dispatcher:
     """
 
     def __init__(self, settings: NodeSettings, inputs: Inputs, publishers: Publishers,
-                 reporter: Reporter, clock: Clock, logger: RcutilsLogger) -> None:
+                 recordings: Recordings, reporter: Reporter, clock: Clock,
+                 logger: RcutilsLogger) -> None:
         self._settings, self._inputs, self._publishers = settings, inputs, publishers
-        self._reporter, self._clock, self._logger = reporter, clock, logger
+        self._recordings, self._reporter = recordings, reporter
+        self._clock, self._logger = clock, logger
         self._plans = PlanCache(logger)
         self._departures = SerialExecutor('departures', reporter.set,
                                           lambda error: reporter.failed('request', error),
@@ -101,10 +103,9 @@ class Dispatcher:
         self._waiting: list[_Pending] = []
         self._count = 0
         self._under_way: dict[tuple[str, str], _UnderWay] = {}  # by the frames of map and robot
-        self._shutdown_began: float | None = None
-        self._paused = True
+        self._paused, self._ending = True, False
+        self._leaving = Lock()  # while a departure leaves; none does once the node is paused
         self._map_is_new = False
-        self._recordings = Recordings(settings.current.recording, self._recorded, logger.warning)
 
     @property
     def solving(self) -> bool:
@@ -113,31 +114,30 @@ class Dispatcher:
 
     def stop_solving(self) -> None:
         """Cancel all solves, and refuse all requests from now on, including waiting ones."""
-        if self._shutdown_began is None:
-            self._shutdown_began = time.monotonic()
+        with self._leaving:
+            self._ending = True
         self._recordings.hurry()
         self._plans.close()
         self._departures.finish()
 
     def pause(self) -> None:
-        """Refuse requests, including waiting ones; no route is drawn after this returns."""
-        self._paused = True
-        self._departures.finish()
+        """Refuse requests, including waiting ones; nothing leaves after this returns."""
+        with self._leaving:
+            self._paused = True
+        self._recordings.hurry()
         self._plans.cancel()
 
     def resume(self) -> None:
         """Accept requests."""
         self._paused = False
+        self._recordings.hurry(False)
         if self._displayed.cached is not None:
             self.map_changed()
 
     def close(self) -> None:
-        """Answer waiting requests, write the last recordings, and end."""
+        """Answer waiting requests, and end."""
         self.stop_solving()
         self._departures.close()
-        began = self._shutdown_began or 0.0
-        if lost := self._recordings.close(began + _MAX_SHUTDOWN - time.monotonic()):
-            self._logger.error(f'recording: {lost} departures were not written before the shutdown')
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
@@ -164,16 +164,6 @@ class Dispatcher:
         pending = _Pending(call, trip_request, parameters, self._now(), client)
         self._departures.submit(lambda: self._begin(pending), pending.answer)
         return pending.answer
-
-    def answered(self, answer: Answer, response: Any) -> None:
-        """Log and record a departure that has been answered."""
-        if (departure := answer.departure) is None:
-            return
-        self._logger.info(f'departure {departure.number} ({departure.id})')
-        options = departure.parameters.recording
-        if options.enabled and not options.required:
-            end = max(departure.end_ns, self._now())
-            self._recordings.record(replace(departure, response=response, end_ns=end))
 
     def replan(self, trip_request: TripRequest) -> Future[Plan]:
         """Solve a trip on the current map, whether or not a plan is cached."""
@@ -234,7 +224,12 @@ class Dispatcher:
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
         if pending.call.kind is not Trigger:  # new_route always draws
-            if answer := self._without_departure(trip, pending):
+            under_way = self._continued_by(trip)
+            if under_way and not under_way.left.done():  # try again once it has left, or has not
+                under_way.left.add_done_callback(
+                    lambda _: self._departures.submit(lambda: self._try(pending), pending.answer))
+                return
+            if answer := self._without_departure(under_way, trip, pending):
                 if pending.answer.set_running_or_notify_cancel():
                     self._reporter.succeeded('request')
                     pending.answer.set_result(answer)
@@ -245,16 +240,22 @@ class Dispatcher:
         else:
             self._solve_for(trip, pending)
 
-    def _without_departure(self, trip: Trip, pending: _Pending) -> Answer | None:
+    def _continued_by(self, trip: Trip) -> _UnderWay | None:
+        """Return the trip under way that a request for this trip continues, if there is one."""
+        wanted = _destination(trip)
+        under_way = self._under_way.get(wanted.frames)
+        continues = under_way and under_way.trip.continues(wanted, trip.start_xy,
+                                                           trip.goal_tolerance)
+        return under_way if continues else None
+
+    def _without_departure(self, under_way: _UnderWay | None, trip: Trip,
+                           pending: _Pending) -> Answer | None:
         """Return the answer to a robot that has arrived or is on its way, if it is."""
-        parameters = pending.parameters
-        ground = _clear_ground(trip.map, parameters)
+        ground = _clear_ground(trip.map, pending.parameters)
         if not trip.stops_xy and ground.has_arrived(trip.start_xy, trip.goal_xy):
             path = self._path(np.array([(*trip.goal_xy, 0.0)]), trip)
             return self._answer(pending, path, 'arrived')
-        wanted = _destination(trip)
-        under_way = self._under_way.get(wanted.frames)
-        if not (under_way and under_way.trip.continues(wanted, trip.start_xy, trip.goal_tolerance)):
+        if under_way is None:
             return None
         return self._continued(under_way, trip, pending) or self._diverted(under_way, trip, pending)
 
@@ -331,12 +332,38 @@ class Dispatcher:
         self._count += 1
         route, rows = drawn[0], _from_robot(drawn[1], fit.trip)
         departure = self._departure(fit, route, rows, source, pending)
-        under_way = _UnderWay(trip_on(fit.cached.plan, route, rows, _destination(fit.trip)),
-                              departure, pending.trip_request)
-        if parameters.recording.required:
-            self._leave_once_recorded(under_way, pending)
-        else:
-            pending.answer.set_result(self._depart(under_way))
+        way = trip_on(fit.cached.plan, route, rows, _destination(fit.trip))
+        self._set_out(way, departure, pending)
+
+    def _set_out(self, way: TripUnderWay, departure: Departure, pending: _Pending) -> None:
+        """Have a departure leave, at once or when it is recorded; it is under way from now on."""
+        answer = Answer(departure.path, departure.remarks, departure.begin_ns, departure.end_ns,
+                        departure)
+
+        def leave() -> None:
+            with self._leaving:
+                self._refuse_unless_active()
+                if departure.parameters.publish_path:
+                    self._publishers.publish('path', departure.published.data)
+                self._reporter.departed(departure)
+            self._logger.info(f'departure {departure.number} ({departure.id})')
+            pending.answer.set_result(answer)
+
+        left = self._recordings.depart(departure, leave)
+        under_way = _UnderWay(way, departure, pending.trip_request, left)
+        if departure.trip.moves:
+            self._under_way[way.destination.frames] = under_way
+
+        def stay() -> None:
+            if self._under_way.get(way.destination.frames) is under_way:
+                del self._under_way[way.destination.frames]
+            left.result()
+
+        def stay_unless_left(_: Future[None]) -> None:
+            if left.exception():
+                self._departures.submit(stay, pending.answer)
+
+        left.add_done_callback(stay_unless_left)
 
     def _departure(self, fit: Fit, route: Route, rows: FloatArray, source: list[int],
                    pending: _Pending) -> Departure:
@@ -349,35 +376,12 @@ class Dispatcher:
         tight = tight_turns(rows, fit.plan.options.drive.turning_radius)
         note = (f'the path joins the route of an earlier start: value {fit.assessment.value:.4g}, '
                 f'bound {fit.assessment.lower_bound:.4g}') if fit.joined else ''
-        return Departure(
+        return self._reporter.departing(Departure(
             str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
             fit.joined is not None, source, route, path,
             self._publishers.as_recorded('path', path, name), self._displayed.markers,
             pending.begin_ns, leaving, fit.assessment, tight, note,
-        )
-
-    def _depart(self, under_way: _UnderWay) -> Answer:
-        """Publish the path and a report; return the answer."""
-        departure = under_way.departure
-        if departure.parameters.publish_path:
-            self._publishers.publish('path', departure.published.data)
-        if departure.trip.moves:
-            self._under_way[under_way.trip.destination.frames] = under_way
-        return _answer_of(departure, *self._reporter.departed(departure))
-
-    def _leave_once_recorded(self, under_way: _UnderWay, pending: _Pending) -> None:
-        """Publish the path and complete the request when its recording is on the disk."""
-        def leave() -> None:
-            written.result()
-            self._refuse_unless_active()
-            self._depart(under_way)
-            pending.answer.set_result(answer)
-
-        departure = under_way.departure
-        answer = _answer_of(departure, *self._reporter.departed(departure, publish=False))
-        response = departure.call.respond(answer)
-        written = self._recordings.record(replace(answer.departure or departure, response=response))
-        written.add_done_callback(lambda _: self._departures.submit(leave, pending.answer))
+        ))
 
     def _answer(self, pending: _Pending, path: Path, remarks: str) -> Answer:
         return Answer(path, remarks, pending.begin_ns, max(pending.begin_ns, self._now()))
@@ -389,7 +393,7 @@ class Dispatcher:
         return path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
 
     def _refuse_unless_active(self) -> None:
-        if self._shutdown_began is not None:
+        if self._ending:
             raise _shutting_down()
         if self._paused:
             raise NotActive(INACTIVE)
@@ -409,12 +413,6 @@ class Dispatcher:
     def _now(self) -> int:
         """Return the time of the node's clock [ns]."""
         return self._clock.now().nanoseconds
-
-    def _recorded(self, error: AmbushPlannerError | None) -> None:
-        """Log and report how the recording of a departure went."""
-        if error is not None:
-            self._logger.error(f'recording: {for_the_log(error)}')
-        self._reporter.recording(True, error)
 
 
 def _destination(trip: Trip) -> Destination:
@@ -437,13 +435,6 @@ def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:
     """Return the path (L, 3) with the robot's place before it, if it begins elsewhere."""
     at = trip.start_pose.pose.position
     return rows if (at.x, at.y) == trip.start_xy else np.vstack(((at.x, at.y, rows[0, 2]), rows))
-
-
-def _answer_of(departure: Departure, report: RecordedMessage, trouble: str) -> Answer:
-    """Return the answer of a departure, with the report as it is recorded."""
-    left = replace(departure, others=(*departure.others, report),
-                   remarks='; '.join(filter(None, (departure.remarks, trouble))))
-    return Answer(left.path, left.remarks, left.begin_ns, left.end_ns, left)
 
 
 def _entropy_source(seed: int, *numbers: int) -> list[int]:

@@ -34,6 +34,7 @@ from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
+from .recordings import Recordings
 from .reporter import Reporter
 from .requests import Requests
 from .shared_memory import hide_segments
@@ -45,6 +46,7 @@ NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # of the diagnostics [s]
 _SPIN_PERIOD = 0.25  # time until a signal is noticed if nothing else happens [s]
 _LAST_ANSWERS_TIME = 0.5  # for which the node stays to send its last answers [s]
+_LAST_RECORDINGS_TIME = 0.5  # for which it then stays to write its last recordings [s]
 _KEPT_MEMORY = 256 * 2**20  # free memory that is not given back to the system at once [bytes]
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # from glibc's malloc.h
 _HELP_EPILOG = """topics, services, actions and parameters: docs/ros_interface.md, or
@@ -81,6 +83,7 @@ class PlannerNode(LifecycleNode):
         hide_segments()
         protect_services(self)
         self._dispatcher: Dispatcher | None = None
+        self._recordings: list[Recordings] = []  # those of earlier configurations may still write
         self._inputs: Inputs | None = None
         self._topic_subscriptions: Subscriptions | None = None
         self._configure_error: Exception | None = None
@@ -108,6 +111,7 @@ class PlannerNode(LifecycleNode):
         for name in ACTIONS:
             action = ComputePath(self, self._error_boundary, requests, self._settings, name)
             self._closing.callback(action.close)
+        self._closing.callback(self._wait_for_recordings)
         self._closing.callback(lambda: self._configured.close())
         # A steady clock: diagnostics go on while simulated time is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -170,8 +174,12 @@ class PlannerNode(LifecycleNode):
             made.callback(transforms.close)
             self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'),
                                   self._settings)
-            self._dispatcher = Dispatcher(self._settings, self._inputs, publishers, self._reporter,
-                                          self.get_clock(), self.get_logger())
+            recordings = Recordings(self._settings.current.recording, self._reporter,
+                                    self.get_logger())
+            made.callback(recordings.finish)
+            self._recordings = [recordings, *(each for each in self._recordings if each.alive)]
+            self._dispatcher = Dispatcher(self._settings, self._inputs, publishers, recordings,
+                                          self._reporter, self.get_clock(), self.get_logger())
             made.callback(self._dispatcher.close)
             self._topic_subscriptions = Subscriptions(
                 self, self._inputs, self._error_boundary, self._report_missing,
@@ -200,6 +208,10 @@ class PlannerNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
         self._closing.close()
+
+    def _wait_for_recordings(self) -> None:
+        for each in self._recordings:
+            each.wait(_LAST_RECORDINGS_TIME)
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters; the reason of a success says if they now contradict others."""

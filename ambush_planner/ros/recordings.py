@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records departures in a thread of their own: a bounded queue, so that no answer waits."""
+"""Has departures leave, and records them in a thread of their own with a bounded queue."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Condition, Thread
 from weakref import WeakKeyDictionary
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..errors import AmbushPlannerError
 from ..planning.node_parameters import RecordingOptions
@@ -17,8 +20,9 @@ from ..planning.plan import Plan
 from ..recordings import Recorder, RecordingFailed
 from ..recordings.attachments import strategy_file
 from ..recordings.recorder import remove_abandoned
-from ..worker.solve_errors import forget_frames, unexpected
+from ..worker.solve_errors import for_the_log, forget_frames, unexpected
 from .departure_record import Departure, attachments, metadata_entries, recorded_messages
+from .reporter import Reporter
 
 # Maximum number of departures that wait for the disk: few enough to be written at shutdown.
 _MAX_WAITING = 4
@@ -26,21 +30,27 @@ _MAX_WAITING = 4
 _MAX_WAIT = 2.0
 
 
-class Recordings:
-    """Writes departures one after the other.
+@dataclass(frozen=True, eq=False)
+class _Queued:
+    """A departure that waits for the disk, how it leaves, and the future of its leaving."""
 
-    At the start, temporary files in the folder of ``options`` are removed, and ``warn`` called for
-    each. Once a departure is written or given up, ``done`` gets the error or None.
+    departure: Departure
+    leave: Callable[[], None]
+    left: Future[None] = field(default_factory=Future)
+
+
+class Recordings:
+    """Has departures leave, and writes them one after the other, as ``options`` say.
+
+    At the start, temporary files in the folder are removed.
     """
 
-    def __init__(self, options: RecordingOptions,
-                 done: Callable[[AmbushPlannerError | None], None],
-                 warn: Callable[[str], object]) -> None:
-        self._options, self._done, self._warn = options, done, warn
+    def __init__(self, options: RecordingOptions, reporter: Reporter,
+                 logger: RcutilsLogger) -> None:
+        self._options, self._reporter, self._logger = options, reporter, logger
         self._recorder = Recorder(Path(options.directory), options.compression, options.required)
         self._strategies: WeakKeyDictionary[Plan, bytes] = WeakKeyDictionary()
-        # The first one is being written.
-        self._unwritten: deque[tuple[Departure, Future[None]]] = deque()
+        self._unwritten: deque[_Queued] = deque()  # the first one is being written
         self._condition = Condition()
         # True after a departure timed out on the disk, until the next write.
         self._stuck = False
@@ -49,40 +59,59 @@ class Recordings:
         self._thread.start()
 
     def wait_for_room(self) -> None:
-        """Wait for room in the queue, but not for a stuck disk; call before a departure."""
+        """Wait for room in the queue, but not for a stuck disk; call before a route is drawn."""
         with self._condition:
             room = self._condition.wait_for(lambda: not self._full or self._hurry or self._stuck,
                                             _MAX_WAIT)
             self._stuck = self._stuck or not room
 
-    def record(self, departure: Departure) -> Future[None]:
-        """Queue a departure; never waits. The future is done when it is on the disk."""
-        written: Future[None] = Future()
+    def depart(self, departure: Departure, leave: Callable[[], None]) -> Future[None]:
+        """Have a departure ``leave`` and queue its recording; never waits for the disk.
+
+        If recordings are required, it leaves once it is on the disk, in the recordings' thread. The
+        future is done when it has left; it has an exception if ``leave`` raised it or if a required
+        recording failed. What has not left has no file.
+        """
+        queued = _Queued(departure, leave)
+        if not self._options.required:
+            self._leave(queued)
+            if not self._options.enabled or queued.left.exception():
+                return queued.left
         with self._condition:
             if not (self._full and self._stuck):
-                self._unwritten.append((departure, written))
+                self._unwritten.append(queued)
                 self._condition.notify_all()
-                return written
-        self._finish(written, RecordingFailed(
+                return queued.left
+        self._finish(queued, RecordingFailed(
             Path(self._options.directory),
             f'the disk does not respond, and {_MAX_WAITING} departures wait for it; departure '
             f'{departure.number} is not recorded',
         ))
-        return written
+        return queued.left
 
-    def hurry(self) -> None:
-        """Stop all waiting for room, for good: the node shuts down."""
+    def hurry(self, hurry: bool = True) -> None:
+        """Begin or end not to wait for room: the node is being deactivated."""
         with self._condition:
-            self._hurry = True
+            self._hurry = hurry
             self._condition.notify_all()
 
-    def close(self, seconds: float) -> int:
-        """Write the waiting departures, but no longer than this; return how many are left."""
+    def finish(self) -> None:
+        """Write the waiting departures, then end."""
         with self._condition:
             self._closing = True
             self._condition.notify_all()
-        self._thread.join(max(0.0, seconds))
-        return len(self._unwritten)
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the end after ``finish``, but no longer than this."""
+        self._thread.join(seconds)
+        if self._unwritten:
+            self._logger.error(f'recording: {len(self._unwritten)} departures were not written '
+                               'before the shutdown')
+
+    @property
+    def alive(self) -> bool:
+        """Whether departures may still be written."""
+        return self._thread.is_alive()
 
     @property
     def _full(self) -> bool:
@@ -92,40 +121,53 @@ class Recordings:
         if self._options.enabled:
             with suppress(RecordingFailed):  # the first departure will report it
                 for path in remove_abandoned(Path(self._options.directory).expanduser()):
-                    self._warn(f'recording: removed the unfinished file {path}')
+                    self._logger.warning(f'recording: removed the unfinished file {path}')
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._unwritten or self._closing)
                 if not self._unwritten:
                     return
-            self._write(*self._unwritten[0])
+            self._write(self._unwritten[0])
             with self._condition:
                 self._unwritten.popleft()
                 self._stuck = False
                 self._condition.notify_all()
 
-    def _write(self, departure: Departure, written: Future[None]) -> None:
-        error: AmbushPlannerError | None = None
+    def _write(self, queued: _Queued) -> None:
         try:
-            self._record(departure)
-        except AmbushPlannerError as known:
-            error = known
-        except Exception as unknown:  # the thread must live to write the next one
-            error = unexpected(unknown)
-        forget_frames(error)
-        self._finish(written, error)
+            path = self._record(queued.departure)
+        except Exception as error:  # the thread must live to write the next one
+            self._finish(queued, error if isinstance(error, AmbushPlannerError)
+                         else unexpected(error))
+            return
+        self._finish(queued, None)
+        if self._options.required:
+            self._leave(queued)
+            if queued.left.exception():
+                with suppress(RecordingFailed):  # a file more than departures, at worst
+                    self._recorder.remove(path)
 
-    def _finish(self, written: Future[None], error: AmbushPlannerError | None) -> None:
-        with suppress(Exception):  # during shutdown the node may be unable to report
-            self._done(error)
-        if error is None:
-            written.set_result(None)
+    def _leave(self, queued: _Queued) -> None:
+        try:
+            queued.leave()
+        except Exception as error:
+            queued.left.set_exception(error)
         else:
-            written.set_exception(error)
+            queued.left.set_result(None)
 
-    def _record(self, departure: Departure) -> None:
+    def _finish(self, queued: _Queued, error: AmbushPlannerError | None) -> None:
+        forget_frames(error)
+        with suppress(Exception):  # during shutdown the node may be unable to report
+            if error is not None:
+                self._logger.error(f'recording: {for_the_log(error)}')
+            self._reporter.recording(True, error)
+        if error is not None and self._options.required:
+            queued.left.set_exception(error)
+
+    def _record(self, departure: Departure) -> Path:
         plan = departure.held.plan
         if plan not in self._strategies:
             self._strategies[plan] = strategy_file(plan.strategy)
-        self._recorder.record_departure(recorded_messages(departure), metadata_entries(departure),
-                                        attachments(departure, self._strategies[plan]))
+        return self._recorder.record_departure(
+            recorded_messages(departure), metadata_entries(departure),
+            attachments(departure, self._strategies[plan]))

@@ -74,23 +74,29 @@ class Reporter:
 
         self._change(change)
 
-    def departed(self, departure: Departure,
-                 publish: bool = True) -> tuple[RecordedMessage, str]:
-        """Report a departure; return the report and the recording's problem, '' if it has none.
+    def departing(self, departure: Departure) -> Departure:
+        """Return a departure that is about to leave, with its report and what this remarks.
 
-        Both come from one status, so the answer and the recorded diagnostics agree. Without
-        ``publish`` the report is only returned, for a departure that leaves once recorded.
+        The report is not published. With ``recording.required`` it says that the recording is done.
         """
         with self._lock:
             status = replace(self._status.without_problem('request'), last=departure,
                              last_answer='new')
-            if publish:
-                self._status = status
-                problem = status.problems.get('recording')
-                return self.report(), problem.message if problem else ''
-            status = replace(status.without_problem('recording'), recording='on')
+            if departure.parameters.recording.required:
+                status = replace(status.without_problem('recording'), recording='on')
             message = status_to_ros(status, self._name, self._clock.now().to_msg())
-            return self._publishers.as_recorded('/diagnostics', message), ''
+            report = self._publishers.as_recorded('/diagnostics', message)
+        trouble = status.problems.get('recording')
+        remarks = '; '.join(filter(None, (departure.remarks, trouble and trouble.message)))
+        return replace(departure, report=report, remarks=remarks)
+
+    def departed(self, departure: Departure) -> None:
+        """Publish the report of a departure that leaves, made by ``departing``."""
+        assert departure.report is not None
+        with self._lock:
+            self._status = replace(self._status.without_problem('request'), last=departure,
+                                   last_answer='new')
+            self._publishers.publish('/diagnostics', departure.report.data)
 
     def recording(self, enabled: bool, error: Exception | None = None) -> None:
         """Report whether departures are recorded, and the error of the last recording."""

@@ -46,8 +46,9 @@ class Requests:
         self._dispatcher, self._inputs = dispatcher, inputs
         planning = MutuallyExclusiveCallbackGroup()
         self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
-                    planning, self.answered)
-        self._serve(GetPlan, '~/get_plan', self.start_plan, plan_response, planning, self.answered)
+                    planning)
+        self._serve(GetPlan, '~/get_plan', self.start_plan,
+                    lambda answer: GetPlan.Response(plan=answer.path), planning)
         self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(self._latest_trip()),
                     _replan_response, planning)
         self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
@@ -75,13 +76,8 @@ class Requests:
         trip = TripRequest(start, goal, request.tolerance, via if stops else None)
         return self._depart(GetPlan, '~/get_plan', request, trip, client)
 
-    def answered(self, answer: Answer, response: Any) -> None:
-        """Log and record a departure that has been answered."""
-        self._dispatcher().answered(answer, response)
-
     def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
-               to_response: Callable[[_Result], Any], group: CallbackGroup,
-               answered: Callable[[_Result, Any], None] = lambda result, response: None) -> None:
+               to_response: Callable[[_Result], Any], group: CallbackGroup) -> None:
         """Serve work that ``start`` starts; the thread that finishes it sends the answer.
 
         In rclpy a callback has to return the response: one that waits for it blocks a thread of
@@ -102,8 +98,6 @@ class Requests:
             # rclpy raises RuntimeError if the service or the client no longer exists.
             with suppress(RuntimeError):
                 send(response, header)
-            if future.exception() is None:
-                answered(future.result(), response)
 
         # rclpy passes on what the callback returns: the future of the response.
         service.send_response = lambda future, header: future.add_done_callback(
@@ -115,8 +109,7 @@ class Requests:
 
     def _depart(self, kind: Any, service: str, request: Any, trip: TripRequest,
                 client: str) -> Future[Answer]:
-        respond = self._new_route_response if kind is Trigger else plan_response
-        call = ServiceCall(kind, self._node.resolve_service_name(service), request, respond)
+        call = ServiceCall(kind, self._node.resolve_service_name(service), request)
         return self._dispatcher().depart(call, trip, client)
 
     def _latest_trip(self) -> TripRequest:
@@ -127,11 +120,6 @@ class Requests:
         left, remarks = answer.departure, f'; {answer.remarks}' if answer.remarks else ''
         assert left is not None  # new_route always draws
         return _success(f'departure {left.number} ({left.id}) is published on {path}{remarks}')
-
-
-def plan_response(answer: Answer) -> GetPlan.Response:
-    """Return the answer of ``~/get_plan``."""
-    return GetPlan.Response(plan=answer.path)
 
 
 def _replan_response(plan: Plan) -> Trigger.Response:
