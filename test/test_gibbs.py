@@ -119,7 +119,7 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     rows = vstack((hits, csr_matrix(lengths))).tocsr()
     scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
     start = np.zeros(len(limits))
-    found = maximize_entropy(acyclic, scaled, start, -1.0, NEVER)
+    found = maximize_entropy(acyclic, scaled, np.zeros(scaled.shape[1]), start, -1.0, NEVER)
     most = most_route_entropy(network, acyclic.edge, rows, limits)
     if found.infeasible:
         assert np.isnan(most)
@@ -132,18 +132,20 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
 
 
 @examples(15)
-@given(networks(alphas=PLAIN), st.floats(0.2, 0.99))
-def test_infeasible_limits_are_proved_infeasible(network, tightness):
+@given(networks(alphas=PLAIN), st.floats(0.2, 0.99), st.sampled_from((0.0, 5.0)))
+def test_infeasible_limits_are_proved_infeasible(network, tightness, heaviest):
     """All of the source's edges together may be used less than once."""
     case = forward(network)
     if case is None:
         return
     part, acyclic = case
     out = (network.tails[acyclic.edge] == network.source) / tightness
-    found = maximize_entropy(acyclic, csr_matrix(out), np.zeros(1), 0.0, NEVER)
+    weights = np.random.default_rng(0).uniform(0.0, heaviest, len(acyclic.edge))
+    found = maximize_entropy(acyclic, csr_matrix(out), weights, np.zeros(1), 0.0, NEVER)
     assert found.infeasible
     # And limits that can be kept are never called infeasible.
-    kept = maximize_entropy(acyclic, csr_matrix(out * tightness), np.zeros(1), 1e-9, NEVER)
+    kept = maximize_entropy(acyclic, csr_matrix(out * tightness), weights, np.zeros(1), 1e-9,
+                            NEVER)
     assert not kept.infeasible and kept.excess <= 1e-9
 
 

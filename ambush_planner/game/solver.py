@@ -34,7 +34,7 @@ from .law.acyclic import forward_part, order_potential, rank_around
 from .law.chain import MarkovChain, chain_of
 from .law.copies import LawOnCopies, law_on_copies
 from .law.gibbs import acyclic_network
-from .law.law import STEP, Law
+from .law.law import Law
 from .slack import ceiling, within
 from .value.cut import Cut
 from .value.faces import make_faces
@@ -60,10 +60,9 @@ SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
 # is 0.
 SWEEPS, MAX_SWEEPS = 3, 20
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
-JOINING = 0.5
-# Rounds of a law, its steps if the usual ones do not reach the slack, and the least growth of the
-# entropy for another round.
-ROUNDS, CAREFUL_STEP, GROWTH = 12, 0.3, 1e-3
+JOINING = 0.8
+# Rounds of a law, and the least growth of the entropy for another one.
+ROUNDS, GROWTH = 25, 0.03
 
 
 class Places(Protocol):
@@ -226,10 +225,7 @@ class _Search:
             above, apart = ceiling(self.program.bound, self.slack), APART * (sweep < SWEEPS - 1)
             if not self._add_worst(chain, above, apart, rough=sweep == 0):
                 break
-        for step in (STEP, CAREFUL_STEP):
-            law = self._find_law(step)
-            if self._done() or law.rounds == 0:
-                break
+        self._find_law()
         if self.best is None and not self._keeps_budgets(self.program.flow):
             return None
         return self._solution()
@@ -339,9 +335,9 @@ class _Search:
                     return
                 self.latest_copies = None
 
-    def _find_law(self, step: float) -> Law:
+    def _find_law(self) -> None:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
-        law = self.law = self._new_law(step)
+        law = self.law = self._new_law()
         law.measure(self._level())
         if self.problem.ground is None:  # otherwise other places may cost the flow more
             self._keep(law)
@@ -350,17 +346,14 @@ class _Search:
             q, prices = self.program.q, self.program.prices
             if not law.round(q, prices, self.program.bound):
                 break
-            known = len(self.loss)
             self._add_worst(law.chain, ceiling(self.program.bound, JOINING * self.slack), APART)
             law.measure(self._level())
             self._keep(law)
             grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
             if law.good and (law.exact or not grew):
                 break
-            law.step = 1.0 if law.worst >= known else step
-        return law
 
-    def _new_law(self, step: float) -> Law:
+    def _new_law(self) -> Law:
         flow = self.program.flow
         game = self._noticeable(flow)
         safe = game.avoiding(self.entering) if self.program.bound == 0.0 else None
@@ -373,7 +366,6 @@ class _Search:
         law = Law(network, flow[network.edge], self.budgets, game.ambushers, self.slack,
                   not hits_can_differ(game), self.problem.deadline)
         law.add_sites(self.entering, self.loss)
-        law.step = step
         if self.problem.warm:
             prices = zip(self.problem.warm.budgets, self.budgets, strict=True)
             law.start_from(self.problem.warm.sites[self.game.sites],

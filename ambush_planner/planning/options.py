@@ -14,9 +14,9 @@ from ..network.construction import NetworkOptions, chosen_spacing
 from ..option_checks import check_at_least, none_for
 
 # Maximum distance of a place from the site that stands for it, as a share of the reach.
-MAX_WIDENED = 0.02
+MAX_WIDENED = 0.04
 # Maximum number of parts of a cell's side, even if MAX_WIDENED would take more.
-MAX_PARTS = 10
+MAX_PARTS = 5
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
 # Largest distance of paths from the line of a road, unless a tube is set [m].

@@ -162,6 +162,7 @@ class LawOnCopies:
             rows = csr_matrix(diags(1.0 / most) @ self._counted())
             near = np.flatnonzero(np.asarray(rows.sum(axis=1)).ravel() > 1.0)
             found = maximize_entropy(self.network, csr_matrix(vstack((rows[near], self._excess))),
+                                     np.zeros(len(self.label)),
                                      np.append(self._multipliers[near], self._prices),
                                      TOLERANCE * self.slack, deadline, len(near))
             self.evaluations += found.evaluations

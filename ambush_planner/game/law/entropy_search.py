@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The search for the multipliers of the Gibbs law: the most unpredictable strategy within limits.
 
-Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = C' v has
-the greatest route entropy if v >= 0 minimises the convex function
+Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = b + C' v
+has the greatest route entropy less b' p if v >= 0 minimises the convex function
 
-    log Z(C' v) + sum v,        gradient 1 - C p,   Hessian the covariance of the rows' costs.
+    log Z(b + C' v) + sum v,    gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
-This function is at least the entropy of any strategy with C p <= 1, so a value below 0 proves that
-no such strategy exists. The search begins with L-BFGS-B, which scales the multipliers to bring the
-Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it, in
-the multipliers of the tight limits, with Levenberg-Marquardt damping. The search goes on as long as
-rounds lower the function noticeably.
+This function is at least the entropy less b' p of any strategy with C p <= 1. So a value below
+-max b' p proves that no such strategy exists. The search begins with L-BFGS-B, which scales the
+multipliers to bring the Hessian's diagonal near 1 and moves only those of nearly tight limits.
+Newton's method ends it, in the multipliers of the tight limits, with Levenberg-Marquardt damping.
+The search goes on as long as rounds lower the function noticeably.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
 WARM_EVALUATIONS, NEXT_EVALUATIONS = 50, 300
 # Limits that Newton's method moves at once, its maximum number of steps, and the maximum number of
 # further rounds of L-BFGS before it while more limits have multipliers.
-NEWTON_LIMITS, MAX_STEPS, MORE_ROUNDS = 1500, 500, 3
+NEWTON_LIMITS, MAX_STEPS, MORE_ROUNDS = 500, 500, 3
 # Least decrease per round, relative to 1 + |value|, else the search ends.
 MIN_GAIN = 1e-5
 # Missing entropy at which the search ends, relative and in nats.
@@ -69,8 +69,7 @@ class _LimitJoins(Exception):
 class GibbsStrategy:
     """The best evaluation of the search: p (m,) and the multipliers v (R,).
 
-    ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits. With
-    ``log_partition`` = log Z(C' v), log Z + u' v bounds the entropy of any p with C p <= u.
+    ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits.
     """
 
     p: FloatArray
@@ -78,12 +77,12 @@ class GibbsStrategy:
     excess: float = np.inf
     infeasible: bool = False
     evaluations: int = 0
-    log_partition: float = np.inf
 
 
-def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
-                     deadline: float, sites: int = 0) -> GibbsStrategy:
-    """Minimise log Z(C' v) + sum v over v >= 0.
+def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatArray,
+                     start: FloatArray, tolerance: float, deadline: float,
+                     sites: int = 0) -> GibbsStrategy:
+    """Minimise log Z(b + C' v) + sum v over v >= 0, with b = ``weights`` (m,).
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
@@ -92,9 +91,9 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArra
     multipliers for them, Newton's method begins earlier.
     """
     if rows.shape[0] == 0:
-        log_z, p, _ = network.law(np.zeros(len(network.edge)))
-        return GibbsStrategy(p, start, 0.0, False, 1, log_z)
-    search = _DualSearch(network, rows, tolerance, deadline)
+        _, p, _ = network.law(weights)
+        return GibbsStrategy(p, start, 0.0, False, 1)
+    search = _DualSearch(network, rows, weights, tolerance, deadline)
     with contextlib.suppress(_SearchEnded):
         search.run(start, bool(start[:sites].any()))
     search.found.evaluations = search.count
@@ -104,9 +103,10 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArra
 class _DualSearch:
     """The dual function, its least evaluation ``found``, and the methods that minimise it."""
 
-    def __init__(self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float,
-                 deadline: float) -> None:
+    def __init__(self, network: AcyclicNetwork, rows: csr_matrix, weights: FloatArray,
+                 tolerance: float, deadline: float) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
+        self.weights, self._least_possible = weights, -network.most(weights)
         self.tolerance, self.deadline = tolerance, deadline
         self.found, self.least, self.count = GibbsStrategy(np.empty(0), np.empty(0)), np.inf, 0
         self.p = self.share = self.gradient = np.empty(0)
@@ -116,7 +116,7 @@ class _DualSearch:
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Return value and gradient at v (R,), or end the search."""
-        weights = self.columns @ v
+        weights = self.weights + self.columns @ v
         if not np.abs(weights).max() < MAX_WEIGHT:  # the line search diverges
             raise _SearchEnded
         log_z, self.p, self.share = self.network.law(weights)
@@ -128,10 +128,10 @@ class _DualSearch:
         missing = float(v @ (1.0 - used))
         near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
         reached = excess <= self.tolerance and near
-        infeasible = not reached and value < -ROUNDING * (1.0 + total)
+        infeasible = not reached and value < self._least_possible - ROUNDING * (1.0 + total)
         if reached or infeasible or not value > self.least:
             self.least = value
-            self.found = GibbsStrategy(self.p, v.copy(), excess, infeasible, 0, log_z)
+            self.found = GibbsStrategy(self.p, v.copy(), excess, infeasible, 0)
         if reached or infeasible or time.monotonic() > self.deadline:
             raise _SearchEnded
         self.gradient = 1.0 - used
@@ -195,6 +195,8 @@ class _DualSearch:
             weight = np.maximum(v, over * self.unit**2)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
+            if not len(counts):
+                return
             hessian = self.network.covariance(self.share, self.p, self.rows[counts])
             while True:
                 step = _bounded_step(hessian, gradient[counts], v[counts], damping)

@@ -135,6 +135,15 @@ class AcyclicNetwork:
         first[0] = 1.0
         return self.onwards.solve(share, first)
 
+    def most(self, weights: FloatArray) -> float:
+        """The largest sum of weights (m,) along a route."""
+        if not weights.any():
+            return 0.0
+        most = np.zeros(self.count)
+        for nodes, edges, first in self._layers:
+            most[nodes] = np.maximum.reduceat(most[self.head[edges]] + weights[edges], first)
+        return float(most[0])
+
     def _log_partition(self, weights: FloatArray) -> FloatArray:
         """log Z_i (n,) of any size, as sums of logarithms from the target backwards."""
         log_z = np.zeros(self.count)

@@ -2,11 +2,15 @@
 """The law of routes: the most unpredictable strategy whose losses keep to a level.
 
 P(hit) of each site, every route counted once, is a smooth function of the Markov chain. So the law
-of greatest entropy is found by rounds: each one limits the hits by rows that are exact at the chain
-before (``MarkovChain.hits_with_derivatives``), finds the Gibbs law of greatest entropy within these
-limits and goes a step towards it. What the rows did not foresee at a site is kept as a reserve for
-the next round. Two or three rounds reach the slack. Where no route can meet a site twice, the rows
-are exact for every chain, and one round does it.
+of greatest entropy is found by rounds. Each one limits the hits by rows that are exact at the chain
+before (``MarkovChain.hits_with_derivatives``) and finds the Gibbs law of greatest entropy within
+these limits, which after the first round is also drawn towards the chain before: it maximises
+
+    H(p) + NEAR_PAST sum of p ln(share before),    share: the probability of an edge at its tail.
+
+Where rounds stand still, the chain before is the new one, so p has the greatest entropy (theory.md,
+Proposition 8.5). Where no route can meet a site twice, the rows are exact for every chain, and one
+round does it.
 """
 
 from __future__ import annotations
@@ -23,18 +27,15 @@ from .chain import MarkovChain
 from .entropy_search import maximize_entropy
 from .gibbs import AcyclicNetwork
 
-# Share of the slack that a law aims at; its tolerance as a share of the slack, and the largest.
-AIM, TOLERANCE, MAX_TOLERANCE = 0.95, 0.04, 4e-4
+# Share of the slack that a law aims at: if its rows are exact for every chain, and if they are not.
+EXACT_AIM, AIM = 0.95, 0.7
+# Tolerance of a law as a share of the slack, and the largest.
+TOLERANCE, MAX_TOLERANCE = 0.04, 4e-4
 # Sites limit their hits if their entries cost at least this share of their level; else entries.
 NEAR = 0.97
-# Steps towards a new law: the usual one, and the shortest.
-STEP, SHORTEST = 0.6, 0.05
-# A longer step may put the value this many slacks over its limit, or must reach this share of
-# what it promises.
-OVERSHOOT, PROMISE = 3.0, 0.1
-# Of a reserve: the share kept in the next round, its largest share of a limit, and the share kept
-# if the limits are infeasible with it.
-KEPT_RESERVE, MAX_RESERVE, LESS_RESERVE = 0.5, 0.1, 0.3
+# Weight of the cross entropy to the chain before, relative to the entropy; and the least share of
+# an edge in it.
+NEAR_PAST, LEAST_SHARE = 0.5, 1e-12
 # Shares of what p costs too much that limits may leave if those without are infeasible.
 RELAXED = (0.5, 0.75, 0.9)
 # Largest number of doublings of the first multipliers.
@@ -62,18 +63,14 @@ class Law:
         self._excess = margin_rows(binding, network.edge) / (1.0 - self._tolerance)
         self._entering = csr_matrix((0, len(p)))
         self._loss, self.level = np.zeros(0), np.zeros(0)
-        self._claimed, self._reserve = np.zeros(0), np.zeros(0)
         self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
-        self._before = self.multipliers, self.prices  # those of the round before the last
-        self.rounds, self.step, self.evaluations, self.entropy_bound = 0, 1.0, 0, np.nan
+        self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
         self._entering = csr_matrix(vstack((self._entering, self.network.columns(entering))))
-        self._loss, more = np.append(self._loss, loss), np.zeros(len(loss))
-        self._claimed = np.append(self._claimed, more)
-        self._reserve = np.append(self._reserve, more)
-        self.multipliers = np.append(self.multipliers, more)
+        self._loss = np.append(self._loss, loss)
+        self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
     def start_from(self, sites: FloatArray, budgets: FloatArray, level: FloatArray) -> None:
         """Begin with the multipliers per hit of the first sites (K,) and per unit of cost."""
@@ -104,14 +101,6 @@ class Law:
         losses = self._loss[near] * self._hits
         self.worst = int(near[np.argmax(losses)]) if len(near) else -1
 
-    def _value_of(self, chain: MarkovChain) -> float:
-        """The value of a strategy."""
-        hits = self._most_hits(chain)
-        if not self.exact:
-            near = self._could[hits[self._could] > NEAR * (self.level / self._loss)[self._could]]
-            hits[near] = chain.hits(self._entering[near])
-        return self._sum_of_largest(self._loss * hits)
-
     def _most_hits(self, chain: MarkovChain) -> FloatArray:
         """Bounds (S,) of the hits, from the entries."""
         return np.asarray(np.minimum(self._entering @ chain.p, 1.0))
@@ -130,77 +119,56 @@ class Law:
         return within(self.value, self._level_value, self.slack)
 
     def round(self, q: FloatArray, prices: FloatArray, bound: float) -> bool:
-        """One law within rows that are exact at p, and a step towards it; False if there is none.
+        """The law of greatest entropy, near the one before, within rows that are exact at p.
 
-        q (S,) and the prices of the budgets are the first multipliers, up to a factor.
+        q (S,) and the prices of the budgets are the first multipliers, up to a factor. Returns
+        False if no law is within the rows.
         """
-        near, aim = self._near, self.level * ceiling(1.0, AIM * self.slack) / self._loss
-        if self.rounds:
-            known = self._claimed[near] > 0.0
-            excess = np.where(known, self._hits - self._claimed[near], 0.0)
-            self._reserve[near] = np.maximum(KEPT_RESERVE * self._reserve[near], excess)
+        near, aim = self._near, EXACT_AIM if self.exact else AIM
+        most = self.level * ceiling(1.0, aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
-        for kept, most in self._limits(sites, aim[sites]):
-            limits = csr_matrix(vstack((diags(1.0 / most) @ rows, self._excess)))
-            start = self._start(limits, sites, q, prices, bound)
-            found = maximize_entropy(self.network, limits, start, self._tolerance,
+        later = NEAR_PAST if self.rounds and not self.exact else 0.0
+        past = -later * np.log(np.maximum(self.chain.share, LEAST_SHARE))
+        for kept in self._limits(most[sites]):
+            limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._excess)))
+            start = (1.0 - later) * self._start(limits, sites, q, prices, bound)
+            found = maximize_entropy(self.network, limits, past, start, self._tolerance,
                                      self.deadline, len(sites))
             self.evaluations += found.evaluations
             if not found.infeasible:
-                self._reserve *= kept
                 break
         if found.infeasible or not len(found.p):
             return False
-        self._before = self.multipliers, self.prices
-        self.multipliers, self.prices = np.zeros(len(self._loss)), found.multipliers[len(sites) :]
-        self.multipliers[sites] = found.multipliers[: len(sites)]
-        whole = np.append(self.level[sites] * ceiling(1.0, self.slack) / self._loss[sites] / most,
+        # Where rounds stand still, the chain before stands for this share of the multipliers.
+        multipliers = found.multipliers / (1.0 - later)
+        self.multipliers, self.prices = np.zeros(len(self._loss)), multipliers[len(sites) :]
+        self.multipliers[sites] = multipliers[: len(sites)]
+        whole = np.append(self.level[sites] * ceiling(1.0, self.slack) / self._loss[sites] / kept,
                           np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
-        self.entropy_bound = found.log_partition + float(whole @ found.multipliers)
-        self._go_towards(found.p)
-        self._claimed[:] = 0.0
-        self._claimed[sites] = rows @ self.chain.p
+        log_z = self.network.law(limits.T @ multipliers)[0]
+        self.entropy_bound = log_z + float(whole @ multipliers)
+        self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1
         return True
 
-    def _limits(self, sites: IndexArray, aim: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-        """Limits (K,) of the hits to try in turn, and the share of the reserve that each keeps.
+    def _limits(self, aim: FloatArray) -> Iterator[FloatArray]:
+        """Limits (K,) of the hits to try in turn.
 
         If p costs too much, the last ones do not ask for all of the way to the aim at once: the
         rows are exact only at p.
         """
-        reserve = self._reserve[sites]
-        for kept in (1.0, LESS_RESERVE) if reserve.any() else ():
-            yield kept, aim - np.minimum(kept * reserve, MAX_RESERVE * aim)
-        yield 0.0, aim
+        yield aim
         over = self.value / self.limit - 1.0 if self.limit else 0.0
         for share in RELAXED if over > 0.0 else ():
-            yield 0.0, aim * (1.0 + share * over)
+            yield aim * (1.0 + share * over)
 
     def _start(self, limits: csr_matrix, sites: IndexArray, q: FloatArray, prices: FloatArray,
                bound: float) -> FloatArray:
-        """The better of the last two rounds' multipliers; at first the ambusher's may be better.
-
-        Rows of a chain far from the one before can ask for multipliers far from the last ones.
-        """
-        starts = [np.append(np.pad(v, (0, len(self._loss) - len(v)))[sites], each)
-                  for v, each in ((self.multipliers, self.prices), self._before)]
-        if self.rounds == 0 and q.any() and bound > 0.0:
-            ambusher = np.append(q[sites] * self.level[sites], prices * self._margin) / bound
-            starts[1:] = [ambusher * 2.0**k for k in range(DOUBLINGS)]
+        """The multipliers of the round before; at first a multiple of the ambusher's."""
+        start = np.append(self.multipliers[sites], self.prices)
+        if self.rounds or not q.any() or bound <= 0.0:
+            return start
+        ambusher = np.append(q[sites] * self.level[sites], prices * self._margin) / bound
+        starts = [start, *(ambusher * 2.0**k for k in range(DOUBLINGS))]
         return min(starts, key=lambda v: self.network.law(limits.T @ v)[0] + float(v.sum()))
-
-    def _go_towards(self, newest: FloatArray) -> None:
-        """Take the whole step if the value keeps to its limit, else a shorter one."""
-        before, old, step = self.value, self.chain.p, self.step
-        self.chain = MarkovChain(self.network, newest)
-        if self.rounds == 0 or within(self._value_of(self.chain), self._level_value, self.slack):
-            return
-        while True:
-            self.chain = MarkovChain(self.network, (1.0 - step) * old + step * newest)
-            value = self._value_of(self.chain) if step > SHORTEST else 0.0
-            if value <= max(ceiling(self.limit, OVERSHOOT * self.slack),
-                            before + PROMISE * step * (self.limit - before)):
-                return
-            step /= 2.0
