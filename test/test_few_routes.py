@@ -19,13 +19,14 @@ from ambush_planner import (
     plan_trip,
 )
 from ambush_planner.planning.few_routes import few_routes
+from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.path_mixtures import PathMixtures
 from ambush_planner.planning.random_draws import OUTCOMES, nearest_counts, random_draws
 from ambush_planner.routes.driven_path import driven_paths
 
 # 16 different routes, so that all sets of two can be tried.
 COARSE = PlanningOptions(network=NetworkOptions(spacing=5.0), game=GameOptions(ambush_radius=2.5),
-                         strategy=StrategyOptions(max_detour=1.1))
+                         strategy=StrategyOptions(max_detour=1.1), drive=DriveOptions(tube=1.75))
 
 
 @pytest.fixture(scope='module')

@@ -7,9 +7,10 @@ from drive_samples import distance_to
 from nav_msgs.srv import GetPlan
 from ros_harness import pose, risk_grid, stage
 
-from ambush_planner import StrategyOptions, TimeLimit
+from ambush_planner import GameOptions, PlanningOptions, StrategyOptions, TimeLimit
 from ambush_planner.game.strategy import solve_game
 from ambush_planner.planning import solving as planner
+from ambush_planner.planning.options import tube as default_tube
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.worker.process import WorkerProcess
@@ -67,3 +68,10 @@ def test_a_slack_that_was_asked_for_is_not_warned_of():
         report = client.diagnostics(departures='1')
         assert float(report['gap']) > 0.1 * float(report['value'])
         assert 'ended the search' not in report['message']
+
+
+@pytest.mark.parametrize(('reach', 'spacing', 'tube'), [
+    (10.0, 2.0, 0.7), (10.0, 6.0, 1.0), (0.0, 2.0, None)])
+def test_the_default_tube_is_small_against_the_reach_and_the_spacing(reach, spacing, tube):
+    options = PlanningOptions(game=GameOptions(ambush_radius=reach))
+    assert default_tube(options, spacing) == (tube and pytest.approx(tube))

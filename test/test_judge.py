@@ -249,8 +249,8 @@ def test_recordings_are_judged(tmp_path):
 
 
 @pytest.mark.parametrize(('arguments', 'code', 'reason'), [
-    (QUICK, 4, '0 trips within 2.875 m of start and goal\n'
-     'left out: track 1 of a.csv never comes within 2.875 m of the start\n'
+    (QUICK, 4, '0 trips within 2.6 m of start and goal\n'
+     'left out: track 1 of a.csv never comes within 2.6 m of the start\n'
      'ambush judge: no track has a trip from start to goal\n'),
     ((*QUICK, '--held', 60), 2, 'held ground covers everything'),
     ((), 2, 'how far does an ambusher reach? Add --reach METRES'),

@@ -154,7 +154,7 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     inside = held.buffer(-0.03 * 40.0)  # a site stands for places around it
     assert len(tables['held_ground']) == 3 and not inside.contains(tables['sites'].geometry).any()
     assert held.distance(shapely.Point(-155.0, -50.0)) == pytest.approx(0.0, abs=1e-9)
-    drawn_on = tables['edges'].union_all().buffer(0.35 * 30 + 1e-6)  # the tube
+    drawn_on = tables['edges'].union_all().buffer(0.1 * 40.0 + 1e-6)  # the tube
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 

@@ -17,8 +17,8 @@ from ..option_checks import check_at_least, none_for
 MAX_WIDENED = 0.04
 # Maximum number of parts of a cell's side, even if MAX_WIDENED would take more.
 MAX_PARTS = 5
-# Default tube if the game has a reach, in node spacings.
-DEFAULT_TUBE = 0.35
+# Largest default tube, in node spacings; and, if the game has a reach, as a share of it.
+DEFAULT_TUBE, TUBE_OF_REACH = 0.35, 0.1
 # Largest distance of paths from the line of a road, unless a tube is set [m].
 ROAD_TUBE = 1.0
 # Maximum start tolerance, as a share of the reach: what held ground loses by it stays small.
@@ -34,8 +34,9 @@ class DriveOptions:
     tube
         Largest distance of the path from the drawn route [m]. It is added to the reach of the
         game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
-        spacings, on roads at most ``ROAD_TUBE``; without one, the path only avoids nodes that its
-        route does not use; on roads it also stays within ``ROAD_TUBE`` of their lines.
+        spacings, at most ``TUBE_OF_REACH`` times the reach, and on roads ``ROAD_TUBE``; without
+        one, the path only avoids nodes that its route does not use; on roads it also stays within
+        ``ROAD_TUBE`` of their lines.
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
     start_tolerance
@@ -149,8 +150,10 @@ def tube(options: PlanningOptions, spacing: float) -> float | None:
 
 
 def automatic_tube(options: PlanningOptions, spacing: float) -> float:
-    """The tube that is used with a reach if none is set [m]."""
-    return min(DEFAULT_TUBE * spacing, ROAD_TUBE if options.network.roads else math.inf)
+    """The tube that is used with a reach if none is set [m]; without one, of the same size."""
+    reach = options.game.ambush_radius
+    return min(DEFAULT_TUBE * spacing, TUBE_OF_REACH * reach if reach > 0.0 else math.inf,
+               ROAD_TUBE if options.network.roads else math.inf)
 
 
 def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
