@@ -2,14 +2,18 @@
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
 import shutil
+import struct
 import subprocess
 import sys
+from io import BytesIO
 
 import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from commands import NO_ROS
 from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, recorded, small_departure
@@ -110,7 +114,45 @@ def test_damaged_files_are_refused_or_read_the_same(tmp_path):
         # A record of a kind that no reader knows.
         assert (found.entries, found.messages) == (whole.entries, whole.messages)
         assert found.attachments == whole.attachments
-    assert refused > 40  # the summary is not read
+    assert refused > 80
+
+
+def ends(data):
+    """Copies whose summary, index, footer or end differs; other readers begin there."""
+    reader = make_reader(BytesIO(data))
+    summary = struct.unpack_from('<Q', data, len(data) - 28)[0]
+    assert reader.get_summary().statistics.message_count and data[summary] < 0x0C
+    for place in (*range(summary + 9, len(data) - 37, 7), len(data) - 28, len(data) - 20):
+        yield data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :]
+    yield from (data + bytes(16), data + data, data + b'\n', data[:-8] + bytes(8))
+
+
+def test_a_summary_that_misleads_other_readers_is_damage(tmp_path):
+    path = tmp_path / 'x.mcap'
+    for changed in ends(file_of(small_departure())):
+        path.write_bytes(changed)
+        with pytest.raises(UnreadableRecording, match='damaged'):
+            read_recording(path)
+
+
+def other_bag(name):
+    """A bag of another program with one message and perhaps a metadata record."""
+    stream = BytesIO()
+    writer = Writer(stream)
+    writer.start(profile='ros2')
+    writer.add_metadata(name, {'format': FORMAT}) if name else None
+    schema = writer.register_schema('std_msgs/msg/Header', 'ros2msg', b'string frame_id')
+    writer.add_message(writer.register_channel('/a', 'cdr', schema), 1, b'', 1)
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize('name', ['', 'rosbag2', 'ambush_planner_2'])
+def test_a_file_without_the_record_is_said_to_have_none(name, tmp_path):
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(other_bag(name))
+    with pytest.raises(UnreadableRecording, match='no record .*Its 1 messages can be seen'):
+        read_recording(path)
 
 
 @pytest.mark.parametrize(('change', 'words'), [

@@ -84,6 +84,18 @@ def test_which_transforms_count(transforms, wanted):
     assert found_in(buffer_of(*transforms), 'map', 'base') == wanted
 
 
+@pytest.mark.parametrize(('stamps', 'latest', 'wanted'), [
+    ([50, 8, 9], 10, 9),  # one by a clock that is fast does not shut out right ones
+    ([8, 9, 50], 10, 9), ([50, 8, 51, 9, 52], 10, 9),  # nor a publisher with wrong stamps
+    ([9, 8], 10, 9), ([50, 40], 10, 50),  # nothing else is known: the caller names it
+    ([50, *range(1, 11)], math.inf, 10),  # without a clock: once enough others have come
+])
+def test_stamps_ahead_of_the_clock_shut_out_nothing(stamps, latest, wanted):
+    buffer = buffer_of(*(('map', 'base', stamp, stamp) for stamp in stamps))
+    found = buffer.lookup('map', 'base', latest)
+    assert (found.stamp_ns, found.newest_ns, found.matrix[0, 3]) == (wanted, wanted, wanted)
+
+
 def test_invalid_quaternions_are_ignored():
     buffer = buffer_of(('map', 'base', 1, 1))
     for quaternion in ((0.0,) * 4, (0.0, 0.0, 0.0, math.nan)):

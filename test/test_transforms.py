@@ -125,16 +125,28 @@ def test_a_simulation_that_restarts_clears_the_buffer():
 def test_a_moving_transform_far_from_now_is_an_error_with_its_age(tf):
     """Localisation post-dates map -> odom by about a second, which is fine."""
     now = tf.listener.get_clock().now().nanoseconds // 10**9
-    given = pose(0.0, 0.0, frame='base_link')
-    for x, ahead, words in ((3.0, -100, r'is 10\d s old, more than transform.max_age, 2 s'),
-                            (1.0, 2, ''), (2.0, 100, r'stamped (100|9\d\.?\d?) s ahead of now')):
-        tf.send(transform('map', 'base_link', x, sec=now + ahead))
-        tf.wait_for(given, (x, 0.0))
+    for frame, ahead, words in (('late', -100, r'is 10\d s old, more than transform.max_age, 2 s'),
+                                ('right', 2, ''),
+                                ('early', 100, r'stamped (100|9\d\.?\d?) s ahead of now'),
+                                ('camera', 0, r'stamped (100|9\d\.?\d?) s ahead of now')):
+        given, parent = pose(0.0, 0.0, frame=frame), 'early' if frame == 'camera' else 'map'
+        tf.send(transform(parent, frame, 3.0, sec=now + ahead))
+        tf.wait_for(given, (6.0 if frame == 'camera' else 3.0, 0.0))
         with pytest.raises(FrameMismatch, match=words) if words else nullcontext():
             tf.frames.to_frame(given, 'start', 'map', 2.0)
     tf.fix(transform('map', 'depot', 1.0, sec=1))
     tf.wait_for(pose(0.0, 0.0, frame='depot'), (1.0, 0.0))
     tf.frames.to_frame(pose(0.0, 0.0, frame='depot'), 'start', 'map', 2.0)
+    # One that is right counts at once, whatever came before.
+    tf.send(transform('map', 'early', 5.0, sec=now + 1))
+    wait_until(lambda: _x(tf, 'early') == 5.0, 'the right transform')
+
+
+def _x(tf, frame):
+    try:
+        return tf.frames.to_frame(pose(0.0, 0.0, frame=frame), 'start', 'map', 60.0).pose.position.x
+    except FrameMismatch:
+        return None
 
 
 def test_a_departure_starts_where_the_robot_is_now():

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import re
+import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,6 +30,7 @@ METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
 FORMAT = '10'
 _CHUNK_SIZE = 2**20  # bytes
+_MAGIC = 8  # bytes that begin and end a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
 
 def read_recording(path: Path | str) -> RecordingFile:
     """Read a file and check its CRCs; raises UnreadableRecording."""
-    from mcap.records import DataEnd, Metadata
+    from mcap.records import DataEnd, Message, Metadata
     from mcap.stream_reader import StreamReader
 
     path = Path(path)
@@ -98,18 +101,26 @@ def read_recording(path: Path | str) -> RecordingFile:
         data = path.read_bytes()
     try:
         found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
-        # The summary repeats schemas and channels, and the library does not check its CRC.
+        # The summary repeats schemas and channels.
         found = list(takewhile(lambda each: not isinstance(each, DataEnd), found))
+        _check_summary(data)
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
             f'it is damaged or not an MCAP file ({type(error).__name__}); `mcap recover` of the '
             'mcap command line saves intact messages',
         ) from error
-    texts: Mapping[str, str] = next(
+    texts: Mapping[str, str] | None = next(
         (each.metadata for each in found
-         if isinstance(each, Metadata) and each.name == METADATA_RECORD), {},
+         if isinstance(each, Metadata) and each.name == METADATA_RECORD), None,
     )
+    if texts is None:
+        count = sum(isinstance(each, Message) for each in found)
+        raise UnreadableRecording(
+            path, f'it has no record {METADATA_RECORD!r}: it is not a recording of this planner, '
+            f'or a tool such as `mcap recover` has removed the record. Its {count} messages can '
+            'be seen with ros2 bag, RViz or Foxglove, but not verified'
+        )
     if texts.get('format') != FORMAT:
         raise UnreadableRecording(
             path, f'its format is {texts.get("format")!r}, this version reads {FORMAT!r}: use the '
@@ -121,6 +132,21 @@ def read_recording(path: Path | str) -> RecordingFile:
         raise UnreadableRecording(
             path, f'its records are inconsistent ({type(error).__name__})'
         ) from error
+
+
+def _check_summary(data: bytes) -> None:
+    """Check the end of a file, which other readers begin with; the library does not.
+
+    Raises ValueError if bytes follow the end, or the summary (statistics, indexes, the footer) does
+    not have the CRC that the footer states.
+    """
+    if not data.endswith(data[:_MAGIC]):
+        raise ValueError('bytes follow the end')
+    end = len(data) - _MAGIC  # of the footer, whose last 4 bytes are the CRC
+    start, _, stated = struct.unpack_from('<QQI', data, end - 20)
+    begin = start or end - 29  # of the summary, or of the footer if there is none
+    if stated not in (0, zlib.crc32(data[begin : end - 4])):
+        raise ValueError('the CRC of the summary differs')
 
 
 @lru_cache(maxsize=64)

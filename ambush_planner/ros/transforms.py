@@ -51,12 +51,13 @@ class FrameTransforms:
         """Return the pose called ``name`` in ``frame``; unchanged if that is its frame.
 
         The newest transforms are used, whatever the pose's stamp: a pose in ``base_link`` is where
-        the robot is now. The result has the oldest stamp of these, or none if all are static. Never
-        waits for a transform.
+        the robot is now. Those stamped more than ``max_age`` [s] ahead of now are used for nothing
+        that others are known for. The result has the oldest stamp of these, or none if all are
+        static. Never waits for a transform.
 
         Raises FrameMismatch if the pose has no frame, or no transform to ``frame`` is known, or it
-        is older than ``max_age`` [s] or stamped further ahead of now, and InvalidPose if a pose to
-        transform is not a valid one.
+        is older than ``max_age`` or all known ones are stamped further ahead of now, and
+        InvalidPose if a pose to transform is not a valid one.
         """
         given = pose.header.frame_id
         if given and given == frame:
@@ -72,18 +73,19 @@ class FrameTransforms:
             raise FrameMismatch(f'{problem}, or install tf2_msgs to have it transformed')
         # Checked before the rotation, which would normalise an invalid orientation.
         position_from_ros(pose, name)
+        now = self._clock.now().nanoseconds
         try:
-            found = self._buffer.lookup(frame, given)
+            found = self._buffer.lookup(frame, given, now + max_age * 1e9)
         except TransformUnknown as error:
             raise FrameMismatch(
                 f'{problem}, or publish the transform between the two on /tf: {error}'
             ) from error
-        now = self._clock.now().nanoseconds
-        age = 0.0 if found.stamp_ns is None else (now - found.stamp_ns) / 1e9
+        age, ahead = (0.0 if stamp is None else (now - stamp) / 1e9
+                      for stamp in (found.stamp_ns, found.newest_ns))
         if age > max_age:
             problem, check = f'{age:.3g} s old', 'is still published'
-        elif -age > max_age:  # localisation post-dates map -> odom, but only by about a second
-            problem, check = f'stamped {-age:.3g} s ahead of now', 'is published'
+        elif -ahead > max_age:  # localisation post-dates map -> odom, but only by about a second
+            problem, check = f'stamped {-ahead:.3g} s ahead of now', 'is published'
         else:
             return _transformed(pose, found, frame)
         raise FrameMismatch(
