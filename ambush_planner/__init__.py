@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Unpredictable routes on a risk map, with a certified bound on the loss from an ambush."""
 
+from importlib.metadata import PackageNotFoundError as _PackageNotFoundError
 from importlib.metadata import version as _version
 
 from .errors import (
@@ -40,7 +41,10 @@ from .planning.options import DriveOptions, PlanningOptions
 from .planning.plan import Plan
 from .planning.trip import plan_trip
 
-__version__ = _version(__name__)
+try:
+    __version__ = _version(__name__)
+except _PackageNotFoundError:  # a checkout that was never installed
+    __version__ = 'unknown'
 
 __all__ = [
     'AmbushPlannerError',

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bottleneck report: the decisive sites, and the value with secured ends."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.bottleneck import find_bottleneck
+from ambush_planner.game.bottleneck import find_bottleneck, secured_bound
 
 
 def detour_network() -> Network:
@@ -26,29 +28,39 @@ def detour_network() -> Network:
 
 
 def test_the_decisive_site_and_its_place_are_reported():
-    report = find_bottleneck(solve(detour_network(), options=StrategyOptions(max_detour=np.inf)))
+    strategy = solve(detour_network(), options=StrategyOptions(max_detour=np.inf))
+    report = find_bottleneck(strategy)
     assert report.sites.tolist() == [1]
     assert report.near_ends == 1
-    assert report.value == pytest.approx(2.0, rel=1e-6)
+    assert strategy.value == pytest.approx(2.0, rel=1e-6)
     # With that site out of the game, the ambusher picks one of three.
-    assert report.secured_value == pytest.approx(1 / 3, rel=1e-6)
+    assert secured_bound(strategy, report.distance) == pytest.approx(1 / 3, rel=1e-6)
 
 
 @pytest.mark.parametrize('detour', [1.0, 1.05, 2.0])
-def test_the_secured_value_keeps_the_budget(detour):
+def test_the_secured_bound_keeps_the_budget(detour):
     """It is what solving without the sites near the ends gives within the same budget."""
     network = detour_network()
     options = StrategyOptions(max_detour=detour, risk_slack=0.0)
-    report = find_bottleneck(solve(network, options=options))
-    secured = solve(network, GameOptions(secured_radius=report.distance), options)
-    assert report.secured_value == pytest.approx(secured.value, rel=1e-4)
+    strategy = solve(network, options=options)
+    distance = find_bottleneck(strategy).distance
+    secured = solve(network, GameOptions(secured_radius=distance), options)
+    bound = secured_bound(strategy, distance)
+    assert bound == pytest.approx(secured.value, rel=1e-4)
     if detour == 1.0:
-        assert report.secured_value == pytest.approx(1.0)
+        assert bound == pytest.approx(1.0)
+
+
+def test_without_time_nothing_is_said_of_secured_ends():
+    """A bound of 0 would promise that holding the ends ends the danger."""
+    strategy = solve(detour_network(), options=StrategyOptions(max_detour=1.01))
+    assert secured_bound(strategy, find_bottleneck(strategy).distance, -math.inf) is None
 
 
 def test_a_game_of_value_zero_has_no_decisive_sites():
     points = np.array([[0, 0], [1, 0], [2, 0.0]])
     network = Network(points, np.zeros(3), np.array([[0, 1], [1, 2]]), 0, 2)
-    report = find_bottleneck(solve(network))
+    strategy = solve(network)
+    report = find_bottleneck(strategy)
     assert len(report.sites) == 0 and report.near_ends == 0
-    assert report.secured_value == report.value == 0.0
+    assert secured_bound(strategy, report.distance) == strategy.value == 0.0

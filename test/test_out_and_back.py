@@ -28,7 +28,7 @@ def plan():
     risk_map = risk_from_occupancy(occupancy(), 5.0)
     made = plan_trip(risk_map, START, START, options, stops=[GOAL])
     ambusher = made.strategy.ambusher
-    both = np.tile(ambusher.by_leg.sum(axis=0) / 2.0, (2, 1))
+    both = np.tile(ambusher.q / 2.0, (2, 1))
     return replace(made, strategy=replace(made.strategy, ambusher=replace(ambusher, by_leg=both)))
 
 
@@ -37,9 +37,7 @@ def total(plan):
     """Each place's share of both legs (K,)."""
     strategy = plan.strategy
     out, back = strategy.ambusher.by_leg
-    total = np.zeros(strategy.network.place_count)
-    total[strategy.network.places[strategy.game.sites]] = out + back
-    return total
+    return strategy.game.at_places(out + back)
 
 
 def test_shares_of_places_add_up_to_the_number_of_ambushers(plan, total):

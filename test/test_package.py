@@ -3,6 +3,7 @@
 
 import ast
 import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from functools import cache
@@ -136,3 +137,13 @@ def test_all_package_folders_and_data_files_are_installed():
     for folder in ('config', 'launch', 'msg_examples'):
         files = sorted(f'{folder}/{path.name}' for path in (ROOT / folder).iterdir())
         assert files and targets[f'share/{NAME}/{folder}'] == files
+
+
+def test_a_checkout_without_metadata_can_be_imported(tmp_path):
+    (tmp_path / NAME).symlink_to(ROOT / NAME)
+    without = (f'import sys; sys.path[:0] = [{str(tmp_path)!r}]; import importlib.metadata as m\n'
+               'def version(name): raise m.PackageNotFoundError(name)\n'
+               'm.version = version; import ambush_planner as a; print(a.__version__)')
+    done = subprocess.run([sys.executable, '-c', without], capture_output=True, text=True,
+                          timeout=60, check=True)
+    assert done.stdout.strip() == 'unknown'

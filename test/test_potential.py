@@ -5,6 +5,8 @@ Its value is compared with that of all mixtures of routes in test_reach.
 """
 
 import math
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -190,3 +192,25 @@ def test_a_program_without_time_or_without_an_optimum_ends_by_name(flows):
         program.solve(math.inf)
     with pytest.raises(TimeLimit):
         program.solve(time.monotonic() - 1.0)
+
+
+PRINTS = """
+import threading
+from ambush_planner.game.value.face_flows import KeptFlows
+
+threads = [threading.Thread(target=lambda: [KeptFlows() for _ in range(50)]) for _ in range(4)]
+for thread in threads:
+    thread.start()
+for k in range(50):
+    print(k, flush=True)
+for thread in threads:
+    thread.join()
+print('last')
+"""
+
+
+@WITH_HIGHSPY
+def test_programs_in_threads_leave_the_standard_output_alone():
+    done = subprocess.run([sys.executable, '-c', PRINTS], capture_output=True, text=True,
+                          timeout=60, check=True)
+    assert done.stdout.split() == [*map(str, range(50)), 'last']

@@ -28,6 +28,7 @@ from games import (
 from hypothesis import given
 from hypothesis import strategies as st
 from route_entropy import route_entropy
+from test_trip import roads_of
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -37,12 +38,15 @@ from ambush_planner import (
     NetworkOptions,
     NoRoute,
     RiskMap,
+    SolverFailed,
     StrategyOptions,
     TimeLimit,
     build_network,
     solve,
 )
 from ambush_planner.game.revaluation import revalue
+from ambush_planner.game.value import potential
+from ambush_planner.game.value.face_flows import KeptFlows, RepeatedFlows
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
@@ -370,6 +374,26 @@ def test_an_exposure_budget_by_hand():
     assert tight.exposure_price > 0.0 and free.exposure_price == 0.0
 
 
+@pytest.mark.parametrize('flows', [KeptFlows, RepeatedFlows])
+def test_a_solver_that_fails_is_named(monkeypatch, recwarn, flows):
+    """The strategy has its true value and bound, and nothing is divided by a bound of 0."""
+    def fails(self, deadline):
+        raise SolverFailed('numerical trouble')
+
+    monkeypatch.setattr(flows, 'solve', fails)
+    monkeypatch.setattr(potential, 'new_flows', flows)
+    strategy = solve(terrain_network(4, cells=14), GameOptions(ambush_radius=2.0))
+    assert strategy.reason == 'solver' and 0.0 <= strategy.lower_bound < strategy.value
+    assert not [str(each.message) for each in recwarn]
+
+
+@pytest.mark.parametrize('solver', ['interior_point', 'simplex'])
+def test_a_linear_program_that_ends_off_the_bound_names_no_time_limit(monkeypatch, solver):
+    monkeypatch.setattr('ambush_planner.game.strategy.CERTIFICATE_TOLERANCE', -1.0)
+    strategy = solve(paper_example(), options=StrategyOptions(solver=solver))
+    assert strategy.reason == 'solver'
+
+
 # What a strategy is worth on other losses.
 
 
@@ -387,6 +411,25 @@ def test_revalue_gives_the_value_on_the_new_losses(reach):
     hit = hit_once(changed, strategy.edge_probability, hits)
     assert other.value == pytest.approx((changed.alpha * hit).max())
     assert other.bound <= best.value and best.lower_bound <= other.value
+
+
+@examples(6)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.2]), trip=st.booleans())
+def test_losses_where_nobody_waits_do_not_change_what_an_ambusher_proves(seed, reach, trip):
+    roads = roads_of(seed, int(trip), 16)
+    network = roads.network(roads.visits)
+    game = GameOptions(ambush_radius=reach, secured_radius=1.0)
+    strategy = solve(network, game, StrategyOptions(max_detour=1.5))
+    rng, places = np.random.default_rng(seed), strategy.network.places
+    unused = (strategy.ambush_at_places[places] == 0.0) & (strategy.network.alpha > 0.0)
+    unused &= (rng.random(network.place_count) < 0.5)[places]
+    fewer = revalue(strategy, np.where(unused, 0.0, strategy.network.alpha))
+    assert fewer.bound == pytest.approx(min(strategy.lower_bound, fewer.value), rel=1e-5, abs=1e-9)
+    by_place = rng.choice([0.0, 1.0], network.place_count)
+    by_place[network.places[network.ends]] = 0.0
+    other = solve(replace(network, alpha=by_place[network.places]), game,
+                  StrategyOptions(max_detour=1.5))
+    assert revalue(strategy, by_place[places]).bound <= other.value * (1.0 + 1e-9)
 
 
 def test_twice_the_losses_give_twice_the_value():

@@ -84,13 +84,14 @@ def _key(drawn: FewDrawn, axes: Axes) -> None:
 
 
 def _curve(axes: Axes, few: FewRoutes) -> None:
-    """The value over the number of routes, and the lower bound."""
+    """The value over the number of routes, and what all candidates could reach."""
     axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
     axes.axhline(few.lower_bound, color='0.45', linestyle=':')
     low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
-    axes.annotate("plan's lower bound", (0.0, few.lower_bound), xycoords=('axes fraction', 'data'),
-                  xytext=(3, 3 if low else -3), textcoords='offset points', va='bottom' if low
-                  else 'top', color='0.35', fontsize='small', path_effects=HALO)
+    axes.annotate(f'all {few.candidates} paths', (0.0, few.lower_bound),
+                  xycoords=('axes fraction', 'data'), xytext=(3, 3 if low else -3),
+                  textcoords='offset points', va='bottom' if low else 'top', color='0.35',
+                  fontsize='small', path_effects=HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')

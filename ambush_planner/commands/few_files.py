@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -89,16 +90,15 @@ def map_of(sheet: Path) -> Path:
 
 def tell_few(plan: Plan, few: FewRoutes, console: Console) -> None:
     """Print the value and how to draw, and put all but the paths into the result."""
-    draws, tube = random_draws(plan), plan.strategy.game.options.tube
-    price = float(few.value / few.lower_bound)
-    below = (f'; it may be below, because the bound lets convoys stray {tube:.3g} m from their '
-             'routes, and these are fixed') * (price < 1.0)
+    draws = random_draws(plan)
+    price = few.value / few.lower_bound if few.lower_bound else math.inf
     console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.2f} times '
-                 f'the lower bound{below}')
+                 f'that of all {few.candidates} paths tried, mixed at best and driven as they are')
     console.line('value by routes ' + ', '.join(f'{k}: {value:.4g}' for k, value in few.curve))
     console.line(_as_text(plan, few, draws))
     console.result['few'] = {
-        'value': few.value, 'lower_bound': few.lower_bound, 'worst_xy': few.worst_xy.tolist(),
+        'value': few.value, 'lower_bound': few.lower_bound, 'candidates': few.candidates,
+        'worst_xy': few.worst_xy.tolist(),
         'shares': few.shares.tolist(), 'costs': few.costs.tolist(), 'curve': few.curve,
         'draws': {draw.name: {'value': draw.value, 'outcomes': draw.ranges} for draw in draws},
     }

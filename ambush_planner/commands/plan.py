@@ -59,8 +59,8 @@ name and the attribute slot of a route have it. With --routes, ambush draw draws
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
 "shortest_length", "shortest_route_loss", "spotter": {{"x", "y", "loss", "factor"}}, "seconds",
-"few": null, or with --routes {{"value", "lower_bound", "worst_xy", "shares", "costs", "curve",
-"draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
+"few": null, or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs",
+"curve", "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """ + cli.EXIT_CODES
 
 
@@ -153,6 +153,8 @@ def _tell(plan: Plan, console: cli.Console) -> None:
     spotter = [f'one at ({seen.x:.1f}, {seen.y:.1f}) who sees whether you pass raises '
                f'{strategy.value:.4g} to {seen.loss:.4g}, {seen.factor:.2f} times'
                ] if (seen := plan.spotter) else []
+    ends = [f'{bound:.4g} at least if nobody could wait within {plan.bottleneck.distance:.3g} m of '
+            'start, stops and goal'] if (bound := plan.secured_bound) is not None else []
     longer = strategy.expected_length / strategy.shortest_length
     for name, text in (
         ('value', f'{strategy.value:.4g}: mean loss per departure if the ambusher plays best and '
@@ -163,6 +165,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
                         'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
         *(('spotter', text) for text in spotter),
+        *(('ends', text) for text in ends),
         *(('assumption', text) for text in assumptions(plan)),
     ):
         console.item(f'{name:<15} {text}', indent=0, hang=16)

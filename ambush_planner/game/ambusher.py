@@ -24,8 +24,8 @@ class Ambusher:
         How likely he waits at each node; sums to the number of ambushers.
     prices : (budgets,)
         Decrease of the bound per unit of each budget.
-    by_leg : (stops + 1, S) or None
-        On a trip: for which leg he waits at each site, adding up to q there.
+    by_leg : (stops + 1, N) or None
+        On a trip: for which leg he waits at each node, adding up to at most q at each place.
     circulation : Circulation or None
         Closed curves between the faces of a planar network that prove the bound.
     """
@@ -37,6 +37,8 @@ class Ambusher:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'q', frozen_array(self.q, np.float64))
+        if self.by_leg is not None:
+            object.__setattr__(self, 'by_leg', frozen_array(self.by_leg, np.float64))
 
     def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
         """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""
@@ -47,12 +49,19 @@ class Ambusher:
             raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')
         if self.by_leg is not None and not (
             (self.by_leg >= 0.0).all()
-            and (self.by_leg.sum(axis=0) <= game.at_sites(q) * (1.0 + ROUNDING)).all()
+            and (game.at_places(self.by_leg.sum(axis=0)) <= game.at_places(q) * most).all()
         ):
             raise SolverFailed('the shares of the legs do not add up to q')
         for budget, price in zip(budgets, self.prices, strict=True):
             if not price >= 0.0:
                 raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
+
+
+def on_nodes(game: Game, shares: FloatArray) -> FloatArray:
+    """Shares (..., S) of the sites as shares (..., N) of their first nodes."""
+    nodes = np.zeros((*shares.shape[:-1], game.node_count))
+    nodes[..., game.sites] = shares
+    return nodes
 
 
 def at_nodes(game: Game, q: FloatArray) -> FloatArray:
@@ -63,8 +72,7 @@ def at_nodes(game: Game, q: FloatArray) -> FloatArray:
     """
     few = len(game.sites) < game.ambushers
     among = game.network.representatives if few else game.sites
-    shares = np.zeros(game.node_count)
-    shares[game.sites] = q
+    shares = on_nodes(game, q)
     nodes = np.zeros(game.node_count)
     nodes[among] = capped_at_one(shares[among], game.ambushers)
     return nodes

@@ -20,8 +20,8 @@ from .game import Game
 # Least margin of a budget as a share of the best route's cost, or of an edge's largest cost if that
 # is 0: if a budget allowed the best routes only, a program would have no room.
 LEAST_MARGIN = 1e-10
-# Relative overrun of a budget that a solver's strategy may have.
-BUDGET_TOLERANCE = 5e-7
+# Relative overrun of a budget that is a solver's rounding.
+BUDGET_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,9 +170,10 @@ class Game:
 
     @cached_property
     def hits(self) -> csr_matrix:
-        """(S, M): the edges that bring a route into each site's reach, with the load aboard, or 1.
+        """(S, M): the edges by which a route enters each site's reach, with the load aboard, or 1.
 
-        These are the edges into the node if the radius is 0, else those that enter the disc.
+        These are the edges into the node if the radius is 0, else those that enter the disc. So
+        ``hits @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
         """
         if self.reach > 0.0:
             return self.exposed().entering(self.network.points[self.sites], self.reach)
@@ -182,7 +183,9 @@ class Game:
         edge = np.flatnonzero(site >= 0)
         row = site[edge]
         shape = (len(self.sites), len(self.network.edges))
-        return csr_matrix((self._aboard[edge], (row, edge)), shape=shape)
+        found = csr_matrix((self._aboard[edge], (row, edge)), shape=shape)
+        found.eliminate_zeros()  # nothing is aboard: no hit
+        return found
 
     @cached_property
     def _aboard(self) -> FloatArray:
@@ -196,7 +199,7 @@ class Game:
         return ExposedEdges(self.network, held, edges, self._aboard)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
-        """Mean loss (S,) of an ambush at each site against strategy p: the rows of ``D p``."""
+        """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
         losses: FloatArray = self.loss[self.sites] * (self.hits @ p)
         return losses
 
@@ -209,7 +212,7 @@ class Game:
         return np.asarray(self.at_places(q)[self.network.places[self.sites]])
 
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
-        """``D' q`` (M,): mean loss on each edge against the ambusher's strategy q (N,)."""
+        """``D' q`` (M,): mean loss of each edge's entries against the ambusher's q (N,)."""
         on_edges: FloatArray = self.hits.T @ (self.loss[self.sites] * self.at_sites(q))
         return on_edges
 

@@ -52,7 +52,7 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
         return Certificate(math.inf, 0.0)
     value = worst_loss(game, p) if p.any() else math.inf
     bound = lower_bound(game, strategy.ambusher, budgets)
-    return Certificate(value, min(bound, value))
+    return Certificate(value, min(bound, value))  # p may exceed the budgets now
 
 
 def bound_if_held(strategy: Strategy, places: tuple[HeldPlace, ...]) -> float:
@@ -69,20 +69,18 @@ def bound_if_held(strategy: Strategy, places: tuple[HeldPlace, ...]) -> float:
         return 0.0
     flows, by_leg = ambusher.circulation, ambusher.by_leg
     if flows is not None:
-        some = game.loss[flows.site] > 0.0
-        flows = Circulation(flows.through / share, flows.site[some], flows.face[some],
-                            flows.flow[some] / share)
+        flows = Circulation(flows.through / share, flows.site, flows.face, flows.flow / share)
     if game.ambushers > 1:
         q, by_leg = at_nodes(game, game.at_sites(q)) * share, None
     elif by_leg is not None:
-        by_leg = by_leg[:, game.loss[old.sites] > 0.0] / share
+        by_leg = np.where(game.loss > 0.0, by_leg, 0.0) / share
     others = Ambusher(q / share, tuple(price / share for price in ambusher.prices), by_leg, flows)
     return lower_bound(game, others, budgets_in_game(game, strategy))
 
 
 def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
     """The gap between value and bound beyond the risk slack; 0 if the solve was complete."""
-    if strategy.counting_gap or within_slack(strategy, options):
+    if strategy.reason == 'stalled' or within_slack(strategy, options):
         return 0.0
     # With a length weight, the weighted sum is minimal and sets the scale.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)

@@ -3,7 +3,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from ..arrays import ROUNDING
+
+# Why a search ended: its value is within the slack of the bound, the time was up, a numerical
+# solver failed, or no method finds a better strategy or bound.
+Reason = Literal['complete', 'time', 'solver', 'stalled']
 
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5

@@ -24,7 +24,7 @@ from scipy.sparse import csr_matrix, vstack
 
 from ..arrays import ROUNDING, BoolArray, FloatArray, frozen_array
 from ..errors import SolverFailed, TimeLimit
-from .ambusher import Ambusher, at_nodes
+from .ambusher import Ambusher, at_nodes, on_nodes
 from .budget import Budget
 from .certificate.certificate import lower_bound
 from .certificate.curves import Circulation
@@ -35,7 +35,7 @@ from .law.chain import MarkovChain, chain_of
 from .law.copies import LawOnCopies, law_on_copies
 from .law.gibbs import acyclic_network
 from .law.law import Law
-from .slack import ceiling, within
+from .slack import Reason, ceiling, within
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
@@ -114,8 +114,8 @@ class Solution(NamedTuple):
 
     On a trip the game's network can have copies of the trip's nodes and edges, after these.
     ``value`` is the strategy's, ``bound`` what the ambusher proves. ``entropy_bound`` is the most
-    entropy [nats] that a strategy on the same acyclic network can have within the same limits.
-    ``late``: with more time the search would have gone on.
+    entropy [nats] that a strategy on the same acyclic network can have within the same limits; NaN
+    if that is not known. ``reason`` is why the search ended.
     """
 
     game: Game
@@ -127,7 +127,7 @@ class Solution(NamedTuple):
     multipliers: Multipliers | None
     evaluations: int
     entropy_bound: float
-    late: bool
+    reason: Reason
 
 
 def most_unpredictable(problem: Problem) -> Solution:
@@ -156,21 +156,25 @@ def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Rout
     yield _program_within_budgets(problem, slack, cut)
 
 
-def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline: float) -> float:
+def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
+                deadline: float) -> float | None:
     """A lower bound of the least value within the budgets, too low by at most the share ``gap``.
 
-    At the deadline it may be lower; on trips it is what separate legs prove.
+    At the deadline it may be lower; on trips it is what separate legs prove. None if nothing is
+    proved.
     """
     problem = Problem(game, budgets, gap, deadline)
     cut = _cut_of(problem)
     if cut and cut.excess == 0.0:
         return cut.bound
     program = _program_within_budgets(problem, gap, cut)
-    with _trying():
+    try:
         if isinstance(program, Routes) and game.network.legs > 1:
             program.prove_by_legs()
         else:
             program.solve()
+    except (TimeLimit, SolverFailed):
+        return program.bound or None
     return program.bound
 
 
@@ -209,6 +213,8 @@ class _Search:
         # On a trip: the latest law on copies, and the one whose copies the best strategy is on.
         self.latest_copies: LawOnCopies | None = None
         self.best_copies: LawOnCopies | None = None
+        self.entropy_bound = np.nan
+        self.reason: Reason = 'stalled'
 
     def run(self) -> Solution | None:
         """Find the value, then the law; None if nothing found is within the budgets."""
@@ -231,7 +237,7 @@ class _Search:
         return self._solution()
 
     def _solve_program(self) -> None:
-        with _trying():
+        with self._keep_incumbent():
             self.program.solve()
 
     def _add_worst(self, chain: MarkovChain, above: float, apart: float,
@@ -281,7 +287,7 @@ class _Search:
         if self.game.reach > 0.0 and end < math.inf:
             self._prove_until(program, begin + FIRST_PROOF * (end - begin))
         program.deadline = begin + SOLVED * (end - begin)
-        with _trying():
+        with self._keep_incumbent():
             if self.game.reach == 0.0:
                 program.prove_by_legs()
             program.solve(prove=False)
@@ -291,7 +297,7 @@ class _Search:
             if time.monotonic() > program.deadline or (
                     not self._join_worst(program.mixture, above, apart) and apart == APART):
                 break
-            with _trying():
+            with self._keep_incumbent():
                 program.solve(prove=False)
                 if within(program.value, before, self.slack / 4.0):  # the bound may be near
                     program.prove_by_legs()
@@ -299,13 +305,13 @@ class _Search:
         if time.monotonic() > program.deadline:
             self._prove_until(program, begin + LAST_PROOF * (end - begin))
             return
-        with _trying():
+        with self._keep_incumbent():
             program.prove_by_legs()
             program.solve()
 
     def _prove_until(self, program: Routes, deadline: float) -> None:
         program.deadline = deadline
-        with _trying():
+        with self._keep_incumbent():
             program.prove_by_legs()
 
     def _find_law_on_copies(self, program: Routes) -> None:
@@ -328,7 +334,7 @@ class _Search:
                 self.best, self.best_copies = (rating, chain, value, worst), law
             if self._late() or not joined and keeps and within(value, program.bound, self.slack):
                 return
-            with _trying():
+            with self._keep_incumbent():
                 program.solve(prove=not joined)
             if not joined:
                 if within(mixed, program.value, self.slack / 4.0):
@@ -392,6 +398,8 @@ class _Search:
         rating = law.good, law.entropy if law.good else -law.value
         if self.best is None or rating > self.best[0]:
             self.best = rating, law.chain, law.value, law.worst
+            # With a reach, the rows are those of the chain before.
+            self.entropy_bound = law.entropy_bound if law.exact else np.nan
             self.problem.progress(law.value, self.program.bound)
 
     def _keeps_budgets(self, p: FloatArray) -> bool:
@@ -403,8 +411,9 @@ class _Search:
     def _late(self) -> bool:
         return time.monotonic() > self.problem.deadline
 
-    def _was_late(self) -> bool:
-        return self._late() or isinstance(self.program, Routes) and self.program.late
+    def _why(self) -> Reason:
+        late = self._late() or isinstance(self.program, Routes) and self.program.late
+        return 'time' if late else self.reason
 
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
@@ -428,13 +437,16 @@ class _Search:
         game = self.game.with_sites(*sites)
         ambusher, bound = self._judged(game, q, kept)
         if self.best_copies:
-            return self._unrolled(self.best_copies, chain, sites, ambusher, q[kept], value, bound)
+            assert isinstance(self.program, Routes)
+            by_leg = self._shares_by_leg(self.program, len(q))[:, kept]
+            return self._unrolled(self.best_copies, chain, sites, ambusher, q[kept], by_leg, value,
+                                  bound)
         assert self.law is not None
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weight[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64), self._of_all_budgets(prices))
         return Solution(game, self.budgets, chain.uses(len(game.playable)), value, bound, ambusher,
-                        multipliers, self.law.evaluations, self.law.entropy_bound, self._was_late())
+                        multipliers, self.law.evaluations, self.entropy_bound, self._why())
 
     def _worst_known(self, chain: MarkovChain, value: float, worst: int) -> tuple[float, int]:
         """The value and the row of the worst site, with those that joined for other strategies."""
@@ -454,25 +466,24 @@ class _Search:
 
     def _unrolled(self, law: LawOnCopies, chain: MarkovChain,
                   sites: tuple[FloatArray, FloatArray, csr_matrix], ambusher: Ambusher,
-                  q: FloatArray, value: float, bound: float) -> Solution:
+                  q: FloatArray, by_leg: FloatArray, value: float, bound: float) -> Solution:
         """The solution on the copies' network, with the sites added there as well."""
         edge = np.append(np.arange(len(self.game.playable)), law.network.edge)
         game, p = law.unrolled(chain)
         points, loss, entering = sites
         game = game.with_sites(points, loss, csr_matrix(entering[:, edge]))
         length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.budgets)
-        ambusher = replace(ambusher, q=at_nodes(game, q))
+        ambusher = replace(ambusher, q=at_nodes(game, q), by_leg=on_nodes(game, by_leg))
         return Solution(game, (length, exposure), p, value, bound, ambusher, None,
-                        law.evaluations, np.nan, self._was_late())
+                        law.evaluations, np.nan, self._why())
 
     def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
         """The ambusher q (S,) in the game with the ``kept`` sites, and his bound."""
         ambusher = Ambusher(frozen_array(at_nodes(game, q[kept]), np.float64),
                             self._of_all_budgets(self.program.prices))
         if isinstance(self.program, Routes) and game.network.legs > 1:
-            more = len(q) - self.program.by_leg.shape[1]
-            by_leg = np.pad(self.program.by_leg, ((0, 0), (0, more)))
-            ambusher = replace(ambusher, by_leg=frozen_array(by_leg[:, kept], np.float64))
+            by_leg = self._shares_by_leg(self.program, len(q))[:, kept]
+            ambusher = replace(ambusher, by_leg=on_nodes(game, by_leg))
         found = getattr(self.program, 'circulation', None)
         if found and hits_can_differ(game):
             node = np.full(len(kept), -1)
@@ -483,13 +494,23 @@ class _Search:
             return ambusher, 0.0
         return ambusher, lower_bound(game, ambusher, self.budgets)
 
+    @staticmethod
+    def _shares_by_leg(program: Routes, sites: int) -> FloatArray:
+        """The ambusher's shares (legs, S) of all ``sites``."""
+        return np.pad(program.by_leg, ((0, 0), (0, sites - program.by_leg.shape[1])))
+
+    @contextlib.contextmanager
+    def _keep_incumbent(self) -> Iterator[None]:
+        """What a program has found before the deadline, or before it fails, counts."""
+        try:
+            yield
+        except TimeLimit:
+            self.reason = 'time'
+        except SolverFailed:
+            self.reason = 'solver'
+
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""
         number = iter(binding.tolist())
         return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.budgets)
-
-
-def _trying() -> contextlib.suppress:
-    """What a program has found before it fails, or before the deadline, counts."""
-    return contextlib.suppress(TimeLimit, SolverFailed)
 

@@ -23,7 +23,7 @@ from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .slack import CERTIFICATE_TOLERANCE, within
+from .slack import CERTIFICATE_TOLERANCE, Reason, within
 from .solver import Ground, Multipliers, Problem, most_unpredictable
 from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, unseen
@@ -111,8 +111,8 @@ class Strategy(Shown):
     visit_probability : (N,)
         x: expected visits of each node, 1 at the source and the target.
     ambush_probability : (N,)
-        q: the ambusher's equilibrium strategy, sums to the number of ambushers. On trips, a place
-        can have a share at a node of each leg: the one for which the ambusher waits there.
+        q: the ambusher's equilibrium strategy at the first node of each place; it sums to the
+        number of ambushers. On trips, ``ambusher.by_leg`` says for which leg he waits there.
     ambush_at_places : (K,)
         q by place, K = ``network.place_count``: the shares at all nodes of each added up.
     value : float
@@ -137,11 +137,12 @@ class Strategy(Shown):
     multipliers : Multipliers or None
         Those of the Gibbs law, for a warm start.
     entropy_gap : float
-        How much more route entropy another strategy on the same acyclic part could have [nats];
-        NaN if that is not known.
-    counting_gap : bool
-        Whether the value exceeds its bound by more than the slack because the methods here found
-        no better strategy when each route counts once. More time would not change it.
+        How much more route entropy another strategy on the same acyclic part could have within the
+        same limits [nats]; NaN if that is not known, as with a reach or on trips.
+    reason : str
+        Why the search ended: 'complete', the value is within the slack of its bound; 'time', the
+        time limit passed; 'solver', a numerical solver failed; 'stalled', no method found a better
+        strategy or bound, and more time would not help.
     """
 
     game: Game
@@ -152,7 +153,7 @@ class Strategy(Shown):
     iterations: int = 0
     multipliers: Multipliers | None = None
     entropy_bound: float = math.nan
-    counting_gap: bool = False
+    reason: Reason = 'complete'
 
     @property
     def value(self) -> float:
@@ -197,7 +198,7 @@ class Strategy(Shown):
 
     @property
     def entropy_gap(self) -> float:
-        """How much more route entropy the same part could have [nats]."""
+        """How much more route entropy the same part could have [nats]; NaN if unknown."""
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
     @property
@@ -337,7 +338,7 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     --------
     Two ways, past losses of 1 and 3: the ambusher gains most if both cost the same.
 
-    >>> from ambush_planner import Network, solve
+    >>> from ambush_planner import Network, StrategyOptions, solve
     >>> network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 3, 0],
     ...                   edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
     >>> strategy = solve(network, options=StrategyOptions(risk_slack=0.0))
@@ -369,8 +370,9 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
                        entropy_bound=found.entropy_bound)
     if within_slack(strategy, options):
         return strategy
-    if not found.late:
-        return replace(strategy, counting_gap=True)
+    strategy = replace(strategy, reason=found.reason)
+    if found.reason != 'time':
+        return strategy
     raise TimeLimit(
         f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
         f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time', strategy
@@ -412,10 +414,7 @@ def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: Stra
     strategy = replace(strategy_of(game, found.p, found.ambusher, own), iterations=found.iterations)
     if within_slack(strategy, options):
         return strategy
-    if hits_can_differ(game):
-        return replace(strategy, counting_gap=True)
-    raise TimeLimit(f'{options.solver} ended with a value of {strategy.value:.6g} over a bound of '
-                    f'{strategy.lower_bound:.6g}', strategy)
+    return replace(strategy, reason='stalled' if hits_can_differ(game) else 'solver')
 
 
 def _check_losses(network: Network) -> None:

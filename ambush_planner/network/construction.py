@@ -49,7 +49,7 @@ class NetworkOptions:
     seed
         Seed of random sampling. It affects node positions, never which route is drawn.
     target_nodes
-        Number of nodes to aim for if ``spacing`` is 0.
+        Number of nodes to aim for if ``spacing`` is None.
     graph
         Roads for the method 'graph': a ``RoadGraph``, or the file that ``read_roads`` reads.
     join_distance

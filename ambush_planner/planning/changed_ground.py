@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..game.budget import BUDGET_TOLERANCE
 from ..game.certificate.certificate import Certificate
 from ..game.game import Game
 from ..game.law.chain import chain_of
@@ -34,8 +35,6 @@ _MAX_DRAWS = 300
 _MAX_BLOCKED = 0.01
 # Minimum share of clear routes; below it departures wait for the next solve.
 MIN_CLEAR = 0.1
-# Relative overrun of the length budget that is a solver's rounding.
-_LENGTH_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Assessment:
     @property
     def is_over_budget(self) -> bool:
         """Whether the clear routes are longer on average than the length budget allows."""
-        return self.length_budget * (1.0 + _LENGTH_TOLERANCE) < self.expected_length < math.inf
+        return self.length_budget * (1.0 + BUDGET_TOLERANCE) < self.expected_length < math.inf
 
     @property
     def concern(self) -> str:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from ..game.game import Game
+from ..game.slack import Reason
 from ..game.strategy import within_slack
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
@@ -17,6 +18,16 @@ _STRATEGY_NUMBERS = (
     'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
     'expected_length', 'shortest_length',
 )
+# What a gap over the slack says about the search, and what helps.
+_WHY: dict[Reason, str] = {
+    'complete': 'the search ended',
+    'time': 'the time limit (strategy.time_limit, or max_planning_time of the node) ended the '
+            'search: allow more time or a larger network.spacing',
+    'solver': 'a numerical solver failed, so the value may be far from the best: another '
+              'network.spacing or max_detour may help',
+    'stalled': 'no closer strategy or bound was found, and more time would not help; a larger '
+               'network.spacing or fewer stops may',
+}
 # Share of the routes that a single ambush hits from which they count as all.
 ALL_ROUTES = 0.99
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
@@ -82,11 +93,7 @@ def wide_gap(plan: Plan) -> str:
     share = strategy.gap / strategy.lower_bound if strategy.lower_bound > 0.0 else math.inf
     wide = (f'the gap is {share:.1%}: the value is {strategy.value:.4g}, the lower bound '
             f'{strategy.lower_bound:.4g}')
-    if strategy.counting_gap:
-        return (f'{wide}; no closer strategy or bound was found, and more time would not help; a '
-                'larger network.spacing or fewer stops may')
-    return (f'{wide}; the time limit (strategy.time_limit, or max_planning_time of the node) ended '
-            'the search: allow more time or a larger network.spacing')
+    return f'{wide}; {_WHY[strategy.reason]}'
 
 
 def _held_ground(plan: Plan) -> str:
@@ -96,7 +103,7 @@ def _held_ground(plan: Plan) -> str:
     if not len(game.sites):
         return (f'the value is 0: nobody can wait within {held:.4g} m of start, stops and goal, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
-    if not bottleneck.value > 0.0:
+    if not plan.strategy.value > 0.0:
         return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
@@ -114,10 +121,9 @@ def _held_ground(plan: Plan) -> str:
     if not bottleneck.near_ends:
         return ''
     return (
-        f'{len(bottleneck.sites)} nodes decide the value {bottleneck.value:.4g}, '
-        f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; if '
-        f'that ground were held (game.secured_radius), the value would be '
-        f'{bottleneck.secured_value:.4g}'
+        f'{len(bottleneck.sites)} nodes decide the value {plan.strategy.value:.4g}, '
+        f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; '
+        'holding that ground (game.secured_radius) may lower it'
     )
 
 
@@ -151,7 +157,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
     if plan is None:
         return dict.fromkeys((
             *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
-            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops',
+            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'search_ended', 'stops',
             'order', 'solve_seconds',
         ), '')
     return {
@@ -166,7 +172,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
         'edges': str(len(plan.network.edges)),
         'deciding_sites': str(len(plan.bottleneck.sites)),
         'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
-        'secured_value': f'{plan.bottleneck.secured_value:.9g}',
+        'search_ended': plan.strategy.reason,
         'stops': str(len(plan.order)),
         'order': plan.order_found if plan.order else '',
         'solve_seconds': f'{plan.seconds:.3f}',

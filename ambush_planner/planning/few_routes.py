@@ -64,7 +64,11 @@ class FewRoutes:
     worst_xy : (2,)
         Where that is [m].
     lower_bound : float
-        No mixture of any routes on the network has a smaller value.
+        No mixture of the ``candidates`` has a smaller value: paths as they are driven, from which
+        these were chosen. The plan's own bound is that of another game, in which convoys may stray
+        from their routes by the tube.
+    candidates : int
+        Their number.
     costs : (K,)
         Lengths [m], or driving times [s] if the network has them.
     curve : ((K, value), ...)
@@ -76,6 +80,7 @@ class FewRoutes:
     value: float
     worst_xy: FloatArray
     lower_bound: float
+    candidates: int
     costs: FloatArray
     curve: tuple[tuple[int, float], ...]
 
@@ -115,8 +120,8 @@ def few_routes(plan: Plan, most: int, equal: bool = False,
     shares = found[-1].shares
     chosen = np.argsort(-shares, kind='stable')[: np.count_nonzero(shares)]
     return FewRoutes(tuple(paths[k] for k in chosen), frozen_array(shares[chosen], np.float64),
-                     found[-1].value, found[-1].worst_xy, plan.strategy.lower_bound,
-                     frozen_array(costs[0][chosen], np.float64),
+                     found[-1].value, found[-1].worst_xy, min(search.bound, found[-1].value),
+                     len(paths), frozen_array(costs[0][chosen], np.float64),
                      tuple(zip(sizes, (mixture.value for mixture in found), strict=True)))
 
 
@@ -146,13 +151,15 @@ def _promising(plan: Plan, routes: list[IndexArray],
 class _Choice(NamedTuple):
     """Some columns (k,), the value of their best mixture, and its shares.
 
-    What column j would add is priced by ``charges[j]``: less than the value is a gain.
+    What column j would add is priced by ``charges[j]``: less than the value is a gain. No mixture
+    of any columns has a value below ``bound``.
     """
 
     columns: IndexArray
     value: float
     shares: FloatArray
     charges: FloatArray
+    bound: float = 0.0
 
 
 _Valued = TypeVar('_Valued', PathMixture, _Choice)
@@ -172,6 +179,7 @@ class _Search:
         everything = np.arange(self._count)
         self._settled(everything, self._solved)
         every = self._solved(everything)
+        self.bound = every.bound
         self._enough = every.value * (1.0 + MAX_EXCESS)
         nested = self._nested(self._solved(every.columns[every.shares > MIN_SHARE]), sizes)
         choose = self._of_equal_shares if self._equal else self._exchanged
@@ -245,7 +253,8 @@ class _Search:
             if not self._misses(losses @ best.shares, best.value):
                 break
         charges = best.q @ self._losses[sites] + best.prices @ self._costs
-        return _Choice(columns, best.value, best.shares, charges)
+        bound = float(charges.min() - best.prices.sum()) / max(float(best.q.sum()), 1.0)
+        return _Choice(columns, best.value, best.shares, charges, max(bound, 0.0))
 
     def _misses(self, losses: FloatArray, value: float) -> bool:
         """Let some sites join that cause more than a value found without them."""

@@ -30,9 +30,9 @@ MEASURED = (
 class FrontierRow:
     """Measures of the strategy for one pair of budgets.
 
-    ``swept`` is the option that varies, 'max_detour' or 'risk_slack'; lengths are in m, exposures
-    in loss x m, route entropy in nats. Without a strategy, ``error`` says why and the numbers are
-    NaN.
+    ``swept`` is the option that varies, 'max_detour' or 'risk_slack'; lengths are in m, or in s if
+    the network has driving times, exposures in loss x m, route entropy in nats. Without a strategy,
+    ``error`` says why and the numbers are NaN.
     """
 
     swept: str

@@ -71,7 +71,8 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     begin, (start, goal) = time.monotonic(), trips[0].xy[[0, -1]]
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
-    network = build_network(risk_map, start, goal, options.network)
+    # By length on any network: who has no times of the trips cannot hold them against a time.
+    network = replace(build_network(risk_map, start, goal, options.network), seconds=None)
     detour = max(mean / least_cost(network, network.lengths), MIN_DETOUR)
     options = replace(options, strategy=replace(options.strategy, max_detour=detour))
     strategy = solve_on_network(risk_map, network, options)

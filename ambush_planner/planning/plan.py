@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
-from ..game.bottleneck import Bottleneck, find_bottleneck
+from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
 from ..game.spotter import Spotter, worst_spotter
 from ..game.strategy import Strategy
 from ..maps.obstacles import nearest_free_cell
@@ -103,8 +103,11 @@ class Plan(Shown):
 
     @property
     def lower_bound(self) -> float:
-        """No strategy on the same network and budgets has a smaller value."""
-        return self.strategy.lower_bound
+        """No strategy on the same network and budgets has a smaller value.
+
+        If departures draw from a few routes: no mixture of the paths that these were chosen from.
+        """
+        return self.few.lower_bound if self.few else self.strategy.lower_bound
 
     def _summary(self) -> dict[str, str]:
         return {**self.strategy._summary(), 'node spacing': f'{self.spacing:g} m',
@@ -164,6 +167,18 @@ class Plan(Shown):
         """What somebody at the worst place is worth who tells the ambusher whether you pass it."""
         return worst_spotter(self.strategy)
 
+    @cached_property
+    def secured_bound(self) -> float | None:
+        """A lower bound of the value if nobody could wait near the ends, where sites decide it.
+
+        The ground is that within ``bottleneck.distance``. None if no deciding site is in it, or if
+        nothing is proved within the time limit.
+        """
+        if not self.bottleneck.near_ends:
+            return None
+        deadline = time.monotonic() + self.options.strategy.time_limit
+        return secured_bound(self.strategy, self.bottleneck.distance, deadline)
+
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
         """The stops as they are visited, or in the given order if it is random [m]."""
@@ -199,15 +214,14 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
               begin: float) -> Plan:
     """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
-    bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
     corridors = plan_corridors(strategy.network, risk_map, options)
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
         # A fixed seed keeps the count independent of the departures' draws.
         drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
         different = different_paths(corridors, drawn)
-    return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
-                time.monotonic() - begin, risk_map=risk_map)
+    return Plan(strategy.network, strategy, find_bottleneck(strategy), corridors, options, spacing,
+                different, time.monotonic() - begin, risk_map=risk_map)
 
 
 def plan_corridors(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Corridors:

@@ -52,7 +52,8 @@ class RouteSheet:
     """A few routes between two places.
 
     ``map`` is the map's file. An ambusher who knows all of the sheet but the draws causes a mean
-    loss of ``value``; with any routes he causes at least ``lower_bound``. He hits a convoy within
+    loss of ``value``, and at least ``lower_bound`` with any mixture of the paths that these routes
+    were chosen from. He hits a convoy within
     ``reach`` [m], but cannot wait within ``held_radius`` [m] of start, stops and goal. ``slots``
     are times of departure (HH:MM) with their shares, if one is drawn, too.
     """

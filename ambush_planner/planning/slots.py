@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import ROUNDING, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption
 from ..option_checks import check_whole
 
@@ -46,7 +46,8 @@ def mix_slots(values: npt.ArrayLike, lower_bounds: npt.ArrayLike, window: int = 
     Raises
     ------
     InvalidOption
-        There is no slot, or the window is not a whole number of 1 or more.
+        There is no slot, a lower bound is over its value, or the window is not a whole number of 1
+        or more.
 
     Examples
     --------
@@ -57,9 +58,11 @@ def mix_slots(values: npt.ArrayLike, lower_bounds: npt.ArrayLike, window: int = 
     values, lower_bounds = (np.asarray(each, dtype=np.float64) for each in (values, lower_bounds))
     if not values.size:
         raise InvalidOption('slots must name at least one time')
+    if not (lower_bounds <= values * (1.0 + ROUNDING)).all():
+        raise InvalidOption('each lower bound must be at most the value of its slot')
     shares, value = _least(values, window)
     _, bound = _least(lower_bounds, window)
-    return SlotMixture(frozen_array(shares, np.float64), value, bound)
+    return SlotMixture(frozen_array(shares, np.float64), value, min(bound, value))
 
 
 def _least(values: FloatArray, window: int) -> tuple[FloatArray, float]:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ..arrays import ROUNDING, FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit
 from ..game.ambusher import capped_at_one
-from ..game.certificate.best_response import Ground, shares_by_leg
+from ..game.certificate.best_response import Ground
 from ..game.game import Game, make_game
 from ..game.slack import ceiling
 from ..game.strategy import Strategy
@@ -309,7 +309,8 @@ class _StopOrderSearch:
         from scipy.optimize import linear_sum_assignment  # slow to load
 
         game, ambusher, price = strategy.game, strategy.ambusher, strategy.length_price
-        q = shares_by_leg(game, ambusher.q) if ambusher.by_leg is None else ambusher.by_leg
+        waits = ambusher.q[None] if ambusher.by_leg is None else ambusher.by_leg
+        q = np.array([game.at_sites(each) for each in waits])
         pairs = set(zip(*legs.reshape(2, -1).tolist(), strict=True))
         costs = self._leg_costs(game, q, price, pairs)
         by_order = np.moveaxis(costs[:, legs[0], legs[1]], 1, 0)

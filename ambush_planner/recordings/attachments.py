@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from ..game.ambusher import Ambusher
 from ..game.budget import Budget
 from ..game.certificate.curves import Circulation
 from ..game.game import GameOptions, make_game
+from ..game.slack import Reason
 from ..game.strategy import Strategy, strategy_of
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
@@ -41,8 +42,8 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'held_radius
 _BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.
 _CIRCULATION = ('through', 'site', 'face', 'flow')
-# Whether counting each route once left the gap open.
-_COUNTING_GAP = 'counting_gap'
+# Why the search ended.
+_REASON = 'reason'
 
 
 def strategy_file(strategy: Strategy) -> bytes:
@@ -52,7 +53,7 @@ def strategy_file(strategy: Strategy) -> bytes:
         **{name: getattr(strategy.network, name) for name in _NETWORK},
         **{name: getattr(strategy, name) for name in (*_PROBABILITIES, *NUMBERS)},
         **{name: getattr(strategy.game.options, each) for name, each in _PLANNED.items()},
-        _COUNTING_GAP: strategy.counting_gap,
+        _REASON: strategy.reason,
     }
     if strategy.ambusher.circulation is not None:
         arrays |= {name: getattr(strategy.ambusher.circulation, name) for name in _CIRCULATION}
@@ -90,7 +91,10 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     ambusher = Ambusher(q, (stated['length_price'], stated['exposure_price']),
                         content.get(_BY_LEG), circulation)
     strategy = strategy_of(game, p, ambusher, budgets)
-    return replace(strategy, counting_gap=bool(content[_COUNTING_GAP])), stated
+    reason = str(content[_REASON])
+    if reason not in get_args(Reason):
+        raise ValueError(f'{reason!r} is no reason why a search ends')
+    return replace(strategy, reason=cast(Reason, reason)), stated
 
 
 def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) -> bytes:

@@ -61,23 +61,16 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
                   prices: Sequence[float] | FloatArray) -> BestResponse:
     """Find the route that costs least against q with each site counted once.
 
-    q is (N,) by node; or (stops + 1, S) by the leg for which the ambusher waits, and the site.
+    q is (N,) by node; or (stops + 1, N) by the leg for which the ambusher waits, and the node.
     """
     base, paid = np.zeros(len(game.network.edges)), 0.0
     for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
             base = base + price * budget.excess
             paid += price * budget.margin
-    charge = game.loss[game.sites] * (q if q.ndim == 2 else shares_by_leg(game, q))
+    charge = game.loss[game.sites] * [game.at_sites(each) for each in np.atleast_2d(q)]
     least, edges = Grounds(game, game.hits).least_cost(base, charge, SEARCHES)
     return BestResponse(max(least - paid, 0.0), edges)
-
-
-def shares_by_leg(game: Game, q: FloatArray) -> FloatArray:
-    """q (N,) as shares (stops + 1, S): each node waits for its own leg."""
-    before = game.network.stops_before
-    leg = before[game.network.leg]
-    return np.array([game.at_sites(np.where(leg == k, q, 0.0)) for k in range(before[-1] + 1)])
 
 
 class Leg(NamedTuple):

@@ -37,10 +37,19 @@ CONSERVATION_TOLERANCE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """``value`` z(p) of a strategy, and the ``bound`` that no strategy within the budgets beats."""
+    """``value`` z(p) of a strategy, and the ``bound`` that no strategy within the budgets beats.
+
+    Raises SolverFailed if the bound exceeds the value by more than rounding.
+    """
 
     value: float
     bound: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.bound <= self.value * (1.0 + ROUNDING):
+            raise SolverFailed(f'the lower bound {self.bound:.12g} is above the value '
+                               f'{self.value:.12g}')
+        object.__setattr__(self, 'bound', min(self.bound, self.value))
 
 
 def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, ...],
@@ -52,7 +61,7 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget
     """
     _check_flow(game, p)
     for budget in budgets:
-        if budget.binds and not budget.mean(p) <= budget.limit * (1.0 + 1e-6):
+        if not budget.keeps(p):
             raise SolverFailed(
                 f"the strategy's {budget.name} is {budget.mean(p):.9g} {budget.unit}, over the "
                 f"budget of {budget.limit:.9g}"
@@ -62,10 +71,7 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget
     # Rounding may put p over a budget; the bound then holds for strategies as far over it.
     over = sum(price * budget.overrun(p)
                for budget, price in zip(budgets, ambusher.prices, strict=True))
-    bound = max(bound - over, 0.0)
-    if bound > value * (1.0 + ROUNDING):
-        raise SolverFailed(f'the lower bound {bound:.12g} is above the value {value:.12g}')
-    return Certificate(value, min(bound, value))
+    return Certificate(value, max(bound - over, 0.0))
 
 
 def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:

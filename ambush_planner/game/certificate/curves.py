@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...arrays import FloatArray, IndexArray, sums
+from ...arrays import BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..game import Game
 from ..value.faces import Faces
@@ -50,6 +50,13 @@ class Circulation:
     face: IndexArray
     flow: FloatArray
 
+    def at(self, nodes: BoolArray) -> Circulation:
+        """The flows through links, and into and out of the discs of some nodes (N,)."""
+        if self.site.max(initial=-1) >= len(nodes):
+            raise SolverFailed('the circulation is that of another network')
+        some = nodes[self.site]
+        return Circulation(self.through, self.site[some], self.face[some], self.flow[some])
+
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray, price: float,
                 given: Circulation) -> float:
@@ -59,8 +66,8 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
     the price, counts for nothing. Raises SolverFailed if the circulation is that of another
     network.
     """
-    game = faces.game
-    if len(given.through) != len(faces.left) or given.site.max(initial=-1) >= len(charge):
+    game, given = faces.game, given.at(charge > 0.0)
+    if len(given.through) != len(faces.left):
         raise SolverFailed('the circulation is that of another network')
     edge, most = np.flatnonzero(game.playable), np.full(len(faces.left), np.inf)
     np.minimum.at(most, faces.link[edge], price * cost[edge])

@@ -11,13 +11,8 @@ program from nothing.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import importlib.util
-import os
-import sys
 import time
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,8 +46,9 @@ class KeptFlows:
 
         self._status, self._infinity = highspy.HighsBasisStatus, highspy.kHighsInf
         self._new_basis, self._optimal = highspy.HighsBasis, highspy.HighsModelStatus.kOptimal
-        with _nothing_printed():
-            self._model: Any = highspy.Highs()  # type: ignore[no-untyped-call]
+        # The class that highspy.Highs extends: it does not greet on the standard output.
+        quiet: Any = highspy.Highs.__base__
+        self._model = quiet()
         for name, setting in _OPTIONS.items():
             self._model.setOptionValue(name, setting)
         self._nodes = 0
@@ -156,19 +152,3 @@ def _time_left(deadline: float) -> float:
     if left <= 0.0:
         raise TimeLimit('the time limit passed before the program in potentials was solved')
     return left
-
-
-@contextlib.contextmanager
-def _nothing_printed() -> Iterator[None]:
-    """Keep what C code prints from the standard output: highspy 1.16 greets there once."""
-    flush = ctypes.CDLL(None).fflush
-    sys.stdout.flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        yield
-        flush(None)
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nowhere)

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 from ...arrays import FloatArray, IndexArray
 from ...errors import BudgetInfeasible, InvalidOption
 from ..ambusher import Ambusher, at_nodes
-from ..budget import Budget
+from ..budget import BUDGET_TOLERANCE, Budget
 from ..certificate.certificate import entry_bound
 from ..game import Game
 from ..hits import entry_value
@@ -105,11 +105,11 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     if game.ambushers > 1:
         raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
-        game = _avoiding_all_sites(game, length.limit) or game
+        game = _avoiding_all_sites(game, length) or game
     program = linear_program(game, length_weight, np.inf, _loss_unit(game))
     result = _run(program, solver, deadline)
     lengths = game.network.travel_costs
-    row_added = float(lengths[program.edge] @ result.x[:-1]) > length.limit * (1 + 1e-9)
+    row_added = lengths[program.edge] @ result.x[:-1] > length.limit * (1.0 + BUDGET_TOLERANCE)
     if row_added:
         program, result = _within_budget(game, solver, length, length_weight, deadline)
     p = np.zeros(len(lengths))
@@ -119,21 +119,18 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     if row_added and length_weight == 0.0 and _leaves_no_margin(length):
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
-    limited = length_weight == 0.0 and (price > 0.0 or own.limit <= length.limit)
+    limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
     return ProgramSolution(p, Ambusher(q, (price, 0.0)), length if limited else own,
                            int(result.nit))
 
 
-def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
+def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
     """The game on the edges that no ambush hits, if it has a route within the budget.
 
     Its value is exactly 0; on all edges, rounding would decide.
     """
     safe = game.avoiding_all_sites()
-    costs = game.network.travel_costs
-    if safe is None or shortest_route_strategy(safe) @ costs > budget * (1 + 1e-9):
-        return None
-    return safe
+    return safe if safe and length.keeps(shortest_route_strategy(safe)) else None
 
 
 def _loss_unit(game: Game) -> float:

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every public record that has a value and a bound, from random games: order, units, reason."""
+
+import math
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+from games import examples, networks, random_map, terrain_network
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import (
+    GameOptions,
+    NetworkOptions,
+    PlanningOptions,
+    Problem,
+    SolverFailed,
+    StrategyOptions,
+    evaluate,
+    frontier,
+    places_to_hold,
+    plan_trip,
+    solve,
+    solve_many,
+    trip_frontier,
+)
+from ambush_planner.errors import AmbushPlannerError
+from ambush_planner.game.bottleneck import find_bottleneck, secured_bound
+from ambush_planner.game.certificate.certificate import Certificate
+from ambush_planner.game.revaluation import revalue
+from ambush_planner.game.slack import Reason
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ambush_planner.planning.changed_ground import ChangedGround
+from ambush_planner.planning.concerns import wide_gap
+from ambush_planner.planning.slots import mix_slots
+from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
+
+OPTIONS = StrategyOptions(max_detour=1.3)
+
+
+def check(record) -> None:
+    """The bound is at most the value."""
+    assert 0.0 <= record.lower_bound <= record.value, record
+
+
+def check_strategy(strategy, options=OPTIONS) -> None:
+    """Order, reason, and lengths in the network's own unit."""
+    check(strategy)
+    network, close = strategy.network, strategy.value <= strategy.lower_bound * 1.01001
+    assert strategy.reason in get_args(Reason)
+    assert close == (strategy.reason == 'complete') or not strategy.value
+    cost = network.lengths if network.seconds is None else network.seconds
+    assert strategy.expected_length == pytest.approx(strategy.edge_probability @ cost)
+    assert network.travel_unit == ('m' if network.seconds is None else 's')
+    assert strategy.expected_length <= strategy.length_budget * (1.0 + 1e-6)
+    assert evaluate(strategy)['stochastic'].expected_length == strategy.expected_length
+    again, _ = strategy_from_file(strategy_file(strategy), strategy.game.options)
+    assert (again.reason, again.value) == (strategy.reason, pytest.approx(strategy.value))
+    check(again)
+
+
+@examples(6)
+@given(st.data(), st.sampled_from((0.0, 1.5)), st.sampled_from((1, 2)), st.booleans())
+def test_records_of_any_network(data, reach, ambushers, timed):
+    network = data.draw(networks() | st.builds(terrain_network, st.integers(0, 10**6), cells=st.just(8)))
+    rng = np.random.default_rng(len(network.edges))
+    if timed:
+        network = replace(network, seconds=network.lengths * rng.uniform(1.0, 3.0, len(
+            network.lengths)))
+    game = GameOptions(ambush_radius=reach, ambushers=min(ambushers, len(network.points)))
+    strategy = solve(network, game, OPTIONS)
+    check_strategy(strategy)
+    bound = secured_bound(strategy, find_bottleneck(strategy).distance)
+    assert bound is None or 0.0 <= bound <= strategy.value
+    for row in frontier(network, game, (1.0, 1.3), (0.1,)):
+        check(row)
+        assert row.shortest_length == strategy.shortest_length
+    other = revalue(strategy, strategy.network.alpha * rng.uniform(0.5, 2.0, len(
+        strategy.network.alpha)))
+    assert 0.0 <= other.bound <= other.value
+
+
+@examples(3)
+@given(st.integers(0, 10**6), st.sampled_from((0.0, 1.2, 2.0)), st.sampled_from((0, 0, 1)))
+def test_records_of_plans(seed, reach, stops):
+    values = np.rint(10.0 * random_map(seed, 14, 0.0).alpha - 10.0).astype(np.int8)
+    on = OccupancyMap(values, 1.0, (0.0, 0.0, 0.0))
+    risk_map = risk_from_occupancy(values, 1.0)
+    options = PlanningOptions(network=NetworkOptions(spacing=2.0), strategy=OPTIONS,
+                              game=GameOptions(ambush_radius=reach))
+    start, goal, middle = (1.0, 6.0), (13.0, 8.0), [(7.0, 10.0)] * stops
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', UserWarning)  # of wide gaps
+        plans = [plan_trip(risk_map, start, goal, options, stops=middle)]
+        if reach and plans[0].value:
+            plans += [replace(plans[0], few=plan_trip(
+                risk_map, start, goal, options, stops=middle, routes=k, rng=seed).few)
+                for k in (1, 3)]
+    for plan in plans:
+        check(plan)
+        if plan.few:
+            check(plan.few)
+            assert plan.few.curve[-1][1] == plan.few.value == plan.value
+    check_strategy(plans[0].strategy)
+    assert bool(wide_gap(plans[0])) == (plans[0].strategy.reason != 'complete')
+    check(mix_slots([each.value for each in plans], [each.lower_bound for each in plans]))
+    newer = values.copy()
+    newer[::3] = 40
+    check(ChangedGround(plans[0], on, OccupancyOptions()).assess(replace(on, values=newer)))
+    if stops:
+        return
+    for row in trip_frontier(risk_map, start, goal, options, (1.3,), ()):
+        check(row)
+    for each in places_to_hold(risk_map, start, goal, 2.0, 1, options).strategies:
+        check_strategy(each)
+    with ThreadPoolExecutor(2) as pool:
+        for solved in solve_many([Problem(risk_map, start, goal, options)] * 2, pool):
+            check_strategy(solved.answer)
+
+
+def test_a_certificate_never_has_a_bound_above_its_value():
+    for value, bound in ((1.0, 1.0 + 1e-6), (0.0, 1e-9), (1.0, math.nan), (1.0, -1.0)):
+        with pytest.raises(SolverFailed, match='lower bound'):
+            Certificate(value, bound)
+    rounded = Certificate(1.0, 1.0 + 1e-12)
+    assert rounded.bound == rounded.value
+    with pytest.raises(AmbushPlannerError, match='lower bound'):
+        mix_slots([1.0, 2.0], [1.0, 2.1])
