@@ -143,7 +143,7 @@ def plan(risk_map):
 def test_the_value_is_at_most_that_of_the_best_order(risk_map, plan):
     best = plan_trip(risk_map, (15.0, 150.0), (285.0, 150.0), GAME, stops=CORNERS, order='best')
     assert plan.order_found == 'random' and plan.stops_xy == CORNERS
-    assert plan.value < 0.9 * best.value
+    assert plan.value < 0.95 * best.value
     assert plan.strategy.length_budget == pytest.approx(best.strategy.length_budget)
 
 

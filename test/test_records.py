@@ -66,7 +66,8 @@ def check_strategy(strategy, options=OPTIONS) -> None:
 @examples(6)
 @given(st.data(), st.sampled_from((0.0, 1.5)), st.sampled_from((1, 2)), st.booleans())
 def test_records_of_any_network(data, reach, ambushers, timed):
-    network = data.draw(networks() | st.builds(terrain_network, st.integers(0, 10**6), cells=st.just(8)))
+    terrain = st.builds(terrain_network, st.integers(0, 10**6), cells=st.just(8))
+    network = data.draw(networks() | terrain)
     rng = np.random.default_rng(len(network.edges))
     if timed:
         network = replace(network, seconds=network.lengths * rng.uniform(1.0, 3.0, len(

@@ -173,9 +173,10 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
             program.prove_by_legs()
         else:
             program.solve()
+        ended = time.monotonic() <= deadline
     except (TimeLimit, SolverFailed):
-        return program.bound or None
-    return program.bound
+        ended = False
+    return program.bound if ended else program.bound or None
 
 
 def _cut_of(problem: Problem) -> Cut | None:

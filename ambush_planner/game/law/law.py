@@ -127,7 +127,7 @@ class Law:
         near, aim = self._near, EXACT_AIM if self.exact else AIM
         most = self.level * ceiling(1.0, aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
-        if not aim[sites].all():  # a program that proved nothing allows no hits
+        if not most[sites].all():  # a program that proved nothing allows no hits
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
         later = NEAR_PAST if self.rounds and not self.exact else 0.0
