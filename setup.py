@@ -84,6 +84,7 @@ setup(
         'test': [
             *gis,
             'argcomplete',
+            'behaviortreepy',  # BehaviorTree.CPP's parser
             'pytest>=7.4',
             'pytest-timeout',
             'pytest-xdist',

@@ -3,16 +3,21 @@
 
 from contextlib import contextmanager
 from importlib import import_module
+from types import SimpleNamespace
 
 import interfaces
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
+from nav_msgs.msg import Goals as GoalsMessage
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
 from ros_harness import LONG, pose, risk_grid, stage, wait_until
 from waiting import answer_of
+
+from ambush_planner.ros.compute_path import poses_of
+from ambush_planner.ros.requests import validity
 
 pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
@@ -130,9 +135,27 @@ def test_a_goal_through_poses_is_a_trip(action):
         assert met[-1] == GOAL.pose.position
         goals.client.diagnostics(stops='2')
         for code, words, poses in ((309, 'goals is empty', []),
+                                   (306, 'stop 1', [pose(5.0, 5.5), GOAL]),
+                                   (304, 'stop 2', [stops[0], pose(99.0, 5.5), GOAL]),
                                    (302, 'in one', [pose(3.0, 8.0, frame='odom'), *stops, GOAL])):
             got, message = goals.refused(goals=poses)
             assert (got, words in message) == (code, True), message
+
+
+def test_goals_and_answers_of_later_distributions_are_understood():
+    """Their fields, by name: nav2_msgs of Kilted and of Lyrical are not built here."""
+    stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
+    for goal, poses in (
+        (SimpleNamespace(goal=GOAL), [GOAL]), (SimpleNamespace(goals=stops), stops),
+        (SimpleNamespace(goals=GoalsMessage(goals=stops)), stops),
+        (SimpleNamespace(goal=GOAL, viapoints=stops), [*stops, GOAL]),
+        (SimpleNamespace(goals=GoalsMessage()), []),
+    ):
+        assert poses_of(goal) == poses
+    answer = type('Response', (SimpleNamespace,), {'success': False})
+    for invalid, is_valid in (([], True), ([3], False), (None, False)):
+        got = validity(answer, invalid)
+        assert (got.success, got.is_valid) == (True, is_valid)
 
 
 def test_a_path_that_is_not_published_is_in_the_result(action):
@@ -188,7 +211,8 @@ def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
     client.publish('alpha_map', risk_grid(flat))
     wait_until(lambda: not validity(path)[0], 'the new map')
     assert len(path.poses) // 2 in validity(path)[1]
-    assert not validity(type(path)(header=path.header))[0]
+    assert validity(type(path)(header=path.header)) == (False, [])
+    client.diagnostics(code='NONE')
     path.header.frame_id = 'odom'
     assert validity(path) == (False, [])
     client.diagnostics(code='TF_ERROR')

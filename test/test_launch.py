@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import interfaces
-import pytest
+import yaml
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -189,31 +189,42 @@ def test_the_planner_takes_the_names_of_the_planner_server(tmp_path):
         assert ids.string_array_value == ['', 'GridBased']
 
 
-# Nodes of Nav2's nav2_tree_nodes.xml and of BehaviorTree.CPP with their number of children, 0 for a
-# leaf, and the ports that the trees set.
-NODES = {
-    'RecoveryNode': (2, 'number_of_retries'), 'RateController': (1, 'hz'), 'Inverter': (1, ''),
-    'PipelineSequence': (2, ''), 'RoundRobin': (3, ''), 'Sequence': (2, ''), 'Fallback': (2, ''),
-    'ReactiveSequence': (2, ''), 'ReactiveFallback': (2, ''), 'GoalUpdated': (0, ''),
-    'GlobalUpdatedGoal': (0, ''), 'Wait': (0, 'wait_duration'),
-    'IsPathValid': (0, 'path server_timeout'), 'ClearEntireCostmap': (0, 'service_name'),
-    'BackUp': (0, 'backup_dist backup_speed'),
-    'FollowPath': (0, 'path controller_id error_code_id'),
-    'RemovePassedGoals': (0, 'input_goals output_goals radius'),
-    'ComputePathToPose': (0, 'goal path planner_id server_timeout error_code_id'),
-    'ComputePathThroughPoses': (0, 'goals path planner_id server_timeout error_code_id'),
-}
+def blocks(language):
+    return re.findall(rf'(?ms)^```{language}\n(.*?)^```', DOCUMENT)
 
 
-@pytest.mark.parametrize('file', ['ambush_tree.xml', 'ambush_tree_through_poses.xml'])
-def test_the_behaviour_trees_have_nav2s_nodes_and_ports_and_one_is_that_of_the_docs(file):
-    text = (ROOT / 'config' / file).read_text()
-    root = ElementTree.fromstring(text)
-    (tree,) = root
-    assert (root.get('BTCPP_format'), tree.get('ID')) == ('4', root.get('main_tree_to_execute'))
-    assert len(tree) == 1
-    for node in tree[0].iter():
-        children, ports = NODES[node.tag]
-        assert (len(node), set(node.keys()) - {'name'}) == (children, set(ports.split()))
-    (shown,) = re.findall(r'```xml\n(<root.*?)```', DOCUMENT, re.DOTALL)
-    assert 'through' in file or text.endswith(shown)
+def test_the_blocks_of_the_document_are_what_their_readers_take():
+    """YAML of Nav2's parameters, XML of a launch file, shell; the Python runs above."""
+    (parameters,) = blocks('yaml')
+    assert yaml.safe_load(parameters) == yaml.safe_load(
+        (ROOT / 'config/nav2_params.yaml').read_text())
+    (node,) = (each['ros__parameters'] for each in yaml.safe_load(parameters).values())
+    trees = [node[f'default_nav_{kind}_bt_xml'] for kind in ('to_pose', 'through_poses')]
+    for tree in trees:
+        assert (ROOT / tree.replace('$(find-pkg-share ambush_planner)/', '')).is_file()
+    declared = {each.get('name') for each in TREE.findall('arg')}
+    (launch,) = map(ElementTree.fromstring, blocks('xml'))
+    assert launch.tag == 'launch'
+    (included,) = launch.findall('include')
+    assert included.get('file').endswith('/launch/' + FILE.name)
+    assert {each.get('name') for each in included} <= declared
+    for each in launch.iter():
+        for value in each.attrib.values():
+            names = {arg.get('name') for arg in launch.findall('arg')}
+            assert set(re.findall(r'\$\(var (\w+)\)', value)) <= names
+    text = ''.join(blocks('sh'))
+    subprocess.run(['bash', '-n'], input=text, text=True, check=True)
+    (given,) = re.findall(r'ambush_planner\.launch\.xml ((?:.|\\\n)*?)\n\n?', text + '\n')
+    assert set(re.findall(r'(\w+):=', given)) <= declared
+    assert not blocks('text')
+
+
+def test_the_trees_without_server_names_ask_for_nav2s(tmp_path):
+    (command,) = [each for each in blocks('sh') if 'sed' in each]
+    command = command.replace('$(ros2 pkg prefix --share ambush_planner)', str(ROOT))
+    subprocess.run(['bash', '-e', '-c', command], cwd=tmp_path, check=True)
+    for name in ('ambush_tree.xml', 'ambush_tree_through_poses.xml'):
+        both = [re.sub(r'\s+', ' ', (folder / name).read_text())
+                for folder in (tmp_path, ROOT / 'config')]
+        assert both[0] != both[1]
+        assert both[0] == re.sub(' server_name="ambush_planner/[a-z_]+"', '', both[1])

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -29,8 +29,9 @@ ACTIONS = {'~/compute_path_to_pose': 'ComputePathToPose',
            '~/compute_path_through_poses': 'ComputePathThroughPoses'}
 # Time for which results are kept [s], as by Nav2's planner server.
 _RESULT_TIMEOUT = 10
-# Nav2's names of codes that it lacks.
-_NAV2_CODES = {'NO_START': 'TF_ERROR', 'NO_GOAL': 'NO_VIAPOINTS_GIVEN', 'OUT_OF_DATE': 'TIMEOUT'}
+# Nav2's names of codes that it lacks. Its trees try recoveries after UNKNOWN and TIMEOUT.
+_NAV2_CODES = {'NO_START': 'TF_ERROR', 'NO_GOAL': 'NO_VIAPOINTS_GIVEN', 'OUT_OF_DATE': 'TIMEOUT',
+               'STOP_OCCUPIED': 'GOAL_OCCUPIED', 'STOP_OUTSIDE_MAP': 'GOAL_OUTSIDE_MAP'}
 
 
 class ComputePath:
@@ -128,7 +129,7 @@ class ComputePath:
                 )
         elif not start.header.frame_id:
             raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
-        *stops, last = [goal.goal] if hasattr(goal, 'goal') else goal.goals or [None]
+        *stops, last = poses_of(goal) or [None]
         if last is None:
             raise NoGoal('goals is empty: give at least one pose')
         frames = sorted({stop.header.frame_id for stop in stops})
@@ -138,6 +139,16 @@ class ComputePath:
         poses = [stop.pose for stop in stops]
         via = PoseArray(header=stops[0].header, poses=poses) if stops else None
         return GetPlan.Request(start=start, goal=last), via
+
+
+def poses_of(goal: Any) -> list[PoseStamped]:
+    """Return the poses of an action's goal in their order.
+
+    From Kilted on ``goals`` is a nav_msgs/Goals; from Lyrical on a single goal has ``viapoints``.
+    """
+    if hasattr(goal, 'goal'):
+        return [*getattr(goal, 'viapoints', ()), goal.goal]
+    return list(getattr(goal.goals, 'goals', goal.goals))
 
 
 def _say(result: Any, text: str) -> None:

@@ -185,15 +185,18 @@ class Dispatcher:
         self._departures.submit(begin, result)
         return result
 
-    def invalid_poses(self, path: Path) -> list[int]:
+    def invalid_poses(self, path: Path) -> list[int] | None:
         """Return which poses of a path, from the robot on, the newest map does not let it reach.
 
-        Raises NoMap, FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        None if the path has no poses: Nav2's trees ask so before their first path. Raises NoMap,
+        FrameMismatch if the path is not in the map's frame, and InvalidPose.
         """
+        if not path.poses:
+            return None
         newest, parameters = self._inputs.current_map(), self._settings.current
-        if path.header.frame_id != newest.frame or not path.poses:
-            raise FrameMismatch(f'the path has {len(path.poses)} poses in the frame '
-                                f'{path.header.frame_id[:80]!r}, the map is in {newest.frame!r}')
+        if path.header.frame_id != newest.frame:
+            raise FrameMismatch(f'the path is in the frame {path.header.frame_id[:80]!r}, the map '
+                                f'in {newest.frame!r}')
         points, place = path_from_ros(path)[:, :2], self._inputs.robot_place(parameters.robot)
         first = int(np.hypot(*(points - place).T).argmin()) if place else 0
         clear = _clear_ground(newest, parameters).drivable_steps(points[first:])

@@ -57,8 +57,7 @@ class Requests:
         if valid := installed_type('nav2_msgs.srv', 'IsPathValid'):
             self._serve(valid, '~/is_path_valid',
                         lambda request: completed(self._dispatcher().invalid_poses(request.path)),
-                        lambda poses: valid.Response(is_valid=not poses,
-                                                     invalid_pose_indices=poses), planning)
+                        partial(validity, valid.Response), planning)
 
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
                    client: str = '') -> Future[Answer]:
@@ -120,6 +119,12 @@ class Requests:
         left, remarks = answer.departure, f'; {answer.remarks}' if answer.remarks else ''
         assert left is not None  # new_route always draws
         return _success(f'departure {left.number} ({left.id}) is published on {path}{remarks}')
+
+
+def validity(kind: Any, invalid: list[int] | None) -> Any:
+    """Return the answer of ``~/is_path_valid``; from Lyrical on it has ``success``."""
+    more = {'success': True} if hasattr(kind, 'success') else {}
+    return kind(is_valid=invalid == [], invalid_pose_indices=invalid or [], **more)
 
 
 def _replan_response(plan: Plan) -> Trigger.Response:
