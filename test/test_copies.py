@@ -13,9 +13,9 @@ from scipy.sparse import csr_matrix, vstack
 from test_routes import games
 
 from ambush_planner import GameOptions, Network, StrategyOptions
+from ambush_planner.game.copies import law_on_copies
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
-from ambush_planner.game.law.copies import law_on_copies
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.strategy import make_budgets, solve
 from ambush_planner.game.value.routes import Routes

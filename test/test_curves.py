@@ -24,8 +24,8 @@ from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.best_response import best_response
 from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.certificate.curves import Circulation
+from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
-from ambush_planner.game.value.faces import make_faces
 from ambush_planner.game.value.potential import Potential
 
 

@@ -29,9 +29,9 @@ from ambush_planner import GameOptions, Network, SolverFailed, TimeLimit
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.certificate import lower_bound
+from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.value.face_flows import HAS_HIGHSPY, KeptFlows, RepeatedFlows
-from ambush_planner.game.value.faces import make_faces
 from ambush_planner.game.value.potential import PRECISION, Potential
 
 WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key')

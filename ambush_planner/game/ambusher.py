@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import ROUNDING, FloatArray, frozen_array
 from ..errors import SolverFailed
 from .budget import Budget
-from .certificate.curves import Circulation
+from .faces import Circulation
 from .game import Game
 
 

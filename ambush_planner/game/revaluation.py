@@ -13,7 +13,7 @@ from ..errors import BudgetInfeasible, NoRoute
 from .ambusher import Ambusher, at_nodes
 from .budget import Budget, least_cost
 from .certificate.certificate import Certificate, lower_bound
-from .certificate.curves import Circulation
+from .faces import Circulation
 from .game import Game, HeldPlace, make_game
 from .hits import worst_loss
 from .slack import CERTIFICATE_TOLERANCE, ceiling

@@ -27,17 +27,16 @@ from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, at_nodes, on_nodes
 from .budget import Budget
 from .certificate.certificate import lower_bound
-from .certificate.curves import Circulation
+from .copies import LawOnCopies, law_on_copies
+from .faces import Circulation, make_faces
 from .game import Game
 from .hits import hits_can_differ, worst_loss
 from .law.acyclic import forward_part, order_potential, rank_around
 from .law.chain import MarkovChain, chain_of
-from .law.copies import LawOnCopies, law_on_copies
 from .law.gibbs import acyclic_network
 from .law.law import Law
 from .slack import Reason, ceiling, within
 from .value.cut import Cut
-from .value.faces import make_faces
 from .value.potential import Potential
 from .value.routes import MIN_FLOW, Progress, RouteMixture, Routes, unseen
 

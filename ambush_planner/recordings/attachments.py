@@ -21,7 +21,7 @@ import numpy.typing as npt
 from ..arrays import frozen_array
 from ..game.ambusher import Ambusher
 from ..game.budget import Budget
-from ..game.certificate.curves import Circulation
+from ..game.faces import Circulation
 from ..game.game import GameOptions, make_game
 from ..game.slack import Reason
 from ..game.strategy import Strategy, strategy_of

@@ -25,9 +25,9 @@ from ...arrays import ROUNDING, FloatArray, sums
 from ...errors import SolverFailed
 from ..ambusher import Ambusher
 from ..budget import Budget
+from ..faces import make_faces
 from ..game import Game
 from ..hits import hits_can_differ, worst_loss
-from ..value.faces import make_faces
 from .best_response import best_response
 from .curves import curve_bound
 

@@ -18,44 +18,17 @@ other curves leave.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...arrays import BoolArray, FloatArray, IndexArray, sums
+from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
+from ..faces import Circulation, Faces
 from ..game import Game
-from ..value.faces import Faces
 from .best_response import SEARCHES, Grounds
 
 # Flows below this share of the largest are rounding.
 NEGLIGIBLE = 1e-7
-
-
-@dataclass(frozen=True, eq=False)
-class Circulation:
-    """Flows between faces.
-
-    Attributes
-    ----------
-    through : (links,)
-        Flow through each link, from its left to its right face [loss].
-    site, face, flow : (T,)
-        Flow from a face into the disc of a site, a node; < 0: out of it [loss].
-    """
-
-    through: FloatArray
-    site: IndexArray
-    face: IndexArray
-    flow: FloatArray
-
-    def at(self, nodes: BoolArray) -> Circulation:
-        """The flows through links, and into and out of the discs of some nodes (N,)."""
-        if self.site.max(initial=-1) >= len(nodes):
-            raise SolverFailed('the circulation is that of another network')
-        some = nodes[self.site]
-        return Circulation(self.through, self.site[some], self.face[some], self.flow[some])
 
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray, price: float,

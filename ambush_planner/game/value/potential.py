@@ -19,11 +19,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from ...arrays import ROUNDING, FloatArray, IndexArray
 from ..budget import Budget
-from ..certificate.curves import Circulation
+from ..faces import Circulation, Faces
 from ..law.acyclic import conserved_strategy, without_cycles
 from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
-from .faces import Faces
 
 # Largest relative precision of z, and of the share at which faces join.
 PRECISION = 1e-3

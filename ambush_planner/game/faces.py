@@ -16,9 +16,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
-from ..game import Game
-from ..route_sampler import shortest_route
+from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from ..errors import SolverFailed
+from .game import Game
+from .route_sampler import shortest_route
 
 
 class Discs(NamedTuple):
@@ -131,6 +132,31 @@ class Faces:
         around = np.zeros(rims.shape[0], dtype=bool)
         around[disc[tail[lift[head] != lift[tail] + gain]]] = True
         return lift, around
+
+
+@dataclass(frozen=True, eq=False)
+class Circulation:
+    """Flows between faces.
+
+    Attributes
+    ----------
+    through : (links,)
+        Flow through each link, from its left to its right face [loss].
+    site, face, flow : (T,)
+        Flow from a face into the disc of a site, a node; < 0: out of it [loss].
+    """
+
+    through: FloatArray
+    site: IndexArray
+    face: IndexArray
+    flow: FloatArray
+
+    def at(self, nodes: BoolArray) -> Circulation:
+        """The flows through links, and into and out of the discs of some nodes (N,)."""
+        if self.site.max(initial=-1) >= len(nodes):
+            raise SolverFailed('the circulation is that of another network')
+        some = nodes[self.site]
+        return Circulation(self.through, self.site[some], self.face[some], self.flow[some])
 
 
 def make_faces(game: Game) -> Faces | None:

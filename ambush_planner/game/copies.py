@@ -18,18 +18,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 
-from ...arrays import FloatArray, IndexArray, frozen_array, sums
-from ...errors import SolverFailed
-from ...network.trip_graph import with_copies
-from ..budget import margin_rows
-from ..game import Game
-from ..slack import ceiling, within
-from ..value.mixtures import Mixtures
-from ..value.routes import MIN_FLOW, TIGHT, Routes
-from .acyclic import conserved_strategy, order_potential, rank_around
-from .chain import MarkovChain
-from .entropy_search import maximize_entropy
-from .gibbs import AcyclicNetwork
+from ..arrays import FloatArray, IndexArray, frozen_array, sums
+from ..errors import SolverFailed
+from ..network.trip_graph import with_copies
+from .budget import margin_rows
+from .game import Game
+from .law.acyclic import conserved_strategy, order_potential, rank_around
+from .law.chain import MarkovChain
+from .law.entropy_search import maximize_entropy
+from .law.gibbs import AcyclicNetwork
+from .slack import ceiling, within
+from .value.mixtures import Mixtures
+from .value.routes import MIN_FLOW, TIGHT, Routes
 
 # Routes with a copy of their own at first, and their number times the copies' width in edges.
 FEWEST, WIDTH = 16, 128
