@@ -81,7 +81,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, entries=(), stamp
         'departure_id': f'00000000-0000-4000-8000-{number:012d}', 'departure': number,
         'frame': 'map', 'versions': {'ambush_planner': '0.1.0', 'numpy': '1.26.4'},
         'parameters': parameters(), 'topics': {role: topic for role, (topic, _) in roles.items()},
-        'trip': {'start': start, 'goal': GOAL, 'stops': []}, 'ends': [start, GOAL],
+        'trip': {'start': start, 'goal': GOAL, 'stops': []}, 'ends': [start, GOAL], 'joined': False,
         'route': [int(node) for node in route], 'route_entropy_source': [source(number)],
         'call': new_route_call(stamp), **dict(entries),
     }

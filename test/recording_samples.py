@@ -100,7 +100,7 @@ def new_route_call(stamp_ns):
     return {
         'service': '/planner/new_route', 'type': 'std_srvs/srv/Trigger',
         'request_ns': stamp_ns, 'response_ns': stamp_ns,
-        'request': {}, 'response': {'success': True, 'message': 'route 1'},
+        'request': {}, 'remarks': '',
     }
 
 
@@ -112,7 +112,7 @@ def metadata_entries():
         'parameters': {'seed': -1}, 'topics': INPUTS, 'route': [0, 1],
         'route_entropy_source': [2**255 + 1],
         'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': []},
-        'ends': [[1.5, 2.5], [3.0, 4.0]],
+        'ends': [[1.5, 2.5], [3.0, 4.0]], 'joined': False,
         'call': new_route_call(START_NS),
     }
 

@@ -157,9 +157,10 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
     wanted = FLAT.copy()
     wanted[4:6, 3:5] = [[20, 30], [40, -1]]
     assert np.array_equal(first.planned_on.values, wanted) and first.newest is first.planned_on
-    assert np.array_equal(second.planned_on.values, wanted) and second.trip == first.trip
-    assert first.ends == ((1.5, 5.5), (8.5, 5.5))
-    assert second.ends == ((1.6, 5.4), (8.5, 5.6))
+    assert np.array_equal(second.planned_on.values, wanted)
+    assert second.metadata.trip == first.metadata.trip
+    assert first.metadata.ends == ((1.5, 5.5), (8.5, 5.5))
+    assert second.metadata.ends == ((1.6, 5.4), (8.5, 5.6))
     wanted[0, :2] = [100, 90]
     assert np.array_equal(second.newest.values, wanted)
 

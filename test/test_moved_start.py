@@ -2,6 +2,7 @@
 """A convoy that has moved on: the joined routes' law and value, against enumeration by hand."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,7 +17,13 @@ from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_f
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.clear_ground import ClearGround
-from ambush_planner.planning.moved_start import REGION, joined_plan, other_rest
+from ambush_planner.planning.moved_start import (
+    REGION,
+    joined_plan,
+    other_rest,
+    rest_strategy,
+    whole_route,
+)
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import depart, departure_path
 from ambush_planner.planning.trip import plan_trip
@@ -126,7 +133,7 @@ def test_no_clear_way():
 def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radius):
     """Whatever comes into the way, the rest goes on along routes of the plan, clear of it."""
     rng = np.random.default_rng(seed)
-    ground, grid = ground_on(rng.integers(0, 60, (24, 40), dtype=np.int8), radius)
+    ground, grid = ground_on(rng.integers(0, 60, (24, 40), dtype=np.int8), radius, spacing=1.9)
     plan, network = ground.plan, ground.plan.network
     route = depart(plan, rng)
     rows = departure_path(plan, route, 0.1)
@@ -151,5 +158,22 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     assert tuple(path[0, :2]) == place and tuple(path[-1, :2]) == GOAL
     field = ObstacleField(risk_from_occupancy(newest.values, 0.25))
     assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
-    ground = ClearGround(newest, OccupancyOptions(), plan.options.network)
-    assert ground.drivable_steps(path[:, :2]).all()
+    clear = ClearGround(newest, OccupancyOptions(), plan.options.network)
+    assert clear.drivable_steps(path[:, :2]).all()
+    assert_law_of_rests(ground, newest, route.nodes, rest.nodes)
+
+
+def assert_law_of_rests(ground, newest, left, drawn):
+    """The law of the whole route is that of the plan's routes, given how it began."""
+    network, node = ground.plan.network, int(drawn[1])
+    lost = {tuple(edge) for edge in network.edges[ground.compare(newest).lost].tolist()}
+    expected, begin = {}, tuple(left[:left.tolist().index(node)].tolist())
+    for route, chance in all_routes(ground.plan.strategy).items():
+        rest = route[route.index(node):] if node in route else ()
+        if rest and lost.isdisjoint(pairwise(rest)):
+            expected[begin + rest] = expected.get(begin + rest, 0.0) + chance
+    whole = whole_route(left, drawn)
+    found = all_routes(rest_strategy(ground, newest, whole, drawn))
+    assert tuple(whole.tolist()) in found and found.keys() == expected.keys()
+    total = sum(expected.values())
+    assert all(found[each] == pytest.approx(expected[each] / total, abs=1e-9) for each in found)

@@ -67,7 +67,7 @@ def runs(tmp_path_factory):
 
 
 def trips(files):
-    return [read_departure(path).trip for path in files]
+    return [read_departure(path).metadata.trip for path in files]
 
 
 def test_the_path_meets_each_stop_in_order_and_without_stops_none(runs):

@@ -4,12 +4,14 @@
 import json
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import pairwise
 from threading import Event
 from unittest.mock import Mock
 
 import interfaces
 import numpy as np
 import pytest
+from action_msgs.msg import GoalStatus
 from commands import run_here
 from nav_msgs.srv import GetPlan
 from robots import ROBOT, Robot
@@ -17,10 +19,11 @@ from ros_harness import pose, risk_grid, stage, wait_until
 from test_compute_path import Goals
 from waiting import TIMEOUT
 
-from ambush_planner.commands import audit
+from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
-from ambush_planner.recordings import durable_files
-from ambush_planner.recordings.verify import Verifier
+from ambush_planner.recordings import durable_files, read_departures, recordings_in
+from ambush_planner.recordings.verify import Verifier, together
+from ambush_planner.ros import dispatcher
 
 FLAT = np.full((20, 20), 10, dtype=np.int8)
 HERE, GOAL = pose(0.0, 0.0, frame='base_link'), pose(8.5, 5.5)
@@ -184,21 +187,88 @@ def test_new_routes_and_robots_elsewhere_are_departures_and_each_robot_has_its_o
     drive.departures(5)
 
 
-def test_an_obstacle_on_the_path_diverts_the_robot_within_its_plan(drive, submitted):
-    whole = drive.begin()
-    before = len(submitted)
-    drive.robot.is_at(*whole[len(whole) // 4, :2])
-    blocked = cell(whole, len(whole) // 2)
+def diverted(drive, whole, share, paths):
+    """The rest of the path (L, 3), once an obstacle has come up halfway along what remains."""
+    at = int(share * len(whole))
+    drive.robot.is_at(*whole[at, :2])
+    blocked = cell(whole, (at + len(whole)) // 2)
     drive.block(*blocked)
     rest = drive.ask('diverted')
-    assert tuple(rest[0, :2]) == tuple(whole[len(whole) // 4, :2])
+    assert tuple(rest[0, :2]) == tuple(whole[at, :2])
     assert tuple(rest[-1, :2]) == (8.5, 5.5)
     assert blocked not in [cell(rest, at) for at in range(len(rest))]
-    assert path_from_ros(drive.client.last('path', 2)).shape == rest.shape, 'it is published'
-    drive.robot.is_at(*rest[len(rest) // 2, :2])
-    assert_rest(drive.ask('continued'), rest, len(rest) // 2)
-    drive.departures(1)
-    assert len(submitted) == before
+    assert path_from_ros(drive.client.last('path', paths)).shape == rest.shape, 'it is published'
+    return rest
+
+
+@pytest.mark.parametrize('required', [False, True])
+def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_as_driven(
+        required, tmp_path, submitted):
+    parameters = {**ROBOT, 'recording.required': required, 'replan.tolerance': 1e9}
+    with stage(tmp_path, parameters=parameters) as running:
+        drive = Drive(running)
+        whole, before = drive.begin(), len(submitted)
+        once = diverted(drive, whole, 0.25, 2)
+        twice = diverted(drive, once, 0.3, 3)
+        drive.robot.is_at(*twice[len(twice) // 2, :2])
+        assert_rest(drive.ask('continued'), twice, len(twice) // 2)
+        drive.departures(1)
+        assert len(submitted) == before
+        drive.client.publish('alpha_map', risk_grid(FLAT))
+        for count in range(2, 6):
+            drive.robot.is_at(8.4, 5.4)
+            assert len(drive.client.get_plan(HERE, GOAL).poses) == 1, 'arrived'
+            drive.robot.is_at(1.5, 5.5)
+            drive.ask('new')
+            drive.departures(count)
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 7, 'the recordings')
+    files = recordings_in(tmp_path)
+    verdicts = list(map(Verifier().verify, files))
+    assert [each.problems for each in verdicts] == [[]] * 7
+    assert together(verdicts) == ([], [])
+    found = read_departures(files, pytest.fail)
+    assert [each.metadata.departure for each in found] == [1, 2, 3, 4, 5]
+    driven, network = found[0], found[0].drawn_from.network
+    assert [len(each.parts) for each in found] == [3, 1, 1, 1, 1]
+    parts = [whole[:int(0.25 * len(whole)) + 1], once[:int(0.3 * len(once)) + 1], twice]
+    np.testing.assert_allclose(driven.path_poses[:, :2], np.vstack(parts)[:, :2], atol=1e-9)
+    chances = dict(zip(map(tuple, network.edges.tolist()),
+                       driven.drawn_from.edge_probability.tolist(), strict=True))
+    assert all(chances[step] > 0.0 for step in pairwise(driven.route.tolist()))
+    seen = json.loads(run_here(audit, tmp_path, '--json').out)
+    assert (seen['departures'], seen['impossible'], seen['findings']) == (5, 0, [])
+    assert len(together(verdicts[1:])[0]) == 1, 'the departure is missing'
+    (missing,), _ = together([*verdicts[:1], *verdicts[2:]])
+    assert missing == f'missing: what {files[2].name} was diverted from'
+    files[1].rename(tmp_path / 'elsewhere')
+    assert f'missing: {files[1].name}, which metadata.yaml lists' in ' '.join(
+        run_here(verify, tmp_path).out.split())
+
+
+def test_a_diversion_that_is_cancelled_in_time_is_none(actions, tmp_path, monkeypatch):
+    drawn, go_on, draw = Event(), Event(), dispatcher.other_rest
+
+    def draws(*given):
+        result = draw(*given)
+        drawn.set()
+        assert go_on.wait(TIMEOUT)
+        return result
+
+    with stage(tmp_path, parameters=ROBOT) as running:
+        drive = Drive(running)
+        whole = drive.begin()
+        goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
+        drive.robot.is_at(*whole[len(whole) // 4, :2])
+        drive.block(*cell(whole, len(whole) // 2))
+        monkeypatch.setattr(dispatcher, 'other_rest', draws)
+        goal = goals.send(start=None)
+        wait_until(drawn.is_set, 'the draw')
+        assert goals.cancel(goal) == 1
+        go_on.set()
+        assert goals.result(goal)[0] == GoalStatus.STATUS_CANCELED
+        drive.ask('diverted')
+        assert len(drive.client.received['path']) == 2
+    assert len(recordings_in(tmp_path)) == 2
 
 
 def test_a_wall_across_all_routes_of_the_plan_makes_a_new_one(drive):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from commands import NO_ROS
-from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
+from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
@@ -53,19 +53,22 @@ def test_messages_are_read_in_the_order_of_time(tmp_path):
 
 def test_a_departure_of_a_node(files):
     first, moved, asked = (read_departure(files[k]) for k in (NEW_ROUTE, MOVED_GOAL, GET_PLAN))
-    assert (first.number, first.frame, asked.number) == (1, 'map', 4)
-    called = [each.call['service'].rpartition('/')[2] for each in (first, asked)]
+    said, moved_goal, request = (each.metadata for each in (first, moved, asked))
+    assert (said.departure, said.frame, request.departure) == (1, 'map', 4)
+    called = [each.call.service.rpartition('/')[2] for each in (said, request)]
     assert called == ['new_route', 'get_plan']
-    versions = read_recording(files[NEW_ROUTE]).entries['versions']
-    assert set(versions) == {'ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'}
-    assert first.trip.start_xy == (1.5, 5.5) and first.trip.goal_xy == (8.5, 5.5)
-    assert moved.trip.goal_xy == moved.ends[1] != (5.0, 5.2)
-    assert asked.call['request']['tolerance'] == 0.0
+    assert set(said.versions) == {'ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'}
+    assert said.trip.start == (1.5, 5.5) and said.trip.goal == (8.5, 5.5)
+    assert moved_goal.trip.goal == moved_goal.ends[1] != (5.0, 5.2)
+    assert request.call.request['tolerance'] == 0.0
+    assert (said.previous, moved_goal.previous) == (
+        '', read_departure(files[AGAIN]).metadata.recording_id)
     assert first.drawn_from is first.strategy
     for each in (first, moved, asked):
         ends = each.strategy.network.points[each.route[[0, -1]]]
-        assert ends.tolist() == [[*each.trip.start_xy], [*each.trip.goal_xy]]
-        assert [tuple(row) for row in each.path_poses[[0, -1], :2]] == [*each.ends]
+        trip = each.metadata.trip
+        assert ends.tolist() == [[*trip.start], [*trip.goal]]
+        assert [tuple(row) for row in each.path_poses[[0, -1], :2]] == [*each.metadata.ends]
 
 
 def test_map_and_path_are_those_that_rclpy_reads(files):
@@ -182,7 +185,20 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
     (lambda f: f.set_arrays(edges=np.array([None])), 'strategy.npz'),
     (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'strategy.npz'),
     (lambda f: f.entries.update(route=[0, 10**6]), 'metadata: .*malformed'),
-    (lambda f: f.entries['parameters'].pop('seed'), 'parameters: missing'),
+    (lambda f: f.entries['parameters'].pop('seed'), 'parameters: seed is not of the type int'),
+    (lambda f: f.entries['parameters'].update(seed=True), 'parameters: seed is not of the type'),
+    (lambda f: f.entries.update(departure='x'), 'metadata: departure is not of the type int'),
+    (lambda f: f.entries.update(departure=[1]), 'metadata: departure is not of the type int'),
+    (lambda f: f.entries.update(departure=1.0), 'metadata: departure is not of the type int'),
+    (lambda f: f.entries.update(route_entropy_source=['1']), 'metadata: route_entropy_source is'),
+    (lambda f: f.entries.update(route_entropy_source=[0.5]), 'metadata: route_entropy_source is'),
+    (lambda f: f.entries.update(ends=[[1.0, 2.0]]), 'metadata: ends is not of the type tuple'),
+    (lambda f: f.entries['trip'].update(start=[float('nan'), 0.0]), 'metadata: start is not'),
+    (lambda f: f.entries.update(joined='no'), 'metadata: joined is not of the type bool'),
+    (lambda f: f.entries.update(diversion={'number': 1}), 'metadata: left is missing'),
+    (lambda f: f.entries.update(topics={'path': '/path'}), 'map: missing'),
+    (lambda f: f.entries.pop('call'), 'metadata: call is missing'),
+    (lambda f: f.entries.update(frame=None), 'metadata: frame is not of the type str'),
     (lambda f: f.edit('map', lambda m: m.data.pop()), 'map: the map holds 399 cells'),
 ])
 def test_a_part_that_cannot_be_read_is_named(files, tmp_path, spoil, words):
@@ -217,21 +233,24 @@ def test_recordings_are_listed_in_the_order_of_their_numbers(tmp_path):
 
 
 def test_random_sources_that_repeat_or_are_short(files, tmp_path):
-    honest = [read_departure(path) for path in files]
+    def read(path):
+        return path.name, read_departure(path).metadata
+
+    honest = [read(path) for path in files]
     assert source_findings(honest) == []
     assert source_findings([*honest, honest[0]]) == []  # a copy
-    (source,) = honest[0].route_entropy_source
+    (source,) = honest[0][1].route_entropy_source
     for number, (forged, words) in enumerate({
         source: 'the same', source ^ 5: 'nearly the same', 2**190: 'fewer than 192 bits',
     }.items()):
         forger = Forger(files[1])
         forger.entries['route_entropy_source'] = [forged]
         path = forger.save(tmp_path / f'{number}.mcap')
-        (finding,) = source_findings([*honest, read_departure(path)])
+        (finding,) = source_findings([*honest, read(path)])
         assert words in finding and str(forged) not in finding
     forger = Forger(files[SEEDED])
     forger.entries.update(departure_id='another')
-    assert len(source_findings([*honest, read_departure(forger.save(path))])) == 1
+    assert len(source_findings([*honest, read(forger.save(path))])) == 1
 
 
 def test_departures_come_in_order_of_time_then_number_and_copies_count_once(tmp_path):
@@ -241,4 +260,4 @@ def test_departures_come_in_order_of_time_then_number_and_copies_count_once(tmp_
             drawn(plan, 4), (7, 3, 2, 1), (5, 0, 0, 9), strict=True)])
     shutil.copy(paths[0], tmp_path / 'copy_0.mcap')
     found = read_departures(recordings_in(tmp_path), pytest.fail)
-    assert [each.number for each in found] == [2, 3, 7, 1]
+    assert [each.metadata.departure for each in found] == [2, 3, 7, 1]

@@ -219,7 +219,7 @@ def test_another_planner_is_fed(files):
         assert client.received['path'] == []
         assert client.call('new_route').success
         ends = client.last('path').poses[0], client.last('path').poses[-1]
-    recorded = read_departure(files[which]).ends
+    recorded = read_departure(files[which]).metadata.ends
     assert [(each.pose.position.x, each.pose.position.y) for each in ends] == [*recorded]
 
 

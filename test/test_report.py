@@ -133,8 +133,8 @@ def test_departures_link_their_recordings_and_hold_neither_routes_nor_seeds(made
     assert links == [each.path.resolve() for each in section.departures]
     assert '2023-11-15 22:13:20 UTC' in page.text
     for each in section.departures:
-        assert f'departure {each.id}' in page.values('title')
-        assert str(each.route_entropy_source[0]) not in page.html
+        assert f'departure {each.metadata.departure_id}' in page.values('title')
+        assert str(each.metadata.route_entropy_source[0]) not in page.html
         assert ', '.join(map(str, each.route[:4].tolist())) not in page.text
 
 

@@ -94,6 +94,13 @@ FORGERIES = {
     'points moved': (GET_PLAN, lambda f: scaled(f, 'points', 1.0 + 1e-9), 'network: '),
     'another map': (NEW_ROUTE, lambda f: f.edit(
         'map', lambda m: m.data.__setitem__(slice(180, 230), m.data[170:220])), 'network: '),
+    'a number that is a text': (NEW_ROUTE, lambda f: f.entries.update(departure='\x1b[31m'),
+                                'metadata: departure is not of the type int'),
+    'a source of texts': (NEW_ROUTE, lambda f: f.entries.update(route_entropy_source=['7' * 80]),
+                          'metadata: route_entropy_source is not of the type int'),
+    'a parameter of another type': (NEW_ROUTE, other_parameter('seed', '1'), 'seed is not of the'),
+    'endless ends': (GET_PLAN, lambda f: f.entries.update(ends=[[math.inf, 0.0], [8.5, 6.5]]),
+                     'metadata: a position of trip or ends is not finite'),
     'no place to start': (NEW_ROUTE, lambda f: f.entries['trip'].update(start=[99.0, 0.0]),
                           'no plan follows from'),
 }
@@ -121,6 +128,30 @@ def test_a_repeated_source_across_a_folder(files, tmp_path, capsys):
     assert code == 1 and 'each holds, but not together' in said
     assert 'run_1.mcap: its random source is the same as that of run_0.mcap' in said
     assert '2 departures between the first and the last have no recording' in said
+
+
+def test_copies_and_deleted_files_are_found(files, tmp_path, capsys):
+    for path in files[:4]:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    holds(tmp_path, capsys)
+    (tmp_path / 'another.mcap').write_bytes(files[1].read_bytes())
+    code, out = verified(tmp_path, capsys)
+    assert code == 1
+    assert f'copy: another.mcap holds the same departure as {files[1].name}' in out
+    (tmp_path / 'another.mcap').unlink()
+    (tmp_path / files[1].name).unlink()
+    code, out = verified(tmp_path, capsys)
+    assert code == 1 and f'missing: the recording before {files[2].name}' in out
+
+
+def test_names_and_texts_of_files_cannot_command_a_terminal(files, tmp_path, capsys):
+    forger = Forger(files[NEW_ROUTE])
+    forger.entries['topics']['map'] = forger.entries['frame'] = '\x1b]0;title\x07'
+    path = forger.save(tmp_path / 'a\x1b[31m.mcap')
+    for place in (path, tmp_path / '\x1b[2J'):
+        tool.main([str(place)])
+        said = ''.join(capsys.readouterr())
+        assert 'x1b[' in said and '\x1b' not in said and '\x07' not in said
 
 
 def test_damaged_files_are_named_and_do_not_hide_others(files, tmp_path, capsys):

@@ -43,7 +43,8 @@ def parser() -> argparse.ArgumentParser:
 
 def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
     """Audit departures; return the audit (None: too few departures), findings, and notes."""
-    findings = source_findings(departures) + [
+    findings = source_findings((part.path.name, part.metadata) for each in departures
+                               for part in each.parts) + [
         f'{each.path.name} was drawn with a fixed seed, so it can be predicted'
         for each in departures if each.parameters.seed >= 0
     ]

@@ -41,7 +41,7 @@ class Console:
     def line(self, text: str = '') -> None:
         """Print a line of the result."""
         if not (self._json or self._quiet):
-            print(text, flush=True)
+            print(_printable(text), flush=True)
 
     def item(self, text: str, indent: int = 7, hang: int = 2) -> None:
         """Print wrapped text, by default as details of the line before."""
@@ -51,7 +51,7 @@ class Console:
     def say(self, text: str) -> None:
         """Print a progress message."""
         if not self._quiet:
-            print(text, file=sys.stderr, flush=True)
+            print(_printable(text), file=sys.stderr, flush=True)
 
     def step(self, text: str) -> None:
         """Print the time so far and the next step."""
@@ -59,7 +59,7 @@ class Console:
 
     def error(self, text: object) -> None:
         """Print an error, even if quiet."""
-        print(f'{self._program}: {text}', file=sys.stderr, flush=True)
+        print(_printable(f'{self._program}: {text}'), file=sys.stderr, flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
         """Yield the items with a progress bar."""
@@ -116,6 +116,11 @@ class Console:
         if self._json:
             print(json.dumps({'verdict': verdict, **self.result}, indent=1, default=str))
         sys.stdout.flush()
+
+
+def _printable(text: str) -> str:
+    """Return lines whose control characters, which may come from a file, are escaped."""
+    return '\n'.join(map(shown, text.split('\n')))
 
 
 def place(path: Path) -> str:

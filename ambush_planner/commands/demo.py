@@ -82,8 +82,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     console.step('solving for other budgets')
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
     planning = replace(last.parameters.planning, strategy=budgets)
-    rows = trip_frontier(section.risk_map, last.trip.start_xy, last.trip.goal_xy, planning,
-                         slacks=SLACKS)
+    trip = last.metadata.trip
+    rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, slacks=SLACKS)
     write_frontier(folder / 'frontier.csv', rows, budgets.max_detour, budgets.risk_slack)
     total = console.seconds
     console.line(table(strategy, paths, seconds, total))

@@ -157,7 +157,8 @@ def _departures(section: Section, folder: Path) -> str:
         dot = f'<i style="background:{colour or "none"}"></i>'
         button = f'<button type="button" aria-pressed="false">{dot}{number}</button>'
         file = quote(os.path.relpath(each.path, folder))
-        lines.append(f'<tr title="departure {escape(each.id)}"><th scope="row">{button}</th>'
+        name = escape(each.metadata.departure_id)
+        lines.append(f'<tr title="departure {name}"><th scope="row">{button}</th>'
                      f'{_cells(cells)}<td><a href="{file}">MCAP</a></td></tr>')
     return _framed([*head, 'recording'], lines, 'departures')
 

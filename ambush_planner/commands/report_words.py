@@ -156,7 +156,8 @@ def settings(section: Section) -> list[tuple[str, str, str]]:
     """
     found: dict[str, set[str]] = {}
     for each in section.departures:
-        for name, value in {'frame of the map': each.frame, **each.parameters.values}.items():
+        for name, value in {'frame of the map': each.metadata.frame,
+                            **each.parameters.values}.items():
             found.setdefault(name, set()).add(str(value) or 'empty')
     rows = []
     for name in sorted(found.keys() - {'seed'}):

@@ -17,7 +17,8 @@ EPILOG = """\
 For each departure, checks the file's checksums, rebuilds the network from the recorded map and
 parameters, recomputes the certificate from the recorded probabilities alone (it proves the value,
 and that no strategy within the budgets has less than the lower bound), and redraws route and path
-from the recorded entropy. Also finds random sources that are too short or repeat in the folder.
+from the recorded entropy. Also finds random sources that are too short or repeat in the folder,
+copies of a recording, and recordings that others, or the folder's list, say are missing.
 --replan also solves each game again, without a warm start, and compares the values.
 
 Not checked: markers, diagnostics, request and response, times, and the poses of start and goal.
@@ -47,8 +48,9 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     verdicts = [verifier.verify(path) for path in console.progress(paths, 'verified')]
     for verdict in verdicts:
         line = f'{"holds" if verdict.holds else "FAILS"}  {shown(verdict.path.name)}'
-        if verdict.id:
-            line += (f': departure {verdict.number}, {verdict.nodes} nodes, '
+        if said := verdict.metadata:
+            diverted = f' diverted ({said.diversion.number})' if said.diversion else ''
+            line += (f': departure {said.departure}{diverted}, {verdict.nodes} nodes, '
                      f'value {verdict.value:.6g}')
         console.line(line)
         _print_below(console, verdict.problems, verdict.notes)
@@ -76,7 +78,8 @@ def _print_below(console: cli.Console, problems: Sequence[str], notes: Sequence[
 
 def _as_json(verdict: Verdict) -> dict[str, Any]:
     return {
-        'file': cli.place(verdict.path), 'number': verdict.number, 'holds': verdict.holds,
+        'file': cli.place(verdict.path), 'holds': verdict.holds,
+        'number': verdict.metadata.departure if verdict.metadata else 0,
         'value': verdict.value if math.isfinite(verdict.value) else None,
         'problems': verdict.problems, 'notes': verdict.notes,
     }

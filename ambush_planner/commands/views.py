@@ -21,7 +21,7 @@ import yaml
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
-from ..recordings import read_departure, read_recording, recordings_in
+from ..recordings import read_departure, recordings_in
 from . import cli
 from .inputs import MAP_HELP
 
@@ -132,11 +132,11 @@ def _scene(source: Path, namespace: str) -> Scene:
         return scene_of(read_risk_map(source, OccupancyOptions()), topics=topics)
     path = recordings_in(source)[-1]
     departure = read_departure(path)
-    recorded = read_recording(path).entries['topics']
+    said = departure.metadata
     roles = {'alpha_map': 'map', 'path': 'path', 'start_pose': 'start', 'goal_pose': 'goal'}
-    return scene_of(departure.risk_map, frame=departure.frame,
-                    topics=topics | {name: recorded[role] for name, role in roles.items()},
-                    node=departure.call['service'].rpartition('/')[0])
+    return scene_of(departure.risk_map, frame=said.frame,
+                    topics=topics | {name: said.topics[role] for name, role in roles.items()},
+                    node=said.call.service.rpartition('/')[0])
 
 
 def _renamed(value: Any, scene: Scene) -> Any:

@@ -66,6 +66,20 @@ class ConditionedStrategy:
             nodes.append(heads[int(rng.choice(len(heads), p=np.divide(weights, sum(weights))))])
         return np.array(nodes)
 
+    def flow_after(self, node: int, lost: npt.NDArray[np.bool_]) -> FloatArray:
+        """Return p (M,) of the rests that ``draw_from`` draws; ValueError if there are none."""
+        share, visits = self._target_share(lost), [0.0] * len(self._network.points)
+        if share[node] == 0.0:
+            raise ValueError('no rest of a route is clear')
+        visits[node], flows = 1.0, []
+        for tail, head, chance, clear in self._clear_steps(lost):
+            flows.append(visits[tail] * chance * share[head] / share[tail]
+                         if clear and visits[tail] else 0.0)
+            visits[head] += flows[-1]
+        result = np.zeros(len(self._p))
+        result[self._order] = flows
+        return result
+
     def _target_share(self, lost: npt.NDArray[np.bool_]) -> list[float]:
         """Return Z (N,), the probability of reaching the target without the edges ``lost``."""
         share = [0.0] * len(self._network.points)

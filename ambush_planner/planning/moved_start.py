@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -115,6 +116,37 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: I
             route = Route(frozen_array(nodes, np.int64), frozen_array(points, np.float64))
             return route, departure_path(fitted, route, spacing, ends)
     return None
+
+
+def whole_route(left: IndexArray, drawn: IndexArray) -> IndexArray:
+    """Return the whole route (K,) of a convoy that has left a route for another rest of it.
+
+    ``drawn`` (L,) is that of ``other_rest``, the source in place of the convoy. Raises ValueError
+    if the rest does not begin on the route that was ``left``.
+    """
+    (at,) = np.flatnonzero(left == drawn[1])
+    return frozen_array(np.concatenate((left[:at], drawn[1:])), np.int64)
+
+
+def rest_strategy(ground: ChangedGround, newest: OccupancyMap, route: IndexArray,
+                  drawn: IndexArray) -> Strategy:
+    """Return the strategy that a whole route (K,) is from, given how it began.
+
+    ``other_rest`` has drawn the rest on the newest map, as in ``whole_route``. Raises ValueError if
+    it cannot have drawn one from there.
+    """
+    strategy, network = ground.plan.strategy, ground.plan.network
+    lost = ground.compare(newest).lost | _through_start_again(network)
+    p = ground.conditioned.flow_after(int(drawn[1]), lost)
+    number = {step: edge for edge, step in enumerate(map(tuple, network.edges.tolist()))}
+    steps = list(pairwise(route[:len(route) - len(drawn) + 2].tolist()))
+    if new := [step for step in steps if step not in number]:  # a departure that joined its plan
+        network = replace(network, edges=np.concatenate((network.edges, new)))
+        number |= {step: len(p) + k for k, step in enumerate(new)}
+        p = np.concatenate((p, np.zeros(len(new))))
+        strategy = replace(strategy, game=make_game(network, strategy.game.options))
+    p[[number[step] for step in steps]] = 1.0
+    return replace(strategy, edge_probability=frozen_array(p, np.float64))
 
 
 def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:

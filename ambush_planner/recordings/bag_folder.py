@@ -10,7 +10,10 @@ import json
 import os
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
+
+import yaml
 
 from .messages import Channel, RecordedMessage, fields_from_yaml
 from .schemas import load_definition
@@ -59,6 +62,16 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
                    'message_count': sum(number for _, number in each.counts)} for each in files],
     }}
     return f'{json.dumps(described, ensure_ascii=False)}\n'.encode()
+
+
+def listed_in(folder: Path) -> list[str]:
+    """Return the files that the ``metadata.yaml`` of a folder lists; none if it cannot be read."""
+    try:
+        content = yaml.safe_load((folder / FILE_NAME).read_text())
+        return [str(name) for name in
+                content['rosbag2_bagfile_information']['relative_file_paths']]
+    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        return []
 
 
 def _described(channel: Channel) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from ..maps.risk_map import RiskMap
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
-from ..planning.moved_start import JoinedPlan, joined_plan
+from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.options import PlanningOptions, node_spacing
+from ..planning.parameters import PARAMETERS
 from ..planning.plan import Plan, plan_corridors
 from ..routes.driven_path import Ends
 from .attachments import (
@@ -34,58 +35,46 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
+from .metadata import Metadata, typed
 from .recording_errors import UnreadableRecording
 from .recording_file import RecordingFile, decode, read_recording
 
-Position = tuple[float, float]
 _T = TypeVar('_T')
-
-
-@dataclass(frozen=True)
-class RecordedTrip:
-    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``."""
-
-    start_xy: Position
-    goal_xy: Position
-    stops: tuple[Position, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedDeparture:
-    """A departure as it was recorded; equal strategies and equal maps are one object.
+    """A departure, or a diversion of one, as it was recorded.
+
+    Equal strategies and equal maps are one object.
 
     Attributes
     ----------
-    id, number
-        Unique to the departure; its number in the node's run, from 1.
-    call
-        ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, the fields of the
-        ``request``, and the ``remarks`` of the response.
-    ends
-        The ends of the driven path, which may lie near the trip's [m].
+    metadata, recorded_ns
+        What the file says of it, and the time of its path [ns].
     route : (K,)
-        Node indices, drawn by ``numpy.random.default_rng(route_entropy_source)``.
-    strategy, stated
-        The recorded strategy, its certificate computed from its probabilities, and the numbers
-        that the file states.
+        Node indices from the source to the target. For a diversion this is the whole route: what
+        was driven before, and the rest that ``drawn`` (L,) holds, after the source.
+    stated
+        The numbers that the file states of the strategy.
+    strategy
+        The recorded strategy, its certificate computed from its probabilities.
     drawn_from
         ``strategy``; if the map had changed, that strategy given that its routes are clear; if the
-        convoy had moved, that of the routes ``joined`` from where it was.
+        convoy had moved, that of the routes ``joined`` from where it was; if it was diverted, that
+        of the rests from there, after what it had driven.
     planned_on, newest, risk_map
         The maps of the plan and at the time of departure; the losses of the former.
+    before
+        What was recorded of the departure before this diversion, if that is known.
     """
 
     path: Path
-    id: str
-    number: int
-    stamp_ns: int
-    frame: str
-    call: Mapping[str, Any]
+    metadata: Metadata
+    recorded_ns: int
     parameters: NodeParameters
-    trip: RecordedTrip
-    ends: tuple[Position, Position]
     route: IndexArray = field(repr=False)
-    route_entropy_source: list[int] = field(repr=False)
+    drawn: IndexArray = field(repr=False)
     strategy: Strategy
     stated: Mapping[str, float]
     drawn_from: Strategy
@@ -94,11 +83,32 @@ class RecordedDeparture:
     newest: OccupancyMap
     risk_map: RiskMap
     _path_message: tuple[str, str, bytes] = field(repr=False)
+    before: RecordedDeparture | None = field(default=None, repr=False)
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the convoy departed [ns]."""
+        return self.before.stamp_ns if self.before else self.recorded_ns
+
+    @property
+    def parts(self) -> list[RecordedDeparture]:
+        """What was recorded of the departure, from the first to the last."""
+        return [*(self.before.parts if self.before else ()), self]
+
+    @cached_property
+    def recorded_poses(self) -> FloatArray:
+        """The poses (L, 3) = (x, y, yaw) of the recorded path [m, m, rad]."""
+        return path_from_ros(decode(*self._path_message))
 
     @cached_property
     def path_poses(self) -> FloatArray:
-        """The poses (L, 3) = (x, y, yaw) of the recorded path [m, m, rad]."""
-        return path_from_ros(decode(*self._path_message))
+        """The poses (L, 3) = (x, y, yaw) of the whole path: before a diversion, and after it."""
+        rest = self.recorded_poses
+        if self.before is None:
+            return rest
+        driven = self.before.path_poses
+        near = int(np.hypot(*(driven[:, :2] - rest[0, :2]).T).argmin())
+        return np.vstack((driven[:near + 1], rest))
 
 
 class SharedParts:
@@ -108,6 +118,8 @@ class SharedParts:
         self.strategy = lru_cache(most)(strategy_from_file)
         self.risk_map = lru_cache(most)(_risk_map)
         self.roads = lru_cache(most)(roads_from_file)
+        self.newest = lru_cache(most)(_newest)
+        self.ground = lru_cache(most)(ground_of)
         self.conditioned = lru_cache(most)(_conditioned)
         self.joined = lru_cache(most)(_joined)
         self._message = lru_cache(most)(decode)
@@ -127,43 +139,52 @@ def read_departure(path: Path | str, shared: SharedParts | None = None) -> Recor
 
 def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
     """Return the departure in a file; UnreadableRecording names a part that is malformed."""
-    entries = file.entries
+    metadata = _part(file, 'metadata', lambda: file.metadata)
     roads = _part(file, ROADS_FILE, lambda: shared.roads(file.attachments.get(ROADS_FILE)))
-    parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters'], roads))
-    game, occupancy = parameters.planning.game, parameters.occupancy
-    strategy, stated = _part(file, STRATEGY_FILE,
-                             lambda: shared.strategy(file.attachments[STRATEGY_FILE], game))
+    parameters = _part(file, 'parameters', lambda: parameters_from(
+        _typed_values(metadata.parameters), roads))
+    planning, occupancy = parameters.planning, parameters.occupancy
+    strategy, stated = _part(file, STRATEGY_FILE, lambda: shared.strategy(
+        file.attachments[STRATEGY_FILE], planning.game))
     planned_on = _part(file, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
     risk_map = _part(file, 'map', lambda: shared.risk_map(planned_on, occupancy))
-    newest, drawn_from = planned_on, strategy
+    newest, drawn_from, joined = planned_on, strategy, None
+    diversion = metadata.diversion
     if changes := file.attachments.get(MAP_CHANGES_FILE, b''):
-        newest, drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.conditioned(
-            strategy, planned_on, changes, occupancy, parameters.planning
-        ))
-    joined = None
-    if entries.get('joined'):
+        newest = _part(file, MAP_CHANGES_FILE, lambda: shared.newest(planned_on, changes))
+    if metadata.joined:
         joined = _part(file, 'metadata', lambda: shared.joined(
-            strategy, planned_on, newest, occupancy, parameters.planning,
-            tuple(map(tuple, entries['ends']))
-        ))
+            strategy, planned_on, newest, occupancy, planning, metadata.ends))
         drawn_from = joined.plan.strategy
+    elif changes and not diversion:
+        drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.conditioned(
+            strategy, planned_on, newest, occupancy, planning))
+    drawn = _part(file, 'metadata', lambda: _nodes(metadata.route, strategy))
+    route = drawn
+    if diversion:
+        route = _part(file, 'metadata', lambda: whole_route(
+            _nodes(diversion.left, strategy), drawn))
+        drawn_from = _part(file, 'metadata', lambda: rest_strategy(
+            shared.ground(strategy, planned_on, occupancy, planning)[1], newest, route, drawn))
+    message = _part(file, 'path', lambda: file.in_role('path'))
+    return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
+                             strategy, stated, drawn_from, joined, planned_on, newest, risk_map,
+                             file.defined(message))
 
-    def read() -> RecordedDeparture:
-        message, trip = file.in_role('path'), entries['trip']
-        route = frozen_array(entries['route'], np.int64)
-        if not len(route) or not 0 <= route.min() <= route.max() < len(strategy.network.points):
-            raise ValueError('the recorded route leaves the recorded network')
-        return RecordedDeparture(
-            file.path, entries['departure_id'], entries['departure'], message.stamp_ns,
-            entries['frame'], entries['call'], parameters,
-            RecordedTrip(tuple(trip['start']), tuple(trip['goal']),
-                         tuple(map(tuple, trip['stops']))),
-            (tuple(entries['ends'][0]), tuple(entries['ends'][1])), route,
-            entries['route_entropy_source'], strategy, stated, drawn_from, joined, planned_on,
-            newest, risk_map, file.defined(message),
-        )
 
-    return _part(file, 'metadata', read)
+def _typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all parameters, each of the type that is declared."""
+    kinds = {name: list[str] if isinstance(each.default, list) else type(each.default)
+             for name, each in PARAMETERS.items()}
+    return {name: typed(values.get(name), kind, name) for name, kind in kinds.items()}
+
+
+def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:
+    """Return the nodes (K,) of a recorded route; ValueError if it leaves the network."""
+    nodes = frozen_array(route, np.int64)
+    if len(nodes) < 2 or not 0 <= nodes.min() <= nodes.max() < len(strategy.network.points):
+        raise ValueError('the recorded route leaves the recorded network')
+    return nodes
 
 
 def _part(file: RecordingFile, name: str, read: Callable[[], _T]) -> _T:
@@ -198,26 +219,27 @@ def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOp
     return plan, ChangedGround(plan, planned_on, options)
 
 
-def _conditioned(strategy: Strategy, planned_on: OccupancyMap, changes: bytes,
-                 options: OccupancyOptions,
-                 planning: PlanningOptions) -> tuple[OccupancyMap, Strategy]:
-    """Return the changed map, and the strategy given that its routes are clear there.
+def _newest(planned_on: OccupancyMap, changes: bytes) -> OccupancyMap:
+    return replace(planned_on, values=changed_map(planned_on.values, changes))
+
+
+def _conditioned(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,
+                 options: OccupancyOptions, planning: PlanningOptions) -> Strategy:
+    """Return the strategy given that its routes are clear on the changed map.
 
     A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
     """
-    newest = replace(planned_on, values=changed_map(planned_on.values, changes))
     _, ground = ground_of(strategy, planned_on, options, planning)
     lost = ground.compare(newest).lost
     if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
         strategy.network, strategy.edge_probability
     ):
-        return newest, strategy
+        return strategy
     share, p = ConditionedStrategy(strategy).avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
     certificate = replace(strategy.certificate, value=worst_loss(strategy.game, p))
-    return newest, replace(strategy, edge_probability=frozen_array(p, np.float64),
-                           certificate=certificate)
+    return replace(strategy, edge_probability=frozen_array(p, np.float64), certificate=certificate)
 
 
 def _joined(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,

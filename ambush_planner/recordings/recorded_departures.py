@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from .metadata import Metadata
 from .recorded_departure import RecordedDeparture, SharedParts, read_departure
 from .recording_errors import UnreadableRecording, reading_from
-
-if TYPE_CHECKING:
-    from .verify import Verdict
 
 # Minimum bit length of the 256-bit seed; honest seeds fall below it with probability 2^-64.
 MIN_BITS = 192
@@ -43,33 +41,40 @@ def read_departures(paths: Iterable[Path],
                     unreadable: Callable[[UnreadableRecording], None]) -> list[RecordedDeparture]:
     """Read recordings, the earliest departure first; copies count once.
 
+    A departure that was diverted is its last diversion, with what was recorded before it.
     ``unreadable`` is called with the error of each file that cannot be read.
     """
-    known: dict[str, RecordedDeparture] = {}
+    known: dict[tuple[str, int], RecordedDeparture] = {}
     shared = SharedParts()
     for path in paths:
         try:
-            departure = read_departure(path, shared)
+            found = read_departure(path, shared)
         except UnreadableRecording as error:
             unreadable(error)
         else:
-            known.setdefault(departure.id, departure)
-    return sorted(known.values(), key=lambda each: (each.stamp_ns, each.number))
+            diversion = found.metadata.diversion
+            known.setdefault((found.metadata.departure_id, diversion.number if diversion else 0),
+                             found)
+    driven: dict[str, RecordedDeparture] = {}
+    for (departure_id, _), each in sorted(known.items()):
+        before = driven.get(departure_id)
+        driven[departure_id] = replace(each, before=before) if before else each
+    return sorted(driven.values(), key=lambda each: (each.stamp_ns, each.metadata.departure))
 
 
-def source_findings(departures: Iterable[RecordedDeparture | Verdict]) -> list[str]:
-    """Report departures that were not drawn from fresh random numbers of full length.
+def source_findings(recordings: Iterable[tuple[str, Metadata]]) -> list[str]:
+    """Report what was not drawn from fresh random numbers of full length, by the names of files.
 
     Sources that differ only in their last 192 bits, like those of a counter, come by chance with
     probability 2^-64.
     """
     findings, sources = [], []
-    for each in departures:
-        source, name = each.route_entropy_source, each.path.name
+    for name, said in recordings:
+        source = said.route_entropy_source
         if len(source) == 1 and source[0].bit_length() < MIN_BITS:
             findings.append(f'{name}: its random source has fewer than {MIN_BITS} bits')
         else:
-            sources.append((tuple(source), name, each.id))
+            sources.append((source, name, said.recording_id))
     sources.sort()
     for (one, first, id_), (other, name, other_id) in zip(sources, sources[1:], strict=False):
         near = one == other or (

@@ -12,13 +12,14 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .messages import Channel, RecordedMessage
+from .metadata import Metadata, typed
 from .recording_errors import UnreadableRecording, reading_from
 from .schemas import load_definition
 
@@ -47,9 +48,15 @@ class RecordingFile:
     attachments: Mapping[str, bytes]
     definitions: Mapping[str, str]
 
+    @cached_property
+    def metadata(self) -> Metadata:
+        """The entries with their types; raises InvalidEntry."""
+        found: Metadata = typed(self.entries, Metadata, 'metadata')
+        return found
+
     def in_role(self, role: str) -> RecordedMessage:
         """Return the message in a role of the entry ``topics``, like ``map`` or ``path``."""
-        topic = self.entries['topics'][role]
+        topic = self.metadata.topics[role]
         return next(each for each in self.messages if each.topic == topic)
 
     def defined(self, message: RecordedMessage) -> tuple[str, str, bytes]:

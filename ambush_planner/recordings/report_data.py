@@ -54,11 +54,11 @@ class Section:
     def includes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is on this trip."""
         first = self.departures[0]
-        one, two = first.trip, other.trip
-        far = math.dist(one.start_xy, one.goal_xy) * SAME_TRIP
+        one, two = first.metadata.trip, other.metadata.trip
+        far = math.dist(one.start, one.goal) * SAME_TRIP
         return (other.risk_map is first.risk_map
-                and math.dist(one.start_xy, two.start_xy) <= far
-                and math.dist(one.goal_xy, two.goal_xy) <= far)
+                and math.dist(one.start, two.start) <= far
+                and math.dist(one.goal, two.goal) <= far)
 
 
 def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:

@@ -9,7 +9,7 @@ certificate alone proves how close the strategy is to the best one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, TimeLimit
 from ..game.law.acyclic import is_acyclic
 from ..game.law.chain import chain_of
@@ -28,18 +29,15 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.trip_graph import copied_edges, copied_nodes, with_copies
 from ..planning.cell_losses import CellLosses, CellSearch
+from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.plan import Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from .attachments import NUMBERS
-from .recorded_departure import (
-    RecordedDeparture,
-    RecordedTrip,
-    SharedParts,
-    departure_in,
-    ground_of,
-)
+from .bag_folder import FILE_NAME, listed_in
+from .metadata import Metadata, RecordedTrip
+from .recorded_departure import RecordedDeparture, SharedParts, departure_in
 from .recorded_departures import MIN_BITS, source_findings
 from .recording_errors import UnreadableRecording
 from .recording_file import read_recording
@@ -57,18 +55,19 @@ class Verdict:
     """What was found about one file.
 
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
-    ``notes`` are other remarks. The strategy is not kept, since a folder may hold thousands.
+    ``notes`` are other remarks. ``route`` (K,) and ``drawn`` (L,) are nodes as in
+    ``RecordedDeparture``; the strategy is not kept, since a folder may hold thousands.
     """
 
     path: Path
     readable: bool = False
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    id: str = ''
-    number: int = 0
+    metadata: Metadata | None = field(default=None, repr=False)
+    route: tuple[int, ...] = field(default=(), repr=False)
+    drawn: tuple[int, ...] = field(default=(), repr=False)
     nodes: int = 0
     value: float = math.nan
-    route_entropy_source: list[int] = field(default_factory=list, repr=False)
 
     @property
     def holds(self) -> bool:
@@ -83,7 +82,6 @@ class Verifier:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
         self._network_problems = lru_cache(_KEPT)(network_problems)
-        self._ground = lru_cache(_KEPT)(ground_of)
         self._replan_problems = lru_cache(_KEPT)(replan_problems)
 
     def verify(self, path: Path) -> Verdict:
@@ -93,10 +91,11 @@ class Verifier:
             file = read_recording(path)
             verdict.readable = True
             departure = departure_in(file, self._shared)
-            verdict.id, verdict.number = departure.id, departure.number
+            verdict.metadata = departure.metadata
+            verdict.route, verdict.drawn = map(tuple, (departure.route.tolist(),
+                                                       departure.drawn.tolist()))
             verdict.nodes = len(departure.strategy.network.points)
             verdict.value = departure.strategy.value
-            verdict.route_entropy_source = departure.route_entropy_source
             if departure.parameters.seed >= 0:
                 verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
             verdict.problems += self._problems(departure)
@@ -104,13 +103,16 @@ class Verifier:
             verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
             verdict.problems.append(f'no plan follows from map, trip and parameters: {error}')
+        except Exception as error:  # a file may say anything, and others wait to be verified
+            verdict.problems.append('no plan follows from map, trip and parameters '
+                                    f'({type(error).__name__})')
         return verdict
 
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         strategy, planning = departure.strategy, departure.parameters.planning
         problems = [
-            *self._network_problems(strategy, departure.risk_map, planning, departure.trip,
-                                    departure.parameters.trip_order),
+            *self._network_problems(strategy, departure.risk_map, planning,
+                                    departure.metadata.trip, departure.parameters.trip_order),
             *certificate_problems(strategy, departure.stated, planning),
             *source_problems(departure),
         ]
@@ -122,22 +124,24 @@ class Verifier:
 
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
-        parameters, newest = departure.parameters, departure.newest
-        plan, ground = self._ground(departure.strategy, departure.planned_on, parameters.occupancy,
-                                    parameters.planning)
-        rng = np.random.default_rng(departure.route_entropy_source)
-        drawn: Route | None
-        if departure.joined:
-            fitted = departure.joined.plan
-            drawn = depart(fitted, rng)
+        parameters, newest, said = departure.parameters, departure.newest, departure.metadata
+        plan, ground = self._shared.ground(departure.strategy, departure.planned_on,
+                                           parameters.occupancy, parameters.planning)
+        rng = np.random.default_rng(said.route_entropy_source)
+        spacing = parameters.path_spacing or plan.spacing
+        again: tuple[Route, FloatArray] | None = None
+        if said.diversion:
+            again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
+                               spacing)
         else:
-            fitted = ground.fitted(newest, departure.ends)
-            drawn = ground.draw(rng, newest)
-        if drawn is None or not np.array_equal(drawn.nodes, departure.route):
+            fitted = departure.joined.plan if departure.joined else (
+                ground.fitted(newest, said.ends))
+            drawn = depart(fitted, rng) if departure.joined else ground.draw(rng, newest)
+            if drawn is not None and np.array_equal(drawn.nodes, departure.drawn):
+                again = drawn, departure_path(fitted, drawn, spacing, said.ends)
+        if again is None or not np.array_equal(again[0].nodes, departure.drawn):
             return ['route: the recorded entropy draws another one']
-        rows = departure_path(fitted, drawn, parameters.path_spacing or plan.spacing,
-                              departure.ends)
-        poses = departure.path_poses
+        rows, poses = again[1], departure.recorded_poses
         if len(poses) == len(rows) + 1:
             poses = poses[1:]  # before the route, the robot leaves a costmap's inflation
         if poses.shape != rows.shape or not (
@@ -154,7 +158,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
                      trip: RecordedTrip, order: str) -> list[str]:
     """Build the network again and compare it bit for bit; then compare the game's budgets."""
     recorded = strategy.network
-    laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
+    laid = trip_network(risk_map, trip.start, trip.goal, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
     network = _with_recorded_copies(network, recorded)
@@ -230,9 +234,11 @@ def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
 
 def source_problems(departure: RecordedDeparture) -> list[str]:
     """Check that the random source is one that the node makes."""
-    seed, source = departure.parameters.seed, departure.route_entropy_source
+    said = departure.metadata
+    seed, source = departure.parameters.seed, said.route_entropy_source
     if seed >= 0:
-        expected = source == [seed, departure.number]
+        numbers = (said.departure, said.diversion.number) if said.diversion else (said.departure,)
+        expected = source == (seed, *numbers)
         return [] if expected else ['random source: it does not follow from the parameter seed']
     if len(source) != 1 or source[0].bit_length() < MIN_BITS:
         return [f'random source: it has fewer than {MIN_BITS} bits']
@@ -258,16 +264,44 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
 
 
 def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
-    """Compare the departures of a folder: what does not hold, and notes on missing numbers."""
-    departures = [each for each in verdicts if each.id]
-    problems = [f'random source: {each}' for each in source_findings(departures)]
-    numbers: dict[Path, set[int]] = {}
-    for each in departures:
-        numbers.setdefault(each.path.parent, set()).add(each.number)
+    """Compare the recordings of folders: what does not hold, and notes on missing numbers."""
+    verdicts = list(verdicts)
+    known = [(each, each.metadata) for each in verdicts if each.metadata is not None]
+    unreadable = {each.path.parent for each in verdicts if each.metadata is None}
+    problems = [f'random source: {each}' for each in source_findings(
+        (each.path.name, said) for each, said in known)]
+    first: dict[str, Path] = {}
+    for each, said in known:
+        if (original := first.setdefault(said.recording_id, each.path)) != each.path:
+            problems.append(f'copy: {each.path.name} holds the same departure as {original.name}')
     notes = []
-    for folder, found in numbers.items():
-        if missing := max(found) - min(found) + 1 - len(found):
+    for folder in dict.fromkeys(each.path.parent for each, _ in known):
+        here = {said.recording_id: (each, said) for each, said in known
+                if each.path.parent == folder}
+        if len(here) > 1 and folder not in unreadable:
+            problems += _missing(folder, here)
+        numbers = {said.departure for _, said in here.values()}
+        if missing := max(numbers) - min(numbers) + 1 - len(numbers):
             notes.append(f'{folder.name}: {missing} departures between the first and the last have '
-                         'no recording: recording was off, it failed, or files are missing')
+                         'no recording')
     return problems, notes
 
+
+def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iterator[str]:
+    """Report recordings that others in a folder, or its list, say have been there."""
+    begins = min(said.departure for _, said in here.values())
+    for each, said in here.values():
+        name, diversion = each.path.name, said.diversion
+        if diversion is None:
+            if said.previous and said.previous not in here and said.departure > begins:
+                yield f'missing: the recording before {name}'
+            continue
+        before = here.get(replace(said, diversion=replace(diversion, number=diversion.number - 1)
+                                  if diversion.number > 1 else None).recording_id)
+        if before is None:
+            yield f'missing: what {name} was diverted from'
+        elif before[0].route != diversion.left or not {*diversion.ahead} <= {*before[0].drawn}:
+            yield f'diversion: {name} does not begin on the route before it'
+    for name in listed_in(folder):
+        if not (folder / name).exists():
+            yield f'missing: {name}, which {FILE_NAME} lists'

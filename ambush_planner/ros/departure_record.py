@@ -20,7 +20,9 @@ from ..recordings.attachments import (
     map_changes_file,
     roads_file,
 )
+from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
 from ..recordings.versions import software_versions
+from ..routes.driven_path import Ends
 from .conversions import fields_of
 from .current_map import ReceivedMessage
 from .inputs import Trip
@@ -54,7 +56,8 @@ class Departure:
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
     map and a nearby trip. ``published`` is the path, and ``markers`` and the ``report`` are those
     published with it. ``worth`` is what it is worth on that map. ``remarks`` are on the start,
-    which may have been ``joined`` to the plan, and on recordings that failed.
+    which may have been ``joined`` to the plan, on a ``diversion`` of the departure, which takes the
+    route of the rest, and on recordings that failed.
     """
 
     id: str
@@ -64,6 +67,7 @@ class Departure:
     parameters: NodeParameters
     held: CachedPlan
     joined: bool
+    ends: Ends
     entropy_source: list[int]
     route: Route
     path: Path
@@ -74,6 +78,7 @@ class Departure:
     worth: Assessment
     tight_turns: int
     remarks: str = ''
+    diversion: Diversion | None = None
     report: RecordedMessage | None = None
 
 
@@ -92,29 +97,22 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     return [*inputs, *published]
 
 
-def metadata_entries(departure: Departure) -> dict[str, Any]:
+def metadata_of(departure: Departure, previous: str) -> Metadata:
     """Return the metadata record: what the departure was, and what it takes to draw it again."""
     trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
     roles: dict[str, ReceivedMessage | RecordedMessage | None] = {
         'map': planned.map.received, 'start': trip.start, 'goal': trip.goal, 'via': trip.via,
         'path': departure.published,
     }
-    call = departure.call
-    return {
-        'departure_id': departure.id, 'departure': departure.number, 'frame': trip.map.frame,
-        'versions': dict(software_versions()),
-        'parameters': dict(departure.parameters.values),
-        'topics': {role: each.topic for role, each in roles.items() if each},
-        'trip': {'start': planned.start_xy, 'goal': plan.goal_xy, 'stops': plan.stops_xy},
-        'ends': departure.held.ends(trip), 'joined': departure.joined,
-        'route': departure.route.nodes.tolist(),
-        'route_entropy_source': departure.entropy_source,
-        'call': {
-            'service': call.name, 'type': type_name(call.kind),
-            'request_ns': departure.begin_ns, 'response_ns': departure.end_ns,
-            'request': fields_of(call.request), 'remarks': departure.remarks,
-        },
-    }
+    call = RecordedCall(departure.call.name, type_name(departure.call.kind), departure.begin_ns,
+                        departure.end_ns, fields_of(departure.call.request), departure.remarks)
+    return Metadata(
+        departure.id, departure.number, trip.map.frame, dict(departure.parameters.values),
+        dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
+        RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
+        departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),
+        call, departure.diversion, previous,
+    )
 
 
 def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:

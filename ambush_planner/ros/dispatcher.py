@@ -21,14 +21,16 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IndexArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..maps.ros_messages import path_from_ros
 from ..planning.clear_ground import ClearGround
-from ..planning.moved_start import other_rest
+from ..planning.moved_start import other_rest, whole_route
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan, Route
 from ..planning.trip_under_way import Destination, TripUnderWay, trip_on
+from ..recordings import RecordedMessage
+from ..recordings.metadata import Diversion
 from ..routes.driven_path import tight_turns
 from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
@@ -68,7 +70,7 @@ class _Pending:
 
 @dataclass(frozen=True, eq=False)
 class _UnderWay:
-    """A trip, the departure that it began with, and how often it has been diverted since.
+    """A trip, its departure or the last diversion of that, and the whole route (K,).
 
     ``left`` is done once the path is published; with ``recording.required`` that takes a while.
     """
@@ -76,8 +78,8 @@ class _UnderWay:
     trip: TripUnderWay
     departure: Departure
     request: TripRequest
+    route: IndexArray
     left: Future[None]
-    diversions: int = 0
 
 
 class Dispatcher:
@@ -226,73 +228,72 @@ class Dispatcher:
         self._refuse_unless_active()
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
-        if pending.call.kind is not Trigger:  # new_route always draws
-            under_way = self._continued_by(trip)
-            if under_way and not under_way.left.done():  # try again once it has left, or has not
-                under_way.left.add_done_callback(
-                    lambda _: self._departures.submit(lambda: self._try(pending), pending.answer))
-                return
-            if answer := self._without_departure(under_way, trip, pending):
-                if pending.answer.set_running_or_notify_cancel():
-                    self._reporter.succeeded('request')
-                    pending.answer.set_result(answer)
-                return
+        if pending.call.kind is not Trigger and self._goes_on(trip, pending):
+            return  # new_route always draws
         trip = _out_of_obstacle(trip, parameters)
         if fit := self._plans.fit(trip, parameters):
             self._leave(fit, pending)
         else:
             self._solve_for(trip, pending)
 
-    def _continued_by(self, trip: Trip) -> _UnderWay | None:
-        """Return the trip under way that a request for this trip continues, if there is one."""
+    def _goes_on(self, trip: Trip, pending: _Pending) -> bool:
+        """Answer a robot that has arrived or is on its way; False if it is neither."""
         wanted = _destination(trip)
         under_way = self._under_way.get(wanted.frames)
-        continues = under_way and under_way.trip.continues(wanted, trip.start_xy,
-                                                           trip.goal_tolerance)
-        return under_way if continues else None
-
-    def _without_departure(self, under_way: _UnderWay | None, trip: Trip,
-                           pending: _Pending) -> Answer | None:
-        """Return the answer to a robot that has arrived or is on its way, if it is."""
+        if under_way and not under_way.trip.continues(wanted, trip.start_xy, trip.goal_tolerance):
+            under_way = None
+        if under_way and not under_way.left.done():  # try again once it has left, or has not
+            under_way.left.add_done_callback(
+                lambda _: self._departures.submit(lambda: self._try(pending), pending.answer))
+            return True
         ground = _clear_ground(trip.map, pending.parameters)
         if not trip.stops_xy and ground.has_arrived(trip.start_xy, trip.goal_xy):
-            path = self._path(np.array([(*trip.goal_xy, 0.0)]), trip)
-            return self._answer(pending, path, 'arrived')
-        if under_way is None:
-            return None
-        return self._continued(under_way, trip, pending) or self._diverted(under_way, trip, pending)
+            rows, remarks = np.array([(*trip.goal_xy, 0.0)]), 'arrived'
+        elif under_way is None:
+            return False
+        else:
+            rows = under_way.trip.rest(trip.start_xy, trip.goal_xy)
+            ground = _clear_ground(trip.map, under_way.departure.parameters)
+            if not ground.drivable_steps(rows[:, :2]).all():
+                return self._divert(under_way, trip, pending)
+            remarks = f'departure {under_way.departure.number} continued'
+        if pending.answer.set_running_or_notify_cancel():
+            self._reporter.succeeded('request')
+            if under_way:
+                self._reporter.set(last_answer='continued')
+            pending.answer.set_result(Answer(self._path(rows, trip), remarks, pending.begin_ns,
+                                             max(pending.begin_ns, self._now())))
+        return True
 
-    def _continued(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
-        """Return the rest of the path, if it is clear on the newest map."""
-        departure, rest = under_way.departure, under_way.trip.rest(trip.start_xy, trip.goal_xy)
-        ground = _clear_ground(trip.map, departure.parameters)
-        if not ground.drivable_steps(rest[:, :2]).all():
-            return None
-        self._reporter.set(last_answer='continued')
-        return self._answer(pending, self._path(rest, trip),
-                            f'departure {departure.number} continued')
-
-    def _diverted(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
-        """Return the rest of another route of the same plan, if there is a clear one."""
-        departure, before = under_way.departure, under_way.trip
-        held, number = departure.held, under_way.diversions + 1
+    def _divert(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> bool:
+        """Take the rest of another route of the same plan; False if none is clear."""
+        before, way, held = under_way.departure, under_way.trip, under_way.departure.held
         if not trip.map.same_ground(held.trip.map):
-            return None
-        source = _entropy_source(departure.parameters.seed, departure.number, number)
-        x, y = before.path[-1, :2].tolist()
-        drawn = other_rest(held.ground, trip.map, (trip.start_xy, (x, y)),
-                           before.nodes_ahead(trip.start_xy), np.random.default_rng(source),
-                           departure.parameters.path_spacing or held.plan.spacing)
+            return False
+        number = before.diversion.number + 1 if before.diversion else 1
+        source = _entropy_source(before.parameters.seed, before.number, number)
+        x, y = way.path[-1, :2].tolist()
+        ends, ahead = (trip.start_xy, (x, y)), way.nodes_ahead(trip.start_xy)
+        drawn = other_rest(held.ground, trip.map, ends, ahead, np.random.default_rng(source),
+                           before.parameters.path_spacing or held.plan.spacing)
         if drawn is None:
-            return None
-        path = self._path(drawn[1], trip)
-        if departure.parameters.publish_path:
-            self._publishers.publish('path', path)
-        new = trip_on(held.plan, *drawn, before.destination, before.passed)
-        self._under_way[before.destination.frames] = replace(under_way, diversions=number, trip=new)
-        self._reporter.set(last_answer='diverted')
-        return self._answer(pending, path, f'departure {departure.number} diverted: its path is no '
-                                           'longer clear, and another route of its plan is')
+            return False
+        if not pending.answer.set_running_or_notify_cancel():
+            return True
+        leaving = max(pending.begin_ns, self._now())
+        route, path = drawn[0], self._path(drawn[1], trip, leaving)
+        departure = self._reporter.departing(replace(
+            before, call=pending.call, trip=trip, joined=False, ends=ends, entropy_source=source,
+            route=route, path=path, published=self._as_recorded(path, pending, before.parameters),
+            markers=(), begin_ns=pending.begin_ns, end_ns=leaving, report=None,
+            tight_turns=tight_turns(drawn[1], held.plan.options.drive.turning_radius),
+            diversion=Diversion(number, tuple(under_way.route.tolist()), tuple(ahead.tolist())),
+            remarks=f'departure {before.number} diverted: its path is no longer clear, and another '
+                    'route of its plan is',
+        ))
+        self._set_out(trip_on(held.plan, *drawn, way.destination, way.passed), departure,
+                      whole_route(under_way.route, route.nodes), pending)
+        return True
 
     def _solve_for(self, trip: Trip, pending: _Pending) -> None:
         """Try again with a plan for this trip; raises GroundChanges after too many."""
@@ -336,9 +337,10 @@ class Dispatcher:
         route, rows = drawn[0], _from_robot(drawn[1], fit.trip)
         departure = self._departure(fit, route, rows, source, pending)
         way = trip_on(fit.cached.plan, route, rows, _destination(fit.trip))
-        self._set_out(way, departure, pending)
+        self._set_out(way, departure, route.nodes, pending)
 
-    def _set_out(self, way: TripUnderWay, departure: Departure, pending: _Pending) -> None:
+    def _set_out(self, way: TripUnderWay, departure: Departure, route: IndexArray,
+                 pending: _Pending) -> None:
         """Have a departure leave, at once or when it is recorded; it is under way from now on."""
         answer = Answer(departure.path, departure.remarks, departure.begin_ns, departure.end_ns,
                         departure)
@@ -349,17 +351,21 @@ class Dispatcher:
                 if departure.parameters.publish_path:
                     self._publishers.publish('path', departure.published.data)
                 self._reporter.departed(departure)
-            self._logger.info(f'departure {departure.number} ({departure.id})')
+            diverted = ' diverted' if departure.diversion else ''
+            self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
             pending.answer.set_result(answer)
 
         left = self._recordings.depart(departure, leave)
-        under_way = _UnderWay(way, departure, pending.trip_request, left)
+        under_way = _UnderWay(way, departure, pending.trip_request, route, left)
+        frames, before = way.destination.frames, self._under_way.get(way.destination.frames)
         if departure.trip.moves:
-            self._under_way[way.destination.frames] = under_way
+            self._under_way[frames] = under_way
 
         def stay() -> None:
-            if self._under_way.get(way.destination.frames) is under_way:
-                del self._under_way[way.destination.frames]
+            if self._under_way.get(frames) is under_way:
+                del self._under_way[frames]
+                if before and not (before.left.done() and before.left.exception()):
+                    self._under_way[frames] = before
             left.result()
 
         def stay_unless_left(_: Future[None]) -> None:
@@ -375,19 +381,21 @@ class Dispatcher:
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.begin_ns, self._now())
         path = self._path(rows, trip, leaving)
-        name = '' if parameters.publish_path else f'{pending.call.name}/path'
         tight = tight_turns(rows, fit.plan.options.drive.turning_radius)
         note = (f'the path joins the route of an earlier start: value {fit.assessment.value:.4g}, '
                 f'bound {fit.assessment.lower_bound:.4g}') if fit.joined else ''
         return self._reporter.departing(Departure(
             str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
-            fit.joined is not None, source, route, path,
-            self._publishers.as_recorded('path', path, name), self._displayed.markers,
+            fit.joined is not None, fit.cached.ends(trip), source, route, path,
+            self._as_recorded(path, pending, parameters), self._displayed.markers,
             pending.begin_ns, leaving, fit.assessment, tight, note,
         ))
 
-    def _answer(self, pending: _Pending, path: Path, remarks: str) -> Answer:
-        return Answer(path, remarks, pending.begin_ns, max(pending.begin_ns, self._now()))
+    def _as_recorded(self, path: Path, pending: _Pending,
+                     parameters: NodeParameters) -> RecordedMessage:
+        """Return a path as it is recorded: on its topic, or under the service that returns it."""
+        name = '' if parameters.publish_path else f'{pending.call.name}/path'
+        return self._publishers.as_recorded('path', path, name)
 
     def _path(self, rows: FloatArray, trip: Trip, stamp_ns: int | None = None) -> Path:
         """Return the message of a path from the pose of the start to that of the goal."""

@@ -21,7 +21,7 @@ from ..recordings import Recorder, RecordingFailed
 from ..recordings.attachments import strategy_file
 from ..recordings.recorder import remove_abandoned
 from ..worker.solve_errors import for_the_log, forget_frames, unexpected
-from .departure_record import Departure, attachments, metadata_entries, recorded_messages
+from .departure_record import Departure, attachments, metadata_of, recorded_messages
 from .reporter import Reporter
 
 # Maximum number of departures that wait for the disk: few enough to be written at shutdown.
@@ -55,6 +55,7 @@ class Recordings:
         # True after a departure timed out on the disk, until the next write.
         self._stuck = False
         self._hurry = self._closing = False
+        self._previous = ''  # the recording_id of the last one
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
         self._thread.start()
 
@@ -135,7 +136,7 @@ class Recordings:
 
     def _write(self, queued: _Queued) -> None:
         try:
-            path = self._record(queued.departure)
+            path, name = self._record(queued.departure)
         except Exception as error:  # the thread must live to write the next one
             self._finish(queued, error if isinstance(error, AmbushPlannerError)
                          else unexpected(error))
@@ -146,6 +147,8 @@ class Recordings:
             if queued.left.exception():
                 with suppress(RecordingFailed):  # a file more than departures, at worst
                     self._recorder.remove(path)
+                return
+        self._previous = name
 
     def _leave(self, queued: _Queued) -> None:
         try:
@@ -164,10 +167,13 @@ class Recordings:
         if error is not None and self._options.required:
             queued.left.set_exception(error)
 
-    def _record(self, departure: Departure) -> Path:
+    def _record(self, departure: Departure) -> tuple[Path, str]:
+        """Write a departure; return its file and recording_id."""
         plan = departure.held.plan
         if plan not in self._strategies:
             self._strategies[plan] = strategy_file(plan.strategy)
-        return self._recorder.record_departure(
-            recorded_messages(departure), metadata_entries(departure),
+        metadata = metadata_of(departure, self._previous)
+        path = self._recorder.record_departure(
+            recorded_messages(departure), metadata.entries(),
             attachments(departure, self._strategies[plan]))
+        return path, metadata.recording_id

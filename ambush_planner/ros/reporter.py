@@ -80,8 +80,7 @@ class Reporter:
         The report is not published. With ``recording.required`` it says that the recording is done.
         """
         with self._lock:
-            status = replace(self._status.without_problem('request'), last=departure,
-                             last_answer='new')
+            status = self._left(departure)
             if departure.parameters.recording.required:
                 status = replace(status.without_problem('recording'), recording='on')
             message = status_to_ros(status, self._name, self._clock.now().to_msg())
@@ -94,9 +93,12 @@ class Reporter:
         """Publish the report of a departure that leaves, made by ``departing``."""
         assert departure.report is not None
         with self._lock:
-            self._status = replace(self._status.without_problem('request'), last=departure,
-                                   last_answer='new')
+            self._status = self._left(departure)
             self._publishers.publish('/diagnostics', departure.report.data)
+
+    def _left(self, departure: Departure) -> Status:
+        return replace(self._status.without_problem('request'), last=departure,
+                       last_answer='diverted' if departure.diversion else 'new')
 
     def recording(self, enabled: bool, error: Exception | None = None) -> None:
         """Report whether departures are recorded, and the error of the last recording."""

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The metadata record of a recording: its entries with their types, as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
+from itertools import chain
+from types import NoneType
+from typing import Any, get_args, get_origin, get_type_hints
+
+from ..errors import AmbushPlannerError
+
+Position = tuple[float, float]
+
+
+class InvalidEntry(AmbushPlannerError):
+    """An entry of the metadata record is missing or has the wrong type."""
+
+
+@dataclass(frozen=True)
+class RecordedTrip:
+    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``."""
+
+    start: Position
+    goal: Position
+    stops: tuple[Position, ...] = ()
+
+
+@dataclass(frozen=True)
+class RecordedCall:
+    """The call that made a departure: the service's full name and type, times, and the request.
+
+    ``remarks`` are those of the response. An action's goal is recorded as a call of ``get_plan``.
+    """
+
+    service: str
+    type: str
+    request_ns: int
+    response_ns: int
+    request: Mapping[str, Any]
+    remarks: str = ''
+
+
+@dataclass(frozen=True)
+class Diversion:
+    """How a departure was diverted, for the ``number``-th time.
+
+    ``left`` (K,) are the nodes of the whole route that the convoy was on, ``ahead`` those from
+    which its rest could change, the first one to be tried first.
+    """
+
+    number: int
+    left: tuple[int, ...]
+    ahead: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What a departure was, and what it takes to draw it again.
+
+    Attributes
+    ----------
+    departure_id, departure
+        Unique to the departure; its number in the node's run, from 1.
+    frame, parameters, versions
+        The map's frame, all parameters of the node by name, and the versions of the software.
+    topics
+        The topics of the messages by role: map, start, goal, via, path.
+    trip, ends
+        The planned trip, and the ends of the driven path, which may lie near the trip's [m].
+    joined
+        Whether the path joins the plan from where the convoy was.
+    route, route_entropy_source
+        Node indices, and what seeded ``numpy.random.default_rng`` for their draw.
+    diversion
+        None for a departure; else the route is the rest of its departure's, from where it was
+        diverted, with the source in place of the convoy.
+    previous
+        ``recording_id`` of the recording made before this one in the same run; '' if unknown.
+
+    Raises InvalidEntry if a position is not finite.
+    """
+
+    departure_id: str
+    departure: int
+    frame: str
+    parameters: Mapping[str, Any]
+    versions: Mapping[str, str]
+    topics: Mapping[str, str]
+    trip: RecordedTrip
+    ends: tuple[Position, Position]
+    joined: bool
+    route: tuple[int, ...]
+    route_entropy_source: tuple[int, ...]
+    call: RecordedCall
+    diversion: Diversion | None = None
+    previous: str = ''
+
+    def __post_init__(self) -> None:
+        places = (self.trip.start, self.trip.goal, *self.trip.stops, *self.ends)
+        if not all(map(math.isfinite, chain.from_iterable(places))):
+            raise InvalidEntry('a position of trip or ends is not finite')
+
+    @property
+    def recording_id(self) -> str:
+        """Unique to the recording: a departure and each of its diversions have one each."""
+        return self.departure_id + (f'/{self.diversion.number}' if self.diversion else '')
+
+    def entries(self) -> dict[str, Any]:
+        """Return the entries of the metadata record, as JSON values."""
+        return asdict(self)
+
+
+def typed(value: Any, wanted: Any, name: str) -> Any:
+    """Return a value read from JSON as the type that is ``wanted``.
+
+    That may be bool, int, float (no NaN), str, a tuple, list or mapping of these, a dataclass of
+    these, or one of them or None. InvalidEntry names what is missing or has another type.
+    """
+    kind: Any = get_origin(wanted) or wanted
+    inner = get_args(wanted)
+    if wanted is Any:
+        return value
+    if NoneType in inner:
+        return None if value is None else typed(value, inner[0], name)
+    if hasattr(kind, '__dataclass_fields__') and isinstance(value, dict):
+        hints = get_type_hints(kind)
+        for each in fields(kind):
+            if each.name not in value and each.default is MISSING:
+                raise InvalidEntry(f'{each.name} is missing')
+        return kind(**{each: typed(value[each], hint, each)
+                       for each, hint in hints.items() if each in value})
+    if kind is Mapping and isinstance(value, dict):
+        return {key: typed(each, inner[1], key) for key, each in value.items()}
+    if kind in (tuple, list) and isinstance(value, (tuple, list)):
+        types = inner if kind is tuple and ... not in inner else inner[:1] * len(value)
+        if len(types) == len(value):
+            return kind(typed(*each, name) for each in zip(value, types, strict=True))
+    if kind is float and type(value) in (int, float) and not math.isnan(value):
+        return float(value)
+    if kind in (bool, int, str) and type(value) is kind:
+        return value
+    raise InvalidEntry(f'{name} is not of the type {getattr(kind, "__name__", kind)}')
