@@ -6,6 +6,7 @@ from importlib.metadata import version as _version
 
 from .errors import (
     AmbushPlannerError,
+    AmbushPlannerWarning,
     BudgetInfeasible,
     GoalBlocked,
     GoalOutsideMap,
@@ -48,6 +49,7 @@ except _PackageNotFoundError:  # a checkout that was never installed
 
 __all__ = [
     'AmbushPlannerError',
+    'AmbushPlannerWarning',
     'BudgetInfeasible',
     'DriveOptions',
     'FrontierRow',

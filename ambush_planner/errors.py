@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,18 @@ if TYPE_CHECKING:
 
 class AmbushPlannerError(Exception):
     """Base class of the planner's errors."""
+
+
+class AmbushPlannerWarning(UserWarning):
+    """What was left out or converted on reading a file, or what limits a plan's value."""
+
+
+def warn(sentence: str) -> None:
+    """Warn with a sentence without its full stop, at the line that called this package."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get('__name__', '').startswith('ambush_planner'):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(sentence, AmbushPlannerWarning, stacklevel=level)
 
 
 class InvalidRiskMap(AmbushPlannerError, ValueError):

@@ -107,7 +107,7 @@ def write_routes(paths: Sequence[Path], drawn: Drawn) -> None:
 
 
 def _content(path: Path, drawn: Drawn) -> bytes:
-    suffix = path.suffix
+    suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InvalidOption(f'{path}: its suffix must be one of {", ".join(SUFFIXES)}')
     if suffix in _DEGREES_ONLY and not drawn.risk_map.crs:

@@ -72,7 +72,7 @@ def test_a_table_of_routes_needs_no_extra_and_other_files_name_all(tmp_path):
 
 
 def test_broken_pipe_is_silent(tmp_path):
-    write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((20, 30), np.int8), 10.0))
+    write_map(tmp_path / 'map.yaml', OccupancyMap(np.eye(20, 30, dtype=np.int8), 10.0))
     process = subprocess.Popen(
         [*ENTRY, 'views', 'map.yaml'], cwd=tmp_path,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

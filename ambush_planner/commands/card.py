@@ -53,7 +53,7 @@ def _time(text: str) -> datetime:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    of_few = arguments.departure.suffix == '.json'
+    of_few = arguments.departure.suffix.lower() == '.json'
     if of_few == (arguments.route is None):
         raise cli.UsageError('--route NUMBER goes with a .json file of few routes, and only there')
     card = _chosen(arguments) if of_few else _recorded(arguments)

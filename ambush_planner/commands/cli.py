@@ -14,7 +14,9 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
@@ -25,6 +27,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from .. import __version__
 from ..errors import (
     AmbushPlannerError,
+    AmbushPlannerWarning,
     BudgetInfeasible,
     GoalBlocked,
     InvalidNetwork,
@@ -156,7 +159,7 @@ def add_table(parser: argparse.ArgumentParser) -> None:
 def file_of(*suffixes: str) -> Callable[[str], Path]:
     """Return a parser of file names with one of the suffixes."""
     def file(text: str) -> Path:
-        if Path(text).suffix not in suffixes:
+        if Path(text).suffix.lower() not in suffixes:
             one_of = 'one of ' * (len(suffixes) > 1)
             raise argparse.ArgumentTypeError(
                 f'{text}: its suffix must be {one_of}{", ".join(suffixes)}')
@@ -198,7 +201,8 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     options = parser.parse_args([f' {each}' if _SOUTHERN.match(each) else each for each in given])
     console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
     try:
-        code = work(options, console)
+        with showing_warnings(console):
+            code = work(options, console)
         console.result_as_json(code.name.lower())
         return int(code)
     except UsageError as error:
@@ -213,6 +217,25 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     except KeyboardInterrupt:
         console.error('interrupted')
         return _INTERRUPTED
+
+
+@contextmanager
+def showing_warnings(console: Console) -> Iterator[None]:
+    """Print warnings of this package in the console's words, each once."""
+    with warnings.catch_warnings():
+        said: set[str] = set()
+
+        def show(message: Warning | str, category: type[Warning], *where: Any,
+                 **more: Any) -> None:
+            if not issubclass(category, AmbushPlannerWarning):
+                default(message, category, *where, **more)
+            elif (text := str(message)) not in said:
+                said.add(text)
+                console.say(f'Warning: {text}.')
+
+        default, warnings.showwarning = warnings.showwarning, show
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        yield
 
 
 def _words(error: AmbushPlannerError | OSError) -> str:

@@ -28,7 +28,7 @@ def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the rout
 
 def check_outputs(paths: Sequence[Path]) -> None:
     """Raise MissingPackages if a format needs some."""
-    require(sorted({name for path in paths for name in NEEDS.get(path.suffix, ())}))
+    require(sorted({name for path in paths for name in NEEDS.get(path.suffix.lower(), ())}))
 
 
 def tell_overwritten(paths: Sequence[Path], console: Console) -> None:

@@ -77,7 +77,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             stops=stops, candidates=in_metres(given, risk_map) if given else None)
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
-    contents = {path: cli.as_csv(columns, rows) if path.suffix == '.csv' else
+    contents = {path: cli.as_csv(columns, rows) if path.suffix.lower() == '.csv' else
                 as_png(hold_figure(found, arguments.radius, risk_map))
                 for path in arguments.output}
     tell_overwritten(arguments.output, console)

@@ -23,7 +23,7 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..maps.grid_references import MGRS_REFERENCE, from_mgrs
-from ..maps.occupancy import NO_RISK, OccupancyOptions
+from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
@@ -264,12 +264,8 @@ def _similar(name: str, names: Iterable[str]) -> str:
 
 
 def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> RiskMap:
-    """Read a risk map, and warn if it carries no risk; raises as ``read_risk_map`` does."""
-    risk_map = read_risk_map(path, options)
-    losses = risk_map.alpha[~risk_map.obstacles]
-    if losses.size and np.ptp(losses) == 0.0 and options.alpha_min < options.alpha_max:
-        console.say(f'Warning: {NO_RISK}.')
-    return risk_map
+    """Read a risk map; raises as ``read_risk_map`` does, whose warnings the command shows."""
+    return read_risk_map(path, options)
 
 
 def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,

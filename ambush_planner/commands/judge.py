@@ -101,7 +101,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:
     """The tracks of a file, or of recordings in a file or a folder."""
     path = Path(source)
-    if not path.is_dir() and path.suffix != '.mcap':
+    if not path.is_dir() and path.suffix.lower() != '.mcap':
         yield from read_tracks(source, risk_map.crs)
         return
     departures, unreadable = cli.read_all(path, console)

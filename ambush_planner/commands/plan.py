@@ -112,7 +112,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
              else FewDrawn(plan.strategy, risk_map, few.paths, (), few))
     if day and few is None:
         drawn = replace(drawn, slots=[slots[k] for k in day.draw(arguments.departures, rng)])
-    sheets = [path for path in arguments.output if path.suffix == SHEET]
+    sheets = [path for path in arguments.output if path.suffix.lower() == SHEET]
     maps = [map_of(path) for path in sheets if arguments.terrain]
     tell_overwritten([*arguments.output, *maps], console)
     write_routes([path for path in arguments.output if path not in sheets], drawn)
@@ -136,7 +136,7 @@ def _check(arguments: argparse.Namespace) -> None:
         if arguments.equal:
             raise cli.UsageError('--equal needs --routes K')
         for path in arguments.output:
-            if path.suffix == SHEET:
+            if path.suffix.lower() == SHEET:
                 raise cli.UsageError(f'{cli.place(path)}: only --routes K writes such a file')
 
 

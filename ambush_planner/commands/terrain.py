@@ -22,7 +22,7 @@ from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
-from .inputs import add_datum, add_map_output, crs_text
+from .inputs import add_crs, add_map_output, crs_text
 
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[gis]'), or an npz file with elevation (H, W) [m],
@@ -46,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('elevation', type=Path, metavar='DEM', help='GeoTIFF or npz')
     add_map_output(made)
     add_terrain(made)
-    add_datum(made)
+    add_crs(made)
     return made
 
 
@@ -69,7 +69,7 @@ def add_terrain(made: argparse._ActionsContainer) -> None:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    raster = arguments.elevation.suffix != '.npz'
+    raster = arguments.elevation.suffix.lower() != '.npz'
     cli.require(('matplotlib', *('pyproj', 'rasterio') * raster))
     from ..figures import as_png
     from .terrain_figure import terrain_figure
@@ -102,13 +102,9 @@ def terrain_from(arguments: argparse.Namespace, path: Path,
     options = TerrainOptions(view=views, slope_limit=arguments.slope_limit,
                              weights=tuple(arguments.weights),
                              road_factor=arguments.road_factor)
-    raster = read_raster(path)
-    if raster.note:
-        console.say(raster.note)
+    raster = read_raster(path, crs=arguments.crs or None)
     elevation = elevation_from_raster(raster, arguments.resolution)
-    roads = arguments.roads and mask_from_raster(
-        read_raster(arguments.roads, 'roads', nearest=True), elevation
-    )
+    roads = arguments.roads and mask_from_raster(read_raster(arguments.roads, 'roads'), elevation)
     return elevation, terrain_map(elevation, options, roads, console.bar('lines of sight'))
 
 

@@ -128,7 +128,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _scene(source: Path, namespace: str) -> Scene:
     topics = {name: f'/{namespace}/{name}'.replace('//', '/') for name in POSES}
-    if source.suffix in ('.yaml', '.yml', '.npz', '.tif', '.tiff'):
+    if source.suffix.lower() in ('.yaml', '.yml', '.npz', '.tif', '.tiff'):
         return scene_of(read_risk_map(source, OccupancyOptions()), topics=topics)
     path = recordings_in(source)[-1]
     departure = read_departure(path)

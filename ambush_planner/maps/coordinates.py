@@ -46,7 +46,7 @@ class Coordinates:
                                      "EPSG:32616), or the robot's frame (--datum LAT LON YAW)")
         words = text.split()
         if words[:1] != ['datum']:
-            self.crs = _system(text)
+            self.crs = horizontal(text)
             if not (self.crs.is_projected and in_metres(self.crs)):
                 raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
                                          'metre; reproject the map, for example to its UTM zone')
@@ -139,8 +139,9 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
     """
     from pyproj import Transformer
 
-    crs = _system(wkt)
+    crs = horizontal(wkt)
     longitude, latitude = Transformer.from_crs(crs, WGS84, always_xy=True).transform(x, y)
+    longitude = (longitude + 180.0) % 360.0 - 180.0  # rasters can have 0 to 360
     if crs.is_projected and in_metres(crs):
         factors = _proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale
@@ -149,7 +150,8 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
     return utm_zone(latitude, longitude), True
 
 
-def _system(text: str) -> Any:
+def horizontal(text: str) -> Any:
+    """Return the ``pyproj.CRS`` of a text without its heights; raises InvalidCoordinates."""
     _import_pyproj()
     from pyproj import CRS
     from pyproj.exceptions import CRSError

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -70,8 +71,8 @@ class Raster:
 
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east. ``corner`` is the world position of the lower left
-    corner [m], in the coordinate system ``crs``; ``note`` says whether the raster was reprojected.
-    ``heights`` (H, W) are those of a risk map whose file has them, too.
+    corner [m], in the coordinate system ``crs``. ``heights`` (H, W) are those of a risk map whose
+    file has them, too.
     """
 
     values: FloatArray
@@ -79,7 +80,6 @@ class Raster:
     column_step: float
     corner: tuple[float, float] = (0.0, 0.0)
     crs: str | None = None
-    note: str = ''
     heights: HeightArray | None = None
 
 
@@ -125,14 +125,30 @@ def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
             f'{shape[0]} x {shape[1]}; both files must cover the same area'
         )
     marked = np.nan_to_num(raster.values) != 0.0
-    mask = marked[np.ix_(*(np.clip(np.rint(index).astype(np.int64), 0, count - 1)
-                           for index, count in zip((row, column), marked.shape, strict=True)))]
+    mask = nearest_cells(marked, row, column)
     rows, columns = np.nonzero(marked)
     rows = ((rows + 0.5) * raster.row_step / resolution).astype(np.int64)
     columns = ((columns + 0.5) * raster.column_step / resolution).astype(np.int64)
     inside = (rows < shape[0]) & (columns < shape[1])
     mask[rows[inside], columns[inside]] = True
     return mask
+
+
+def square_cells(raster: Raster) -> Raster:
+    """The same values on square cells of the shorter step, by nearest cells."""
+    step = min(raster.row_step, raster.column_step)
+    row, column = _positions(raster, step)
+    heights = raster.heights
+    return replace(raster, values=nearest_cells(raster.values, row, column), row_step=step,
+                   column_step=step,
+                   heights=None if heights is None else nearest_cells(heights, row, column))
+
+
+def nearest_cells(values: npt.NDArray[Any], row: FloatArray,
+                  column: FloatArray) -> npt.NDArray[Any]:
+    """The values at rows and columns that need not be whole."""
+    return values[np.ix_(*(np.clip(np.rint(index).astype(np.int64), 0, count - 1)
+                           for index, count in zip((row, column), values.shape, strict=True)))]
 
 
 def _positions(raster: Raster, resolution: float) -> tuple[FloatArray, FloatArray]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elevation models and masks from files: GeoTIFF (and other GDAL formats) and .npz.
+"""Rasters from files: heights, values of a risk map, masks. GeoTIFF, other GDAL formats, and .npz.
+
+What a file declares is applied or refused: scale, offset, unit, vertical system, nodata, masks,
+colours, coordinate system. Heights that cannot be heights are unknown. Warnings count them.
 
 An .npz file holds the array ``elevation`` (or ``roads``) (H, W) [m], northernmost row first as in a
 GeoTIFF, NaN if unknown; and the cell size, either ``resolution`` [m] or ``dx`` (west to east) and
@@ -9,38 +12,61 @@ GeoTIFF, NaN if unknown; and the cell size, either ``resolution`` [m] or ``dx`` 
 from __future__ import annotations
 
 import math
-import warnings
+import re
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray
-from .coordinates import InvalidCoordinates, metric_system
+from ..errors import InvalidRiskMap, warn
+from .coordinates import InvalidCoordinates, horizontal, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
 
 HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
+# GDAL's drivers of rasters that can be heights or risk.
+_DRIVERS = ('GTiff', 'VRT', 'AAIGrid', 'SRTMHGT', 'DTED', 'USGSDEM', 'HFA', 'EHdr', 'ENVI', 'ERS',
+            'GPKG', 'netCDF', 'XYZ', 'GSAG', 'GSBG', 'GS7BG', 'SAGA', 'JP2OpenJPEG')
+# Units of heights, without spaces and other signs, in metres.
+_METRES = {name: metres for names, metres in (
+    ('m metre metres meter meters', 1.0), ('dm decimetre decimetres decimeter decimeters', 0.1),
+    ('cm centimetre centimetres centimeter centimeters', 0.01), ('mm millimetre millimeter', 1e-3),
+    ('km kilometre kilometres kilometer kilometers', 1e3), ('yd yard yards', 0.9144),
+    ('ft foot feet internationalfoot internationalfeet', 0.3048), ('fathom fathoms', 1.8288),
+    ('usft ftus footus ussurveyfoot ussurveyfeet usfoot usfeet surveyfoot', 1200.0 / 3937.0),
+) for name in names.split()}
+_HEIGHTS_BY_NAME = re.compile(r'(?i)elevation|height|altitude|bathymetry|\b(d[est]m|alti)\b')
+# Range of heights on Earth outside the sea [m].
+LOWEST, HIGHEST = -430.0, 9000.0
+# At least so many cells of one exact value, this far below or above all others [m], are a hole.
+HOLE_CELLS, HOLE_DEPTH = 9, 50.0
 
 
-def read_raster(path: Path, name: str = 'elevation', nearest: bool = False) -> Raster:
-    """Read the array ``name`` of an .npz file, or the band of a GeoTIFF.
+def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> Raster:
+    """Read the array ``name`` of an .npz file, or the band of a GeoTIFF as one.
 
-    A risk map has its heights in a second band, if it has them.
-
-    A GeoTIFF whose units are not metres on the ground (degrees, feet, Web Mercator) is reprojected
-    to its UTM zone, by bilinear interpolation or, if ``nearest``, with the values of nearest cells.
+    ``name`` is 'elevation', 'roads' (a mask) or 'risk' (-1..100, NaN if unknown, whole numbers),
+    which has its heights in a second band, if it has them. A file without a coordinate system gets
+    ``crs``. One whose units are not metres on the ground (degrees, feet, Web Mercator) is
+    reprojected to its UTM zone: heights by bilinear interpolation, others by nearest cells.
 
     Raises InvalidTerrain if the file is malformed or too large, or if a GeoTIFF needs rasterio and
-    it is not installed; OSError if the file cannot be opened.
+    it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
+    opened.
     """
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'
-    return _read_npz(path, name) if is_zip else _read_geotiff(path, nearest)
+    raster = _read_npz(path, name, crs) if is_zip else _read_gdal(path, name, crs)
+    if raster.values.ndim != 2 or raster.values.size == 0:
+        raise InvalidTerrain(f'{path}: must be (H, W), got shape {raster.values.shape}')
+    for step in (raster.row_step, raster.column_step):
+        if not (math.isfinite(step) and step > 0.0):
+            raise InvalidTerrain(f'{path}: cell size must be positive [m], got {step}')
+    return raster
 
 
-def _read_npz(path: Path, name: str) -> Raster:
+def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     try:
         with np.load(path, allow_pickle=False) as file:
             if name in file and file.zip.getinfo(f'{name}.npy').file_size > 9 * MAX_CELLS:
@@ -53,88 +79,193 @@ def _read_npz(path: Path, name: str) -> Raster:
     try:
         column_step = float(content['dx' if 'dx' in content else 'resolution'])
         row_step = float(content['dy' if 'dy' in content else 'resolution'])
-        values = content[name].astype(np.float64)
+        values = content[name].astype(np.float64)[::-1]
     except KeyError:
         raise InvalidTerrain(f'{path}: needs resolution, or dx and dy [m]') from None
     except (TypeError, ValueError) as error:
         raise InvalidTerrain(f'{path}: not numeric: {error}') from error
-    return _checked(path, Raster(values[::-1], row_step, column_step))
+    values = _without_holes(path, values) if name == 'elevation' else values
+    return Raster(values, row_step, column_step, crs=crs)
 
 
-def _checked(path: Path, raster: Raster) -> Raster:
-    if raster.values.ndim != 2 or raster.values.size == 0:
-        raise InvalidTerrain(f'{path}: must be (H, W), got shape {raster.values.shape}')
-    for step in (raster.row_step, raster.column_step):
-        if not (math.isfinite(step) and step > 0.0):
-            raise InvalidTerrain(f'{path}: cell size must be positive [m], got {step}')
-    return raster
-
-
-def _read_geotiff(path: Path, nearest: bool) -> Raster:
+def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
     try:
-        import rasterio
+        import rasterio.io
     except ModuleNotFoundError:
         raise InvalidTerrain(f'{path}: not an .npz file; other formats need rasterio: '
                              "pip install 'ambush_planner[gis]'") from None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.open(path) as dataset:
-                return _checked(path, _raster_of(path, dataset, nearest))
+        with rasterio.Env(), rasterio.io.DatasetReader(path, driver=list(_DRIVERS)) as dataset:
+            _check(path, dataset, name)
+            bands = [_band(dataset, k) for k in range(1, 2 + _has_heights(dataset))]
+            if name == 'elevation':
+                bands[0] = _without_holes(path, bands[0] * _metres_per_unit(path, dataset))
+            elif name == 'risk':
+                _refuse_heights(path, dataset, bands[0])
+            if dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic):
+                crs = dataset.crs.to_wkt()
+            return _in_metres(path, np.stack(bands), dataset.transform, crs, name != 'elevation')
     except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
         hint = ('; it looks like a map for map_server, not like an elevation model'
-                if path.suffix in ('.yaml', '.yml') else '')
+                if path.suffix.lower() in ('.yaml', '.yml') else '')
         raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}{hint}') from error
 
 
-def _raster_of(path: Path, dataset: Any, nearest: bool) -> Raster:
-    """The band of an open rasterio dataset, in metres."""
-    _check_size(path, dataset)
-    if dataset.count != 1 and not _has_heights(dataset):
+def _check(path: Path, dataset: Any, name: str) -> None:
+    """Raise InvalidTerrain if an open rasterio dataset is not a raster of one kind of value."""
+    from rasterio.enums import ColorInterp
+
+    _check_size(path, dataset.height, dataset.width)
+    if missing := [each for each in dataset.files if not Path(each).exists()]:
+        raise InvalidTerrain(f'{path}: names {missing[0]}, which is not here')
+    has_alpha = dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha
+    if dataset.count != 1 and not has_alpha and not (name == 'risk' and _has_heights(dataset)):
         raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
                              'gdal_translate -b')
-    if dataset.transform.is_identity:
+    if dataset.colorinterp[0] == ColorInterp.palette and name != 'roads':
+        raise InvalidTerrain(f'{path}: its band has a table of colours: a picture, not values; if '
+                             'its numbers are values, use gdal_translate -colorinterp gray')
+    grid = dataset.transform
+    if grid.is_identity:
         raise InvalidTerrain(f'{path}: has no georeference: neither a position nor a cell size; '
                              'give it one with gdal_translate -a_ullr and -a_srs')
-    if not (dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic)):
-        return _band(path, dataset, None)
-    left, bottom, right, top = dataset.bounds
-    x, y = (left + right) / 2.0, (bottom + top) / 2.0
-    crs, is_other = metric_system(dataset.crs.to_wkt(), x, y)
-    if not is_other:
-        return _band(path, dataset, crs.to_string())
-    from rasterio.vrt import WarpedVRT
-    from rasterio.warp import Resampling
-
-    # Plain interpolation: an exact transform, and no smoothing across cells.
-    with WarpedVRT(dataset, crs=crs.to_wkt(), nodata=np.nan, dtype='float64',
-                   resampling=Resampling.nearest if nearest else Resampling.bilinear,
-                   tolerance=0.0, XSCALE=1, YSCALE=1) as warped:
-        _check_size(path, warped)
-        note = (f'{path}: reprojected from {dataset.crs.to_string()} to {crs.to_string()} '
-                f'({crs.name}), cells of {warped.transform.a:.4g} m')
-        return replace(_band(path, warped, crs.to_string()), note=note)
-
-
-def _band(path: Path, dataset: Any, crs: str | None) -> Raster:
-    grid = dataset.transform
     if grid.b or grid.d or grid.a <= 0.0 or grid.e >= 0.0:
         raise InvalidTerrain(f'{path}: rows must run from north to south and columns from west to '
                              'east; convert the raster with gdalwarp')
-    def read(band: int) -> FloatArray:
-        north_up = dataset.read(band, masked=True).astype(np.float64).filled(np.nan)
-        return np.asarray(north_up[::-1])
 
-    corner = dataset.bounds.left, dataset.bounds.bottom
-    heights = read(2).astype(np.float32) if _has_heights(dataset) else None
-    return Raster(read(1), -grid.e, grid.a, corner, crs, heights=heights)
+
+def _band(dataset: Any, number: int) -> FloatArray:
+    """The values (H, W) of a band, the northernmost row first; NaN where masked or nodata."""
+    stored = dataset.read(number, masked=True).astype(np.float64).filled(np.nan)
+    return np.asarray(stored * dataset.scales[number - 1] + dataset.offsets[number - 1])
 
 
 def _has_heights(dataset: Any) -> bool:
     return bool(dataset.descriptions[1:] == (HEIGHTS,))
 
 
-def _check_size(path: Path, dataset: Any) -> None:
-    if dataset.width * dataset.height > MAX_CELLS:
-        raise InvalidTerrain(f'{path}: {dataset.width} x {dataset.height} cells exceed the limit '
-                             f'of {MAX_CELLS}; crop the raster')
+def _check_size(path: Path, rows: int, columns: int) -> None:
+    if rows * columns > MAX_CELLS:
+        raise InvalidTerrain(f'{path}: {columns} x {rows} cells exceed the limit of {MAX_CELLS}; '
+                             'crop the raster')
+
+
+def _unit(dataset: Any) -> str:
+    """The unit that a band declares: as such, in a tag, or in brackets in its description."""
+    tags = {key.lower(): value for key, value in (dataset.tags() | dataset.tags(1)).items()}
+    described = re.search(r'[\[(]\s*([^])]+?)\s*[\])]\s*$', dataset.descriptions[0] or '')
+    found = dataset.units[0] or tags.get('units') or tags.get('unit') or tags.get('unittype')
+    return str(found or (described[1] if described and _metres(described[1]) else '')).strip()
+
+
+def _metres(unit: str) -> float | None:
+    return _METRES.get(re.sub('[^a-z]', '', unit.lower()))
+
+
+def _vertical_axis(dataset: Any) -> Any:
+    """The third axis of the coordinate system (pyproj), or None."""
+    from pyproj import CRS
+
+    axes = CRS.from_wkt(dataset.crs.to_wkt()).axis_info if dataset.crs else ()
+    return axes[2] if len(axes) > 2 else None
+
+
+def _metres_per_unit(path: Path, dataset: Any) -> float:
+    """Metres per unit of the heights, negative for depths; raises InvalidTerrain if unknown."""
+    unit, axis = _unit(dataset), _vertical_axis(dataset)
+    metres = _metres(unit) if unit else axis.unit_conversion_factor if axis else 1.0
+    if metres is None:
+        raise InvalidTerrain(f'{path}: the unit of the heights, {unit!r}, is not known; convert '
+                             'them to metres, or name it with gdal_edit.py -units')
+    if axis and not math.isclose(axis.unit_conversion_factor, metres, rel_tol=1e-4):
+        raise InvalidTerrain(f'{path}: its heights are in {unit!r} by the band, in '
+                             f'{axis.unit_name!r} by the vertical system; correct one of them')
+    if not (unit or axis) and dataset.crs and dataset.crs.is_projected and (
+            factor := dataset.crs.linear_units_factor[1]) != 1.0:
+        warn(f'{path}: heights are taken as metres, though {factor:.4g} m are the unit of its '
+             'coordinate system; if they have it, too, say so with gdal_edit.py -units')
+    sign = -1.0 if axis and axis.direction == 'down' else 1.0
+    if (sign, metres) != (1.0, 1.0):
+        kind = 'depths' if sign < 0.0 else 'heights'
+        warn(f'{path}: {kind} in {unit or axis.unit_name} are read as heights in metres')
+    return sign * metres
+
+
+def _without_holes(path: Path, heights: FloatArray) -> FloatArray:
+    """Heights [m], NaN where they can be none: impossible ones, and undeclared nodata."""
+    odd = np.isinf(heights) | (heights < LOWEST) | (heights > HIGHEST)
+    said = [(int(odd.sum()), f'outside {LOWEST:g} to {HIGHEST:g} m')] if odd.any() else []
+    heights = np.where(odd, np.nan, heights)
+    for sign in (1.0, -1.0) * 2:  # a file can have several numbers for its holes
+        known = sign * heights[~np.isnan(heights)]
+        lowest = known.min(initial=np.inf)
+        hole, rest = int((known == lowest).sum()), known[known > lowest]
+        if hole >= HOLE_CELLS and rest.size and rest.min() - lowest >= HOLE_DEPTH:
+            heights[heights == sign * lowest] = np.nan
+            side = 'below' if sign > 0.0 else 'above'
+            said.append((hole, f'of exactly {sign * lowest:g} m, {rest.min() - lowest:.4g} m '
+                         f'{side} all others'))
+    for count, what in said:
+        warn(f'{path}: {count} of {heights.size} heights are unknown: {what}; declare the number '
+             'for no data with gdal_edit.py -a_nodata')
+    return heights
+
+
+def _refuse_heights(path: Path, dataset: Any, values: FloatArray) -> None:
+    """Raise InvalidRiskMap if the values of a risk map are rather heights, or shares."""
+    unit, about = _unit(dataset), dataset.descriptions[0] or ''
+    known = values[np.isfinite(values)]
+    reason = ''
+    if _metres(unit):
+        reason = f'its unit is {unit!r}'
+    elif _vertical_axis(dataset):
+        reason = 'its coordinate system has heights'
+    elif _HEIGHTS_BY_NAME.search(about):
+        reason = f'its band is called {about!r}'
+    elif (np.abs(known - np.rint(known)) > 1e-6).any():
+        if known.min() >= 0.0 and known.max() <= 1.0:
+            raise InvalidRiskMap(
+                f'{path}: risks from 0 to 1? A risk map has whole numbers from 0 to 100: multiply '
+                "by 100 and round, with gdal_calc.py --calc='rint(100*A)' --type=Byte")
+        reason = 'its values are no whole numbers'
+    if reason:
+        raise InvalidRiskMap(f'{path}: {reason}; is it an elevation model (--terrain, '
+                             'risk_from_terrain)? A risk map has whole numbers from 0 to 100')
+    if known.size and 0.0 < known.max() <= 1.0:
+        warn(f'{path}: no value is over 1, of 100: if 1 stands for the most risk, multiply by 100')
+
+
+def _in_metres(path: Path, bands: FloatArray, grid: Any, crs: str | None, nearest: bool) -> Raster:
+    """Bands (B, H, W), the northernmost row first, reprojected if the system is not in metres."""
+    if crs:
+        rows, columns = bands.shape[1:]
+        target, is_other = metric_system(crs, grid.c + grid.a * columns / 2.0,
+                                         grid.f + grid.e * rows / 2.0)
+        if is_other:
+            own = horizontal(crs)
+            bands, grid = _reprojected(path, bands, grid, own, target, nearest)
+            warn(f'{path}: reprojected from {own.name} to {target.name} ({target.to_string()}), '
+                 f'cells of {grid.a:.4g} m')
+        crs = target.to_string()
+    corner = grid.c, grid.f + grid.e * bands.shape[1]
+    heights = bands[1, ::-1].astype(np.float32) if len(bands) > 1 else None
+    return Raster(bands[0, ::-1], -grid.e, grid.a, corner, crs, heights)
+
+
+def _reprojected(path: Path, bands: FloatArray, grid: Any, crs: Any, target: Any,
+                 nearest: bool) -> tuple[FloatArray, Any]:
+    from rasterio.enums import Resampling
+    from rasterio.io import MemoryFile
+    from rasterio.vrt import WarpedVRT
+
+    count, rows, columns = bands.shape
+    with MemoryFile() as file:
+        with file.open(driver='GTiff', height=rows, width=columns, count=count, dtype='float64',
+                       crs=crs.to_wkt(), transform=grid, nodata=np.nan) as stored:
+            stored.write(bands)
+        # Plain interpolation: an exact transform, and no smoothing across cells.
+        with file.open() as stored, WarpedVRT(
+                stored, crs=target.to_wkt(), tolerance=0.0, XSCALE=1, YSCALE=1,
+                resampling=Resampling.nearest if nearest else Resampling.bilinear) as warped:
+            _check_size(path, warped.height, warped.width)
+            return warped.read(), warped.transform

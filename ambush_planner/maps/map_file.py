@@ -35,7 +35,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
 
     Raises InvalidOption if ``path`` does not end with .yaml or .yml; OSError.
     """
-    if path.suffix not in ('.yaml', '.yml'):
+    if path.suffix.lower() not in ('.yaml', '.yml'):
         raise InvalidOption(f'{path}: the name of a map must end with .yaml')
     picture = path.with_suffix('.pgm')
     rows, columns = occupancy.values.shape
@@ -140,10 +140,27 @@ def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
         ) from None
     try:
         with Image.open(path) as image:
+            if image.mode[0] in 'IF':
+                return _deep_pixels(path, image)
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info
             pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
+    except InvalidRiskMap:
+        raise
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InvalidRiskMap(f'{path}: not a readable image: {error}') from error
     # Only in trinary mode does map_server average opacity together with the colours.
     channels = 4 if has_alpha and mode == 'trinary' else 3
     return pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0
+
+
+def _deep_pixels(path: Path, image: Any) -> tuple[FloatArray, BoolArray]:
+    """The pixels of a grey image of more than 8 bits, which Pillow does not scale."""
+    pixels, tags = np.asarray(image, dtype=np.float64), getattr(image, 'tag_v2', {})
+    bits = np.ravel(tags.get(258, 16))[0]  # BitsPerSample of TIFF
+    most = 1.0 if image.mode == 'F' else 2.0**bits - 1.0
+    if image.format not in ('PNG', 'TIFF', 'PPM') or not ((pixels >= 0.0) & (pixels <= most)).all():
+        raise InvalidRiskMap(f'{path}: pixels of kind {image.mode} ({image.format}), from '
+                             f'{pixels.min():g} to {pixels.max():g}; convert the image to 8 bits')
+    light = pixels / most
+    opaque = pixels != image.info.get('transparency', np.nan)
+    return 1.0 - light if tags.get(262) == 0 else light, opaque  # PhotometricInterpretation

@@ -170,8 +170,7 @@ def _with_defaults(where: str, given: Mapping[str, Any],
 
 def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
              progress: Callable[[float], None] | None) -> _Joined:
-    raster = read_raster(path)
-    elevation = elevation_from_raster(raster, resolution)
+    elevation = elevation_from_raster(read_raster(path), resolution)
     given = {key: each for key, each in values.items() if each is not None}
     view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
@@ -181,8 +180,7 @@ def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
     ground = risk_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
     shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.
-    return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)],
-                   [raster.note] if raster.note else [])
+    return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)])
 
 
 def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:

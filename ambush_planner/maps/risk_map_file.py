@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Risk maps from and to files: map_server's YAML, GeoTIFF, and npz with the fields of RiskMap."""
+"""Risk maps from and to files: map_server's YAML, rasters, and npz with the fields of RiskMap."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..errors import InvalidRiskMap
+from ..errors import InvalidRiskMap, warn
 from .coordinates import Coordinates, InvalidCoordinates
-from .elevation import HeightArray
+from .elevation import HeightArray, InvalidTerrain, square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
-from .occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, risk_from_occupancy
 from .risk_map import RiskMap, to_map_axes
 
 _UNKNOWN = 255  # in a GeoTIFF
@@ -27,7 +27,8 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
     """Read a map of map_server, a GeoTIFF of its values (nodata: unknown), or an npz file.
 
     The npz file has the fields of ``RiskMap``, as ``npz_bytes`` writes it. A file without a
-    coordinate system gets ``options.crs``.
+    coordinate system gets ``options.crs``. Warns of what was converted, and if a map carries no
+    risk.
 
     Raises
     ------
@@ -41,10 +42,17 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
     RiskMap(cells 120 x 80 of 0.5 m, loss 1 to 7.3, obstacles 10.3%, crs unknown)
     """
     path, options = Path(path), options or OccupancyOptions()
-    if path.suffix == '.npz':
-        return _read_npz(path, options.crs)
-    grid, heights = (_read_geotiff(path) if path.suffix in ('.tif', '.tiff')
-                     else (read_map(path), None))
+    risk_map = (_read_npz(path, options.crs) if path.suffix.lower() == '.npz'
+                else _read_grid(path, options))
+    losses = risk_map.alpha[~risk_map.obstacles]
+    if losses.size and np.ptp(losses) == 0.0 and options.alpha_min < options.alpha_max:
+        warn(NO_RISK)
+    return risk_map
+
+
+def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
+    is_yaml = path.suffix.lower() in ('.yaml', '.yml')
+    grid, heights = (read_map(path), None) if is_yaml else _read_raster(path)
     try:
         options = replace(options, crs=agreed_crs(grid.crs, options.crs))
         return replace(risk_from_occupancy(grid.values, grid.resolution, grid.origin, options),
@@ -54,11 +62,16 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
 
 
-def _read_geotiff(path: Path) -> tuple[OccupancyMap, HeightArray | None]:
-    raster = read_raster(path, nearest=True)
-    if not np.isclose(raster.row_step, raster.column_step):
-        raise InvalidRiskMap(f'{path}: the cells are not square: {raster.column_step:g} m x '
-                             f'{raster.row_step:g} m')
+def _read_raster(path: Path) -> tuple[OccupancyMap, HeightArray | None]:
+    try:
+        raster = read_raster(path, 'risk')
+    except InvalidTerrain as error:
+        raise InvalidTerrain(f'{error}; a risk map is a .yaml for map_server, an .npz, or a raster '
+                             'such as .tif or .asc') from error
+    if not math.isclose(raster.row_step, raster.column_step, rel_tol=1e-5):
+        given, raster = raster, square_cells(raster)
+        warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
+             f'to {raster.row_step:.7g} m, by the nearest')
     grid = OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
                         (*raster.corner, 0.0), raster.crs)
     return grid, raster.heights

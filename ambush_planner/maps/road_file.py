@@ -85,7 +85,7 @@ def read_roads(source: str | Path) -> RoadGraph:
 @lru_cache(4)
 def _read(source: str, path: Path, version: tuple[int, int]) -> RoadGraph:
     """Read the file again only if it has changed."""
-    if path.suffix in ('.json', '.geojson'):
+    if path.suffix.lower() in ('.json', '.geojson'):
         try:
             features = json.loads(path.read_bytes())['features']
             if any('startid' in (each.get('properties') or {}) for each in features):

@@ -53,7 +53,7 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
     elevation = elevation_from_raster(read_raster(Path(file)), resolution or 0.0)
     on_roads = None
     if roads is not None:
-        on_roads = mask_from_raster(read_raster(Path(roads), 'roads', nearest=True), elevation)
+        on_roads = mask_from_raster(read_raster(Path(roads), 'roads'), elevation)
     ground = terrain_map(elevation, options, on_roads)
     made = ground.risk_map(elevation.corner, occupancy or OccupancyOptions())
     return replace(made, crs=elevation.crs)

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What rasters and images declare is applied or refused, and what is left out is said: tables."""
+
+import warnings
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
+pytest.importorskip('PIL', reason='Pillow comes with the extra "figures"')
+import rasterio
+from PIL import Image
+from rasterio.enums import ColorInterp
+
+from ambush_planner import AmbushPlannerError, AmbushPlannerWarning, read_risk_map
+from ambush_planner.maps.elevation_file import read_raster
+from ambush_planner.maps.map_file import read_map
+
+ROW, COLUMN = np.mgrid[:30, :40]
+HILLS = np.rint(300.0 + 20.0 * np.sin(COLUMN / 4.0) + 10.0 * np.cos(ROW / 5.0))
+RISK = (HILLS - HILLS.min()).astype(np.uint8)
+HOLE = np.s_[8:20, 10:22]
+SQUARE = (30.0, 0.0, 7.4e5, 0.0, -30.0, 4.05e6)
+DEGREES = (1 / 3600, 0.0, -84.3, 0.0, -1 / 3600, 36.6)
+UTM = 'EPSG:32616'
+
+
+def write(path, values, crs=UTM, place=SQUARE, nodata=None, alpha=None, **declared):
+    """A GeoTIFF and what its band declares: scale, offset, unit, description, tags, colours."""
+    bands = [values] if alpha is None else [values, alpha]
+    with rasterio.open(path, 'w', driver='GTiff', height=values.shape[0], width=values.shape[1],
+                       count=len(bands), dtype=values.dtype, crs=crs, nodata=nodata,
+                       transform=rasterio.Affine(*place)) as file:
+        for k, band in enumerate(bands, start=1):
+            file.write(band, k)
+        file.scales = (declared.pop('scale', 1.0),) * len(bands)
+        file.offsets = (declared.pop('offset', 0.0),) * len(bands)
+        if alpha is not None:
+            file.colorinterp = (ColorInterp.gray, ColorInterp.alpha)
+        if colours := declared.pop('colours', None):
+            file.write_colormap(1, colours)
+        if unit := declared.pop('unit', ''):
+            file.units = (unit,)
+        if name := declared.pop('description', ''):
+            file.set_band_description(1, name)
+        file.update_tags(1, **declared)
+    return path
+
+
+def read(path, name='elevation', **more):
+    """The values, north first, and what was said."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        values = read_raster(path, name, **more).values[::-1]
+    return values, words_of(said)
+
+
+def words_of(said):
+    return ' '.join(str(each.message) for each in said
+                    if issubclass(each.category, AmbushPlannerWarning))
+
+
+def as_stored(scale, offset, kind):
+    return np.rint((HILLS - offset) / scale).astype(kind)
+
+
+@pytest.mark.parametrize(('scale', 'offset', 'kind'), [
+    (0.1, 0.0, 'int16'), (2.0, 0.0, 'uint8'), (0.01, -100.0, 'uint16'), (1.0, 250.0, 'uint8'),
+    (1.0, -32768.0, 'uint16'), (-1.0, 0.0, 'int16'), (0.5, 250.0, 'uint8'), (1e-3, 0.0, 'int32'),
+    (100.0, 0.0, 'float32'), (10.0, 300.0, 'float64'),
+])
+def test_scale_and_offset_are_applied(scale, offset, kind, tmp_path):
+    stored = as_stored(scale, offset, kind)
+    if kind[0] == 'f':
+        stored = ((HILLS - offset) / scale).astype(kind)
+    values, said = read(write(tmp_path / 'a.tif', stored, scale=scale, offset=offset))
+    np.testing.assert_allclose(values, HILLS, atol=max(0.5 * scale, 1e-3))
+    assert said == ''
+
+
+def test_scale_counts_for_risk_nodata_and_in_other_systems(tmp_path):
+    half = (RISK // 2).astype(np.uint8)
+    half[HOLE] = 255
+    values, _ = read(write(tmp_path / 'a.tif', half, scale=2.0, nodata=255), 'risk')
+    assert np.isnan(values[HOLE]).all() and values[0, 0] == 2 * half[0, 0]
+    tenths = as_stored(0.1, 0.0, 'int16')
+    one, said = read(write(tmp_path / 'b.tif', tenths, 'EPSG:4326', DEGREES, scale=0.1))
+    other, _ = read(write(tmp_path / 'c.tif', HILLS, 'EPSG:4326', DEGREES))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+    assert 'reprojected from WGS 84 to WGS 84 / UTM zone 16N' in said
+
+
+FEET = 0.3048
+
+
+@pytest.mark.parametrize(('metres', 'declared', 'words'), [
+    (FEET, {'unit': 'ft'}, 'heights in ft are read as heights in metres'),
+    (FEET, {'unit': 'foot'}, 'heights in foot'), (FEET, {'unit': 'Feet'}, 'heights in Feet'),
+    (1200 / 3937, {'unit': 'US survey foot'}, 'US survey foot'),
+    (1200 / 3937, {'unit': 'ftUS'}, 'ftUS'), (0.01, {'unit': 'cm'}, 'cm'),
+    (0.1, {'unit': 'decimetres'}, 'decimetres'), (1000.0, {'unit': 'km'}, 'km'),
+    (0.9144, {'unit': 'yd'}, 'yd'), (1.8288, {'unit': 'fathom'}, 'fathom'),
+    (FEET, {'units': 'feet'}, 'feet'), (FEET, {'description': 'Elevation [ft]'}, 'ft'),
+    (1200 / 3937, {'crs': 'EPSG:32616+6360'}, 'US survey foot'),
+    (1200 / 3937, {'crs': 'EPSG:32616+6360', 'unit': 'US survey foot'}, 'US survey foot'),
+    (-1.0, {'crs': 'EPSG:32616+5715'}, 'depths in metre are read as heights'),
+    (1.0, {'unit': 'm'}, ''), (1.0, {'unit': 'metre'}, ''), (1.0, {'crs': 'EPSG:32616+5773'}, ''),
+    (1.0, {'description': 'Elevation (bare earth)'}, ''),
+    (1.0, {'crs': 'EPSG:2274', 'place': (100.0, 0.0, 2.5e6, 0.0, -100.0, 7e5)}, 'taken as metres'),
+])
+def test_heights_in_other_units_are_converted(metres, declared, words, tmp_path):
+    values, said = read(write(tmp_path / 'a.tif', HILLS / metres, **declared))
+    if 'place' not in declared:  # else reprojected
+        np.testing.assert_allclose(values, HILLS, rtol=1e-9)
+    assert words in said and bool(words) == bool(said)
+
+
+@pytest.mark.parametrize(('declared', 'words'), [
+    ({'unit': 'furlong'}, "'furlong', is not known"), ({'unit': 'DN'}, "'DN', is not known"),
+    ({'crs': 'EPSG:32616+6360', 'unit': 'm'}, "'m' by the band, in 'US survey foot' by the vert"),
+    ({'colours': {1: (255, 0, 0)}}, 'table of colours'), ({'crs': None, 'place': (
+        1, 0, 0, 0, 1, 0)}, 'no georeference'),
+])
+def test_what_cannot_be_applied_is_refused(declared, words, tmp_path):
+    path = write(tmp_path / 'a.tif', (HILLS - 100.0).astype(np.uint8), **declared)
+    with pytest.raises(AmbushPlannerError, match=words):
+        read(path)
+
+
+@pytest.mark.parametrize(('fill', 'kind', 'declared', 'words'), [
+    (-9999, 'float32', {}, '144 of 1200 heights are unknown: outside -430 to 9000 m'),
+    (-32768, 'int16', {}, 'outside -430'), (-3.4e38, 'float32', {}, 'outside -430'),
+    (np.inf, 'float32', {}, 'outside -430'), (32767, 'int16', {}, 'outside -430'),
+    (65535, 'uint16', {}, 'outside -430'), (9999, 'float64', {}, 'outside -430'),
+    (0, 'float32', {}, '144 of 1200 heights are unknown: of exactly 0 m, 273 m below all others'),
+    (-99, 'int16', {}, 'of exactly -99 m'), (-1, 'float32', {}, 'of exactly -1 m'),
+    (999, 'int16', {}, 'of exactly 999 m, 669 m above'),
+    (-9999, 'float32', {'unit': 'ft'}, 'outs'),
+    (-9999, 'int16', {'scale': 0.1}, 'outside -430'), (-9999, 'int32', {'scale': 0.01}, 'exactly'),
+    (-9999, 'float32', {'nodata': -32768}, 'outside -430'),
+    (-9999, 'float32', {'nodata': -9999}, ''), (np.nan, 'float32', {}, ''),
+    (0, 'uint16', {'nodata': 0}, ''),
+])
+def test_numbers_for_no_data_are_unknown_and_counted(fill, kind, declared, words, tmp_path):
+    stored = HILLS / (declared.get('scale', 1.0) * (FEET if 'unit' in declared else 1.0))
+    stored[HOLE] = fill
+    values, said = read(write(tmp_path / 'a.tif', stored.astype(kind), **declared))
+    assert np.isnan(values[HOLE]).all() and np.isnan(values).sum() == 144
+    assert words in said and (bool(words) == bool(said) or 'unit' in declared)
+
+
+def test_holes_do_not_spread_in_a_reprojection_and_a_file_can_have_several_numbers(tmp_path):
+    stored = HILLS.astype(np.float32)
+    stored[HOLE], stored[:4, :4], stored[25:, :9] = -9999, 0, -32768
+    values, said = read(write(tmp_path / 'a.tif', stored, 'EPSG:4326', DEGREES))
+    assert np.nanmin(values) > 265.0 and said.count('unknown') == 2
+    np.savez(tmp_path / 'a.npz', elevation=stored, resolution=30.0)
+    values, said = read(tmp_path / 'a.npz')
+    assert np.isnan(values).sum() == 144 + 16 + 45 and said.count('unknown') == 2
+
+
+@pytest.mark.parametrize('ground', [
+    np.maximum(HILLS - 290.0, 0.0),  # the sea
+    np.where(HILLS < 280.0, 278.0, HILLS),  # a lake
+    np.where(ROW == 15, 100.0, HILLS + ROW),  # a gorge
+    HILLS - 700.0 * (HILLS > 0.0) + 420.0, np.full_like(HILLS, 12.0),
+])
+def test_ground_as_it_is_on_earth_stays(ground, tmp_path):
+    values, said = read(write(tmp_path / 'a.tif', ground + np.where(ROW == 15, COLUMN / 9.0, 0.0)))
+    assert not np.isnan(values).any() and said == ''
+
+
+def test_alpha_bands_and_masks_are_unknown(tmp_path):
+    alpha = np.full(HILLS.shape, 255, np.uint8)
+    alpha[HOLE] = 0
+    low = (HILLS - 200.0).astype(np.uint8)
+    masked = write(tmp_path / 'b.tif', low)
+    with rasterio.open(masked, 'r+') as file:
+        file.write_mask(alpha)
+    for path in (write(tmp_path / 'a.tif', low, alpha=alpha), masked):
+        values, _ = read(path)
+        assert np.array_equal(np.isnan(values), alpha == 0)
+
+
+def test_longitudes_to_360_and_files_without_a_system(tmp_path):
+    east = (*DEGREES[:2], DEGREES[2] + 360.0, *DEGREES[3:])
+    one, other = (read(write(tmp_path / 'a.tif', HILLS, 'EPSG:4326', place))[0]
+                  for place in (DEGREES, east))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+    known = read_raster(write(tmp_path / 'b.tif', HILLS, None), crs=UTM)
+    assert known.crs == UTM and known.corner == (7.4e5, 4.05e6 - 900.0)
+    read(write(tmp_path / 'c.tif', HILLS, None, DEGREES), crs='EPSG:4326')
+
+
+@pytest.mark.parametrize(('values', 'declared', 'words'), [
+    (HILLS - 265.5, {}, 'no whole numbers; .*--terrain'), (RISK, {'unit': 'm'}, "unit is 'm'"),
+    (RISK, {'unit': 'ft'}, "unit is 'ft'"), (RISK, {'description': 'DEM'}, "called 'DEM'"),
+    (RISK, {'description': 'surface height'}, 'surface height'),
+    (RISK, {'crs': 'EPSG:32616+5773'}, "'metre'"),
+    (RISK, {'description': 'z (m)'}, "unit is 'm'"), (RISK, {'units': 'metres'}, "'metres'"),
+    (HILLS.astype(np.int16), {}, 'cell values must be .* elevation model'),
+    (RISK / 100.0, {}, 'risks from 0 to 1.*multiply by 100'),
+    (RISK, {'colours': {1: (255, 0, 0)}}, 'table of colours'),
+])
+def test_no_elevation_model_and_no_share_is_a_risk_map(values, declared, words, tmp_path):
+    with pytest.raises(AmbushPlannerError, match=words):
+        read_risk_map(write(tmp_path / 'a.tif', values, **declared))
+
+
+@pytest.mark.parametrize(('values', 'place', 'words'), [
+    (RISK, (30.003, 0.0, 7e5, 0.0, -30.0, 4e6), 'cells of 30.003 m x 30 m are resampled to 30 m'),
+    (RISK, (30.0, 0.0, 7e5, 0.0, -60.0, 4e6), 'cells of 30 m x 60 m are resampled to 30 m'),
+    (np.minimum(RISK, 1), SQUARE, 'no value is over 1, of 100'),
+    (np.full_like(RISK, 7), SQUARE, 'no risk'), (RISK, SQUARE, ''),
+])
+def test_what_is_said_of_a_risk_map(values, place, words, tmp_path):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        risk_map = read_risk_map(write(tmp_path / 'A.TIF', values, place=place))
+    assert words in words_of(said) and bool(words_of(said)) == bool(words)
+    assert not risk_map.obstacles.any() and risk_map.crs == UTM
+    assert risk_map.size[1] == pytest.approx(-30 * place[4])
+
+
+def test_files_are_known_by_their_content_and_others_name_the_formats(tmp_path):
+    (tmp_path / 'a.vrt').write_text(
+        '<VRTDataset rasterXSize="9" rasterYSize="9"><GeoTransform>0,1,0,9,0,-1</GeoTransform>'
+        '<VRTRasterBand dataType="Byte" band="1"><SimpleSource><SourceFilename>'
+        '/vsicurl/http://localhost:9/a.tif</SourceFilename></SimpleSource></VRTRasterBand>'
+        '</VRTDataset>')
+    Image.fromarray(RISK).save(tmp_path / 'a.png')
+    (tmp_path / 'a.txt').write_text('hello')
+    for name, words in (('a.vrt', 'vsicurl.* is not here'), ('a.txt', 'a risk map is a .yaml'),
+                        ('a.png', 'not recognized')):
+        with pytest.raises(AmbushPlannerError, match=words):
+            read_risk_map(tmp_path / name)
+    grid = '\n'.join(' '.join(map(str, row)) for row in RISK.tolist())
+    (tmp_path / 'risk.ASC').write_text('ncols 40\nnrows 30\nxllcorner 0\nyllcorner 0\ncellsize 30\n'
+                                       + grid)
+    np.testing.assert_allclose(read_risk_map(tmp_path / 'risk.ASC').alpha[::-1], 1 + RISK * 0.09)
+
+
+# A wall of a dark grey with a gap, as map_server sees it: 0 is free, 100 an obstacle.
+GREY = np.full((20, 30), 254, np.uint8)
+GREY[:16, 14:16] = 24
+WALL = np.where(GREY == 24, 100, 0)
+
+
+def deep(most=65535, kind=np.uint16):
+    return np.rint(GREY / 255.0 * most).astype(kind)
+
+
+def tiff(values, **options):
+    def save(path):
+        with rasterio.open(path, 'w', driver='GTiff', height=20, width=30, count=1,
+                           dtype=values.dtype, **options) as file:
+            file.write(values, 1)
+    return save
+
+
+def pgm(values, most):
+    rows = '\n'.join(' '.join(map(str, row)) for row in values.tolist())
+    return lambda path: path.write_text(f'P2\n30 20\n{most}\n{rows}\n')
+
+
+IMAGES = {
+    '8.png': Image.fromarray(GREY).save, '16.png': Image.fromarray(deep()).save,
+    'rgba.png': Image.fromarray(GREY).convert('RGBA').save, '16.tif': tiff(deep()),
+    '12.tif': tiff(deep(4095), nbits=12),
+    'white.tif': tiff(65535 - deep(), photometric='MINISWHITE'),
+    'float.tif': tiff((GREY / 255.0).astype(np.float32)),
+    '32.tif': tiff(deep(2**32 - 1, np.uint32)),
+    'big.tif': Image.fromarray(deep()).save, '16.pgm': pgm(deep(), 65535),
+    '10.pgm': pgm(deep(1023), 1023), '8.pgm': pgm(GREY, 255),
+    'p5.pgm': lambda path: path.write_bytes(b'P5 30 20 65535\n' + deep().astype('>u2').tobytes()),
+    '16.PNG': Image.fromarray(deep()).save,
+    '16.jp2': Image.fromarray(deep()).save, 'bytes.tif': tiff(GREY.astype(np.float32)),
+    'nan.tif': tiff(np.full((20, 30), np.nan, np.float32)),
+}
+
+
+@pytest.mark.filterwarnings('ignore::rasterio.errors.NotGeoreferencedWarning')
+@pytest.mark.parametrize('name', IMAGES)
+def test_walls_are_walls_in_every_depth_or_the_image_is_refused(name, tmp_path):
+    IMAGES[name](tmp_path / name)
+    (tmp_path / 'm.yaml').write_text(yaml.safe_dump(
+        {'image': name, 'resolution': 0.5, 'origin': [0, 0, 0], 'negate': 0,
+         'occupied_thresh': 0.65, 'free_thresh': 0.25}))
+    if name in ('16.jp2', '32.tif', 'bytes.tif', 'nan.tif'):
+        with pytest.raises(AmbushPlannerError, match=f'{name}: pixels of kind .*to 8 bits'):
+            read_map(tmp_path / 'm.yaml')
+        return
+    np.testing.assert_array_equal(read_map(tmp_path / 'm.yaml').values[::-1], WALL)
