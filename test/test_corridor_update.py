@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from drive_samples import distance_to, drives
+from drive_samples import STEP, distance_to, drives, excess
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -56,7 +56,8 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     uv = risk_map.to_map_axes(poses[:, :2])
     assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
     # Nothing is any wider, and nothing narrower than measured on the whole new map.
-    whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge)
+    whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge,
+                           reach=corridors.reach)
     before, now, full = (
         {tuple(link): widths for link, *widths in zip(
             each.links.tolist(), *each.widths.T, each.beyond, strict=True)}
@@ -84,7 +85,7 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     assume(field.clear_segments(np.broadcast_to(place, others.shape), others, clearance).all())
     where = tuple(to_world(corridors.origin, place).tolist())
     moved = with_moved_end(
-        corridors, node, where, risk_map, np.zeros(2), clearance, tube, clear_of_edge
+        corridors, node, where, risk_map, np.zeros(2), clearance, clear_of_edge
     )
     ends = [tuple(network.points[k].tolist()) for k in (network.source, network.target)]
     ends[0 if at_start else 1] = where
@@ -98,7 +99,9 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     # where a turn would be tight, the path swings wider.
     drawn = moved.uv[route]
     assert length(uv) <= 1.05 * length(drawn)
-    if tube is not None:
+    if corridors.reach > 0.0:
+        assert excess(uv, drawn, tube, corridors.reach, corridors.held) <= STEP
+    elif tube is not None:
         assert distance_to(uv, drawn).max() <= tube + 1e-9
 
 

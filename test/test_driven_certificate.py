@@ -12,7 +12,7 @@ from ambush_planner.planning.plan import depart, departure_paths
 from ambush_planner.planning.trip import plan_trip
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
-DRAWS = 400 * HUNT
+DRAWS, PLACES = 400 * HUNT, 1000
 # Without a reach, a path that comes as near to a node as this passes it [spacings].
 PASSES = 0.01
 
@@ -44,32 +44,46 @@ def gates():
     return alpha, obstacles
 
 
-def planned(ground, reach, tube, tracking_error=0.0):
+def planned(ground, reach, tube, tracking_error=0.0, spacing=SPACING, secured=SECURED):
     alpha, obstacles = ground()
     return plan_trip(
         RiskMap(alpha, obstacles, SIDE / 50), (3.0, 50.0), (97.0, 50.0),
         PlanningOptions(
-            network=NetworkOptions(spacing=SPACING),
-            game=GameOptions(ambush_radius=reach, secured_radius=SECURED),
+            network=NetworkOptions(spacing=spacing),
+            game=GameOptions(ambush_radius=reach, secured_radius=secured),
             strategy=StrategyOptions(max_detour=1.3),
             drive=DriveOptions(tube=tube, tracking_error=tracking_error),
         ),
     )
 
 
-def losses(a_plan, lines, reach):
-    """Mean loss by an ambush at each node, and its standard error: points along lines (L, 2), half
-    a metre apart at most, against discs."""
-    points = a_plan.network.points
-    hits = np.zeros(len(points))
+def losses(a_plan, lines, reach, places=None, held=SECURED):
+    """Mean loss by an ambush at each place (P, 2), by default the nodes, and its standard error.
+
+    Points along lines (L, 2), half a metre apart at most, against discs.
+    """
+    risk_map, network = a_plan.risk_map, a_plan.network
+    loss = network.alpha if places is None else risk_map.alpha[risk_map.cells(places)]
+    places = network.points if places is None else places
+    ends = network.points[[network.source, network.target]]
+
+    def secured(points):
+        return np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) <= held
+
+    hits = np.zeros(len(places))
     for line in lines:
-        near, _ = cKDTree(line).query(points, distance_upper_bound=reach + 1.0)
+        near, _ = cKDTree(line[~secured(line)]).query(places, distance_upper_bound=reach + 1.0)
         hits += near <= reach
     share = hits / len(lines)
-    ends = points[[a_plan.network.source, a_plan.network.target]]
-    secured = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) <= SECURED
-    loss = np.where(secured, 0.0, a_plan.network.alpha)
+    loss = np.where(secured(places), 0.0, loss)
     return loss * share, loss * np.sqrt(share * (1 - share) / len(lines))
+
+
+def anywhere(risk_map, rng):
+    """Places (P, 2) on free ground."""
+    free = np.argwhere(~risk_map.obstacles)
+    cells = free[rng.integers(len(free), size=PLACES)]
+    return risk_map.resolution * (cells[:, ::-1] + rng.random((PLACES, 2)))
 
 
 def dense(line, step):
@@ -92,6 +106,16 @@ def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube, tracking
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     # And the value is not far above: the test could fail.
     assert mean.max() > 0.5 * a_plan.strategy.value
+
+
+@pytest.mark.parametrize('ground', [hills, strewn, gates])
+def test_by_default_no_ambush_costs_more_than_the_value_wherever_it_waits(ground):
+    a_plan, rng = planned(ground, REACH, None, spacing=None, secured=None), np.random.default_rng(1)
+    paths = departure_paths(a_plan, DRAWS, 0.1 * REACH, rng)
+    mean, error = losses(a_plan, [dense(path[:, :2], 0.02 * REACH) for path in paths], REACH,
+                         anywhere(a_plan.risk_map, rng), held=1.1 * REACH)
+    assert (mean - 4 * error).max() <= a_plan.value
+    assert mean.max() > 0.8 * a_plan.value
 
 
 @pytest.mark.parametrize('ground', [hills, gates])

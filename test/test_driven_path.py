@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from drive_samples import distance_to, drives, some_route
+from drive_samples import STEP, distance_to, drives, excess, some_route
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from ambush_planner import InvalidOption, Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.shortest_paths import shortest_path
-from ambush_planner.routes.corridors import make_corridors
+from ambush_planner.routes.corridors import NOTHING_HELD, make_corridors
 from ambush_planner.routes.driven_path import (
     MAX_MARGIN,
     different_paths,
@@ -43,7 +43,10 @@ def test_the_path_stays_clear_in_its_tube_and_short(drive):
     field = ObstacleField(risk_map, clear_of_edge)
     assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
     assert not risk_map.obstacles[risk_map.cells(risk_map.to_map_axes(dense(poses)))].any()
-    if tube is not None:
+    if corridors.reach > 0.0:
+        line = risk_map.to_map_axes(dense(poses, 5))
+        assert excess(line, corridors.uv[route], tube, corridors.reach, corridors.held) <= STEP
+    elif tube is not None:
         assert distance_to(dense(poses), network.points[route]).max() <= tube + 1e-9
     else:
         others = np.delete(network.points, route, axis=0)
@@ -265,4 +268,6 @@ def test_portals_approached_from_behind():
     left = [0, 0.6201, 0.2387, 0.1018, 0.7, 0.5762, 0.0339, 0]
     right = [0, 0.1404, 0.0807, 0.2387, 0.0606, 0.0448, 0.4692, 0]
     arrays = (np.array(values, float) for values in (nodes, leftward, left, right))
-    assert_taut(Portals(*arrays, np.zeros(len(nodes)), np.array([0, len(nodes)])), 0.0)
+    count = len(nodes)
+    assert_taut(Portals(*arrays, np.zeros(count), np.array([0, count]), np.zeros((count, 2)), 0.0,
+                        NOTHING_HELD), 0.0)

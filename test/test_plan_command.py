@@ -154,7 +154,7 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     inside = held.buffer(-0.03 * 40.0)  # a site stands for places around it
     assert len(tables['held_ground']) == 3 and not inside.contains(tables['sites'].geometry).any()
     assert held.distance(shapely.Point(-155.0, -50.0)) == pytest.approx(0.0, abs=1e-9)
-    drawn_on = tables['edges'].union_all().buffer(0.1 * 40.0 + 1e-6)  # the tube
+    drawn_on = tables['edges'].union_all().buffer(0.3 * 40.0)  # tube and cut corners
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 
@@ -170,7 +170,7 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     count = len(few['shares'])
     assert set(result) == documented_keys(plan) and 1 < count <= 3
     assert [size for size, _ in few['curve']] == [1, 2, 3]
-    assert few['value'] == few['curve'][-1][1] and result['lower_bound'] == few['lower_bound']
+    assert few['lower_bound'] <= few['value'] == few['curve'][-1][1]
     assert set(few['draws']) == {'die', 'two dice', 'cards'} and 'path' not in done.out
     assert all(stat.S_IMODE(file.stat().st_mode) == 0o600 for file in files)
     layers = dict(pyogrio.list_layers(tmp_path / 'r.gpkg'))

@@ -177,7 +177,7 @@ class ChangedGround:
                 node = int(network.places[node])
                 corner, part = self._around(newest, node, place, others)
                 corridors = with_moved_end(corridors, node, place, part, corner, options.clearance,
-                                           plan.tube, options.clear_of_edge, others)
+                                           options.clear_of_edge, others)
         return plan if corridors is plan.corridors else replace(plan, corridors=corridors)
 
     @cached_property
@@ -250,9 +250,9 @@ class ChangedGround:
         if at is None:
             at = links[(links == node).any(axis=1)].ravel()
         uv = np.vstack((self._planned.uv[at], to_map_axes(newest.origin, [place])))
-        wide = self.plan.tube
-        if wide is None:
-            wide = float(np.hypot(*(uv - uv[-1]).T).max())
+        wide = float(np.hypot(*(uv - uv[-1]).T).max())
+        if self.plan.tube is not None:
+            wide = self.plan.tube + 0.5 * wide
         return self._clear_ground(newest).part(uv, wide + self.plan.options.network.clearance)
 
     def _clear_ground(self, newest: OccupancyMap) -> ClearGround:

@@ -33,7 +33,8 @@ class DriveOptions:
     ----------
     tube
         Largest distance of the path from the drawn route [m]. It is added to the reach of the
-        game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
+        game, so that the certificate covers the driven path. With a reach, off roads, paths also
+        cut corners of the route where no ambush gains by it. None: with a reach, ``DEFAULT_TUBE``
         spacings, at most ``TUBE_OF_REACH`` times the reach, and on roads ``ROAD_TUBE``; without
         one, the path only avoids nodes that its route does not use; on roads it also stays within
         ``ROAD_TUBE`` of their lines.

@@ -150,9 +150,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'it [m]; at most half the distance between nodes, which .inf stands for.'),
     'route.tube': Declaration(
         AUTOMATIC,
-        'Maximum distance of the driven path from the drawn route [m], added to the reach of '
-        'ambushes; -1: as far as the path meets no other node, or, with an ambush_radius, a tenth '
-        'of it, at most 0.35 times the distance between nodes.', AUTOMATIC),
+        'Maximum distance of the driven path from the drawn route, of which it also cuts corners '
+        'where no ambush gains by it [m]; added to the reach of ambushes; -1: as far as the path '
+        'meets no other node, or, with an ambush_radius, a tenth of it, at most 0.35 times the '
+        'distance between nodes.', AUTOMATIC),
     'route.tracking_error': Declaration(
         DriveOptions().tracking_error,
         'Maximum distance of the robot from the driven path [m], added to the reach of ambushes; '

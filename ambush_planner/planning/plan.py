@@ -214,7 +214,7 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
               begin: float) -> Plan:
     """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
-    corridors = plan_corridors(strategy.network, risk_map, options)
+    corridors = plan_corridors(strategy, risk_map, options)
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
         # A fixed seed keeps the count independent of the departures' draws.
@@ -224,12 +224,18 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
                 different, time.monotonic() - begin, risk_map=risk_map)
 
 
-def plan_corridors(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
-    """The corridors of a plan's network."""
-    spacing = node_spacing(risk_map, options.network)
-    most = automatic_tube(options, spacing) if options.network.roads else np.inf
-    return make_corridors(network, risk_map, options.network.clearance, tube(options, spacing),
-                          options.network.clear_of_edge, most)
+def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
+    """The corridors of a plan's network; on roads, and without a reach, no corners are cut."""
+    spacing, game = node_spacing(risk_map, options.network), strategy.game
+    limit, most = tube(options, spacing), np.inf
+    reach = game.options.ambush_radius + game.options.tube
+    if options.network.roads:
+        reach, most = 0.0, automatic_tube(options, spacing)
+    elif game.options.ambush_radius == 0.0:
+        reach = 0.0
+    return make_corridors(strategy.network, risk_map, options.network.clearance, limit,
+                          options.network.clear_of_edge, most, reach,
+                          game.held.shrunk(game.options.tube))
 
 
 def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:

@@ -215,7 +215,7 @@ def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOp
     unused: Any = None  # neither routes nor paths depend on the bottleneck
     plan = Plan(strategy.network, strategy, unused, unused, planning,
                 node_spacing(risk_map, planning.network), None, 0.0)
-    plan = replace(plan, corridors=plan_corridors(strategy.network, risk_map, planning))
+    plan = replace(plan, corridors=plan_corridors(strategy, risk_map, planning))
     return plan, ChangedGround(plan, planned_on, options)
 
 

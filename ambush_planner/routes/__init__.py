@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a drawn route to the path to drive.
 
-``corridors`` limits how far the path may leave the route, ``taut_string`` finds the shortest line
-within them, and ``driven_path`` rounds its corners. ``corridor_update`` adapts corridors to map
-changes.
+``corridors`` limits how far the path may leave the route, ``cut_corners`` shortens the route where
+no ambush gains by it, ``taut_string`` finds the shortest line within them, and ``driven_path``
+rounds its corners. ``corridor_update`` adapts corridors to map changes.
 """

@@ -21,6 +21,8 @@ NODE_SHARE = 0.95
 OBSTACLE_MARGIN = 1e-5
 # Number of nodes examined around an edge; space beyond the furthest of them is not used.
 NEAREST = 12
+# How far chords at corners may be from the corner's edges [reaches]; 0.29 for a right angle.
+BESIDE = 0.3
 # Corners of a unit cell around 0, in order.
 CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
@@ -37,11 +39,18 @@ class CorridorWidths:
     beyond: FloatArray
 
 
-def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float | None) -> CorridorWidths:
-    """Widths up to the ``tube`` [m]; None: up to the nearest other nodes."""
+def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float | None,
+                   reach: float) -> CorridorWidths:
+    """Widths up to the ``tube`` [m] from routes with cut corners, whose chords may lie beside them.
+
+    Without a tube: up to the nearest other nodes.
+    """
     if tube is None:
         return widths_between_nodes(uv, pairs)
-    return CorridorWidths(np.full((len(pairs), 2), tube), np.full((len(pairs), 2, 2), tube))
+    # A chord of two edges is at most a quarter of each away from them.
+    aside = np.minimum(0.5 * _frame(uv, pairs)[2], BESIDE * reach)
+    return CorridorWidths(np.repeat(tube + aside[:, None], 2, axis=1),
+                          np.full((len(pairs), 2, 2), tube))
 
 
 def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:

@@ -46,8 +46,7 @@ def with_new_obstacles(corridors: Corridors, cells: FloatArray, clearance: float
 
 
 def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
-                   corner: FloatArray, clearance: float = 0.0, tube: float | None = None,
-                   clear_of_edge: bool = True,
+                   corner: FloatArray, clearance: float = 0.0, clear_of_edge: bool = True,
                    neighbours: IndexArray | None = None) -> Corridors:
     """Update the corridors after the source or target ``node`` moved.
 
@@ -57,12 +56,13 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
         New world position of the node [m].
     around, corner
         Part of the map, in map axes, and its lower left corner (2,) [m]; it extends beyond the
-        node's links by their length, or by the tube.
-    clearance, tube, clear_of_edge
+        node's links by their length, or by the largest width.
+    clearance, clear_of_edge
         As the corridors were made with.
     neighbours : (K,) int
         The nodes that take the place of those linked with it so far; None: they stay.
     """
+    tube = corridors.tube if corridors.tube < np.inf else None
     if neighbours is not None:
         corridors = _linked(corridors, node, neighbours, tube is None)
     links, uv = corridors.links, corridors.uv.copy()
@@ -71,7 +71,7 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
     distance = np.hypot(*(uv - uv[node]).T)
     nodes = np.flatnonzero(distance <= SEARCH_RADIUS * distance[links[at]].max())
     local_uv, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
-    measured = largest_widths(local_uv, pairs, tube)
+    measured = largest_widths(local_uv, pairs, tube, corridors.reach)
     measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
     return _with_widths(replace(corridors, uv=uv), at, measured)
 

@@ -10,7 +10,8 @@ edge. Strips and quarters keep the clearance from obstacles, and either
   route's own, so the game on the network is the game that is driven. A path may even skip nodes of
   its route, also by *shortcuts*, which are not edges of the network; or
 * contain no point further than ``tube`` from the edge or node: an ambush with reach r that hits the
-  driven path would hit the drawn route with reach r + tube.
+  driven path would hit the drawn route with reach r + tube. Routes whose corners are cut
+  (``cut_corners``) have strips and quarters along the chords too.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..errors import InvalidOption
+from ..game.discs import HeldGround
 from ..maps.obstacles import ObstacleField
-from ..maps.risk_map import RiskMap
+from ..maps.risk_map import RiskMap, to_map_axes
 from ..network.network import Network
 from .corridor_geometry import CorridorWidths, largest_widths, limit_to_map, widths_between_nodes
 
@@ -30,6 +32,8 @@ from .corridor_geometry import CorridorWidths, largest_widths, limit_to_map, wid
 SHORTCUT_COSINE = 0.5
 # Minimum distance of a shortcut from other nodes [shortcut lengths].
 SHORTCUT_MARGIN = 0.01
+
+NOTHING_HELD = HeldGround(np.empty((0, 2)), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,13 @@ class Corridors:
         Radii of the left and right quarters beyond tail and head [m], at most the strip's width.
     shortcut : (L,) bool
         Links on which a path may skip nodes of its route; without a tube, initially all.
+    tube
+        Largest distance from the drawn route with its corners cut [m]; inf: the widths limit it.
+        Widths are larger where chords at corners may need it.
+    reach
+        Distance within which ambushes hit drawn routes [m]; 0: no corners are cut.
+    held
+        Discs in map axes; parts of drawn routes in them are not hit.
     """
 
     network: Network
@@ -64,6 +75,9 @@ class Corridors:
     widths: FloatArray
     beyond: FloatArray
     shortcut: BoolArray
+    tube: float
+    reach: float
+    held: HeldGround
     _keys: IndexArray
 
     def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
@@ -101,7 +115,8 @@ class Corridors:
 
 def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
                    tube: float | None = None, clear_of_edge: bool = True,
-                   most: float = np.inf) -> Corridors:
+                   most: float = np.inf, reach: float = 0.0,
+                   held: HeldGround = NOTHING_HELD) -> Corridors:
     """Measure the strips and quarters of a network on its map.
 
     Parameters
@@ -112,6 +127,9 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         Largest distance from the drawn route [m]; None: up to the nearest other nodes.
     most
         Largest distance from the drawn route if there is no tube [m]; inf: paths take shortcuts.
+    reach, held
+        With a tube: the distance within which ambushes hit drawn routes [m], tube included, and the
+        discs in which they do not. Corners are cut where no ambush gains by it.
 
     Raises InvalidOption if the tube is negative or not finite.
     """
@@ -119,12 +137,13 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
     uv = risk_map.to_map_axes(network.points[network.representatives])
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
+    held = held_in_map_axes(held, risk_map.origin)
     if tube is None and most == np.inf:
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, measured = _with_shortcuts(uv, edges, field, clearance)
     else:
-        pairs, free = edges, largest_widths(uv, edges, tube)
-        most = most if tube is None else tube
+        pairs, free = edges, largest_widths(uv, edges, tube, reach)
+        most = most if tube is None else np.inf
         measured = CorridorWidths(np.minimum(free.widths, most), np.minimum(free.beyond, most))
     measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
@@ -135,7 +154,12 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     links = links[order]
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
                      np.full(len(links), tube is None and most == np.inf),
-                     link_keys(links, len(uv)))
+                     np.inf if tube is None else tube, reach, held, link_keys(links, len(uv)))
+
+
+def held_in_map_axes(held: HeldGround, origin: tuple[float, float, float]) -> HeldGround:
+    """The same discs in map axes."""
+    return held._replace(centres=to_map_axes(origin, held.centres))
 
 
 def link_keys(links: IndexArray, count: int) -> IndexArray:

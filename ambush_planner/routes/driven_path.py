@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driven path: the shortest in the drawn route's corridor, with rounded corners.
 
-The taut string leaves a margin at both ends of each portal, in which its corners are rounded. If a
-turn is too tight, the margin is widened.
+The taut string leaves a margin at both ends of each portal, in which its corners are rounded, and
+beyond the ends where it is free and no ambush gains by it. If a turn is too tight, the margin is
+widened.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from ..errors import InvalidOption
 from ..game.route_sampler import MAX_POSES
 from ..maps.risk_map import to_world
 from .corridors import Corridors
-from .taut_string import Portals, cross, padded, portals_along, taut_strings
+from .cut_corners import cross, free_depth, padded
+from .taut_string import Portals, portals_along, taut_strings
 
 # Initial and largest margin [portal widths].
 MARGIN, MAX_MARGIN = 0.03, 0.49
@@ -203,7 +205,10 @@ def _rounded(portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexAr
     turn = np.where(within, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
     outward = side[1:-1, None] * portals.leftward[inner]
     with np.errstate(divide='ignore', invalid='ignore'):
-        cut = margin[inner] / _relative_offset(turn, outward, after - before)
+        offset = _relative_offset(turn, outward, after - before)
+        room = portals.room[inner, np.where(side[1:-1] > 0, 0, 1)]
+        unnoticed = _unnoticed(portals, points[1:-1], turn, np.minimum(length[:-1], length[1:]))
+        cut = np.fmax(margin[inner] / offset, np.fmin((margin[inner] + room) / offset, unnoticed))
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], before, inner - 1))
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], after, inner + 1))
     tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
@@ -225,6 +230,16 @@ def _relative_offset(turn: FloatArray, outward: FloatArray, aside: FloatArray) -
     circle = (cosine - np.sqrt(np.maximum(within, 0.0))) / np.sin(half)
     offset: FloatArray = np.where(within > 0.0, np.minimum(chord, circle), chord)
     return offset
+
+
+def _unnoticed(portals: Portals, points: FloatArray, turn: FloatArray,
+               short: FloatArray) -> FloatArray:
+    """Largest cuts (C,) of turns between lines, the ``short`` ones (C,), that are hit no more."""
+    sine, cosine = np.sin(np.abs(turn) / 2), np.cos(turn / 2)
+    depth = free_depth(points, short, sine, cosine, portals.reach, portals.held)
+    # Of the chords between poses, the deepest one; one chord only if the turn is small.
+    deepest: FloatArray = np.minimum((1.0 - math.cos(TURN / 2) * cosine) / sine, sine)
+    return depth / deepest
 
 
 def _fit_between_corners(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatArray:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shortest lines through the corridors of many routes at once.
 
-A route's strips and quarters (``corridors``) overlap in a *portal* at each of its nodes: a segment
-on the bisector of its two edges. Strips are convex, so straight lines from portal to portal stay in
-them. The shortest such line, the taut string, is found by the funnel algorithm (Lee and Preparata
-1984) in one pass.
+The strips and quarters of a route with cut corners (``cut_corners``) overlap in a *portal* at each
+point: a piece of the bisector of its two segments. Strips are convex, so straight lines from portal
+to portal stay in them. The shortest such line, the taut string, is found by the funnel algorithm
+(Lee and Preparata 1984) in one pass.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..game.discs import HeldGround
 from .corridors import Corridors
+from .cut_corners import cross, cut_routes, padded
 
 # Largest extent of portals along their edges [edge lengths]; below 0.5, neighbours never cross.
 ALONG = 0.45
@@ -23,11 +25,13 @@ ALONG = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Portals:
-    """The portals at the ``nodes`` (K, 2) of routes, concatenated [m].
+    """The portals at the ``nodes`` (K, 2) of lines, concatenated [m].
 
     ``leftward`` (K, 2) are unit vectors, ``left`` and ``right`` (K,) the extents to both sides, 0
-    at the ends of a route, and ``length`` (K,) is that of the shorter edge. Route i has the portals
-    from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,).
+    at the ends of a line, and ``length`` (K,) is that of the shorter segment. Line i has the
+    portals from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,). ``room`` (K, 2) is how far it is free
+    of obstacles beyond the left and right ends on the inner side of a turn: lines may lead there
+    where no ambush with the ``reach`` [m] gains by it; ``held`` are the discs in which none hits.
     """
 
     nodes: FloatArray
@@ -36,6 +40,9 @@ class Portals:
     right: FloatArray
     length: FloatArray
     bounds: IndexArray
+    room: FloatArray
+    reach: float
+    held: HeldGround
 
     @property
     def width(self) -> FloatArray:
@@ -49,40 +56,36 @@ class Portals:
 
 
 def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
-    """The portals at the nodes of routes (K,)."""
-    bounds = np.cumsum([0, *map(len, routes)])
-    route = np.concatenate(routes)
-    nodes = corridors.uv[route]
-    joined = np.ones(len(route) - 1, dtype=bool)  # False from one route to the next
-    joined[bounds[1:-1] - 1] = False
-    links = np.zeros(len(joined), dtype=np.int64)
-    links[joined] = corridors.links_along(route[:-1][joined], route[1:][joined])
-    step = np.where(joined[:, None], np.diff(nodes, axis=0), (1.0, 0.0))
-    length = np.hypot(*step.T)
-    unit = step / length[:, None]
+    """The portals along routes (K,), with their corners cut."""
+    lines = cut_routes(corridors, routes)
+    unit, length, widths, quarters = lines.unit, lines.length, lines.widths, lines.quarters[1:-1]
     halves = unit[:-1] + unit[1:]
     size = np.hypot(*halves.T)
-    # Components of the portal's direction across and along the edges.
+    # Components of the portal's direction across and along the segments.
     off = np.maximum(size / 2, 1e-9)
     along = np.sqrt(np.maximum(1.0 - off**2, 0.0))
     leftward = np.stack((-halves[:, 1], halves[:, 0]), axis=1) / np.maximum(size, 1e-9)[:, None]
     limit = ALONG * np.minimum(length[:-1], length[1:]) / np.maximum(along, 1e-9)
-    before, after = links[:-1], links[1:]
-    inner, outer = [], []
-    for side, width in enumerate(corridors.widths.T):
-        inner.append(np.minimum(np.minimum(width[before], width[after]) / off, limit))
-        quarter = np.minimum(corridors.beyond[before, 1, side], corridors.beyond[after, 0, side])
+    inner, outer, room = [], [], []
+    for side, (width, more) in enumerate(zip(widths.T, lines.room.T, strict=True)):
+        inner.append(np.minimum(np.minimum(width[:-1], width[1:]) / off, limit))
+        wide = width + more
+        room.append(np.minimum(np.minimum(wide[:-1], wide[1:]) / off, limit) - inner[-1])
         # A line from a portal's outer end to the next portal must enter the strip where it meets
         # the quarter.
-        steep = np.maximum(width[before] / length[:-1], width[after] / length[1:]) / (1.0 - ALONG)
-        outer.append(quarter / np.maximum(off + along * steep, 1.0))
+        steep = np.maximum(width[:-1] / length[:-1], width[1:] / length[1:]) / (1.0 - ALONG)
+        outer.append(quarters[:, side] / np.maximum(off + along * steep, 1.0))
     turn = cross(unit[:-1], unit[1:])
-    within = joined[:-1] & joined[1:]
+    within = lines.joined[:-1] & lines.joined[1:]
     usable = within & (size > 1e-6)
-    return Portals(nodes, padded(leftward * within[:, None]),
+    held = corridors.held._replace(radii=corridors.held.radii + corridors.tube)
+    return Portals(lines.points, padded(leftward * within[:, None]),
                    padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
                    padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
-                   padded(np.minimum(length[:-1], length[1:])), bounds)
+                   padded(np.minimum(length[:-1], length[1:])), lines.bounds,
+                   padded(np.stack((room[0] * (turn >= 0), room[1] * (turn <= 0)), axis=1)
+                          * usable[:, None]),
+                   max(corridors.reach - corridors.tube, 0.0), held)
 
 
 def taut_strings(portals: Portals, margin: FloatArray,
@@ -137,16 +140,3 @@ def _left_first(left: FloatArray, right: FloatArray) -> BoolArray:
     before = cross(old - left[:-1], new - left[:-1]) >= 0.0
     after = cross(right[1:] - old, new - old) >= 0.0
     return np.append(True, before & after)
-
-
-def padded(values: FloatArray) -> FloatArray:
-    """Append zeros for the first and last portals to the values (K - 2, ...) of all others."""
-    padded = np.zeros((len(values) + 2, *values.shape[1:]))
-    padded[1:-1] = values
-    return padded
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (C,) of plane vectors (C, 2)."""
-    product: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return product
