@@ -29,7 +29,7 @@ def check_at_least(name: str, value: object, least: float, unit: str = '',
 def none_for(options: object, **automatic: float | str) -> None:
     """Set options to None that have the node's value for it: ROS parameters cannot be None."""
     for name, value in automatic.items():
-        if getattr(options, name) == value:
+        if isinstance(given := getattr(options, name), int | float | str) and given == value:
             object.__setattr__(options, name, None)
 
 

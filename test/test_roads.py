@@ -224,7 +224,8 @@ STREET = [(10.0, 10.0), (90.0, 10.0)]
     ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'bad.geojson'),
     ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: .*16'),
     ('empty.gpkg', geopandas.GeoDataFrame(geometry=[Point(1, 1)], crs=CRS), 'no LineString in it'),
-    ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway .*'sometimes'"),
+    ('way.gpkg', lines(STREET, oneway=['sometimes']),
+     'oneway=sometimes 1; known values of oneway are yes, true'),
     ('speed.gpkg', lines(STREET, STREET[::-1], speed_kph=[50.0, None]),
      'speed_kph: 1 of 2'),
 ])

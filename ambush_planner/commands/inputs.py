@@ -153,6 +153,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``."""
     for word, (_, unit, text) in WORDS.items():
         parser.add_argument(f'--{word}', metavar=unit, help=text)
+    parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
+                        'cross without a shared vertex (network.node_crossings)')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
                         help='other options, such as network.spacing=50 game.ambushers=2')
 
@@ -193,8 +195,9 @@ def options_from(arguments: argparse.Namespace) -> SolveOptions:
     ``add_crs`` take precedence over ``map.crs``.
     """
     words = {word: getattr(arguments, word) for word in WORDS}
-    options = options_of([*arguments.set, *(f'{WORDS[word][0]}={value}'
-                                            for word, value in words.items() if value is not None)])
+    options = options_of([
+        *arguments.set, *['network.node_crossings=true'] * arguments.node_crossings,
+        *(f'{WORDS[word][0]}={value}' for word, value in words.items() if value is not None)])
     if 'crs' in arguments and (crs := crs_text(arguments)):
         options = dataclasses.replace(options, map=dataclasses.replace(options.map, crs=crs))
     return options
@@ -251,6 +254,10 @@ def options_of(assignments: Sequence[str]) -> SolveOptions:
             raise InvalidOption(f'{name} has two values; give one')
         kind = next(kind for kind in (tuple, str, float, int, bool) if kind.__name__ in names[name])
         changes[group][option] = _value(name, text, kind)
+    network = changes['network']
+    for name in ('graph', 'node_crossings', 'join_distance'):
+        if name in network and network.get('method') != 'graph':
+            raise InvalidOption(f'network.{name} has no effect without network.method=graph')
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})
 

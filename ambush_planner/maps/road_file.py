@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads from vector files and from the graphs of nav2_route."""
+"""Roads from vector files and tables of lines, and from graphs of nav2_route, networkx, osmnx."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..arrays import FloatArray, IndexArray, frozen_array
-from ..errors import InvalidOption
-from .vector_file import InvalidFeatures, read_features
+from ..errors import InvalidOption, warn
+from .road_tags import roads_among
+from .vector_file import InvalidFeatures, read_features, single_parts
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
 # Maximum number of connected parts with colours of their own in pictures.
 MAX_NAMED = 9
-# Values of ``oneway`` in OpenStreetMap, osmnx and Geofabrik's extracts (F, T, B).
-ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1,
-           'no': 0, 'false': 0, '0': 0, 'b': 0, 'none': 0, 'nan': 0, '': 0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,28 +60,40 @@ class RoadGraph:
         return f'RoadGraph({len(self.pairs)} pieces)'
 
 
-def read_roads(source: str | Path) -> RoadGraph:
-    """Read the lines of a vector file (``read_features``), or a graph of nav2_route (GeoJSON).
+def read_roads(source: Any, node_crossings: bool = False) -> RoadGraph:
+    """Read the roads of a file, a table of lines (GeoDataFrame), or a graph of networkx or osmnx.
 
-    Lines meet where they share a vertex, so a bridge does not meet the road below. Attributes, as
-    in OpenStreetMap and osmnx: ``oneway`` (yes, no, -1: against the line) and ``speed_kph``. Those
-    of a graph of nav2_route: points with ``id``; lines with ``startid``, ``endid`` and, in their
-    ``metadata``, ``abs_speed_limit`` [m/s], each in one direction and in the map's own metres.
+    Lines meet where they share a vertex, so a bridge does not meet the road below. With
+    ``node_crossings`` they also meet where they cross or touch, unless one is on a bridge or in a
+    tunnel; else a warning counts these places. ``roads_among`` says which lines are roads, and in
+    which direction.
 
-    Raises InvalidOption if the file cannot be read, or an attribute is missing or malformed.
+    A file is a vector file (``read_features``) or a graph of nav2_route (GeoJSON): points with
+    ``id``; lines with ``startid``, ``endid`` and, in their ``metadata``, ``abs_speed_limit`` [m/s],
+    each in one direction and in the map's own metres.
+
+    Raises InvalidOption if the roads cannot be read, or an attribute is missing or malformed.
     """
-    if not str(source):
-        raise InvalidOption('graph must name a file with roads if method is graph')
-    path = Path(str(source).partition('|layername=')[0]).expanduser()
     try:
+        if not isinstance(source, str | Path):
+            if hasattr(source, 'adj'):
+                source = lines_of_graph(source)
+            if not hasattr(source, 'geometry'):
+                raise InvalidFeatures(f'a {type(source).__name__} is neither a file, a '
+                                      'GeoDataFrame nor a graph of networkx')
+            lines = single_parts('roads', source, ['LineString'])
+            return roads_from_lines('roads', lines, node_crossings)
+        if not str(source):
+            raise InvalidFeatures('must name a file with roads if method is graph')
+        path = Path(str(source).partition('|layername=')[0]).expanduser()
         changed = path.stat()
-        return _read(str(source), path, (changed.st_mtime_ns, changed.st_size))
+        return _read(str(source), path, node_crossings, (changed.st_mtime_ns, changed.st_size))
     except (OSError, InvalidFeatures) as error:
         raise InvalidOption(f'graph: {error}') from error
 
 
 @lru_cache(4)
-def _read(source: str, path: Path, version: tuple[int, int]) -> RoadGraph:
+def _read(source: str, path: Path, node_crossings: bool, version: tuple[int, int]) -> RoadGraph:
     """Read the file again only if it has changed."""
     if path.suffix.lower() in ('.json', '.geojson'):
         try:
@@ -93,7 +103,37 @@ def _read(source: str, path: Path, version: tuple[int, int]) -> RoadGraph:
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InvalidFeatures(
                 f'{path}: not a graph or FeatureCollection in GeoJSON: {error!r}') from error
-    return roads_from_lines(str(path), read_features(source, 'LineString'))
+    if path.suffix.lower() == '.graphml':
+        raise InvalidFeatures(f'{path}: convert GraphML with osmnx.save_graph_geopackage('
+                              'osmnx.load_graphml(FILE), directed=True)')
+    return roads_from_lines(str(path), read_features(source, 'LineString'), node_crossings)
+
+
+def lines_of_graph(graph: Any) -> GeoDataFrame:
+    """The edges of a graph of networkx whose nodes have x and y (or ``pos``), as osmnx makes it.
+
+    Edges of a directed graph are in one direction. Raises InvalidFeatures if a node has no place.
+    """
+    import geopandas
+    import shapely
+
+    places = {}
+    for node, tags in graph.nodes(data=True):
+        try:
+            places[node] = [float(each) for each in tags.get('pos') or (tags['x'], tags['y'])]
+        except (KeyError, TypeError, ValueError):
+            raise InvalidFeatures(f'node {node} has no numbers x and y') from None
+    rows = []
+    for tail, head, tags in graph.edges(data=True):
+        if not graph.is_directed() and str(tags.get('oneway', 'no')).lower() not in ('no', 'false'):
+            raise InvalidFeatures('an undirected graph with one-way edges; give the directed one')
+        shape = tags.get('geometry') or shapely.LineString((places[tail], places[head]))
+        shape = shapely.from_wkt(shape) if isinstance(shape, str) else shape
+        ends = [shapely.distance(shapely.Point(shape.coords[0]), shapely.Point(places[node]))
+                for node in (tail, head)]
+        rows.append({**tags, 'oneway': graph.is_directed(),
+                     'geometry': shape.reverse() if ends[1] < ends[0] else shape})
+    return geopandas.GeoDataFrame(rows, geometry='geometry', crs=graph.graph.get('crs'))
 
 
 def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
@@ -128,33 +168,24 @@ def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
     return _graph(np.array(points, dtype=float), np.array([tails, heads]).T, way, forward, '')
 
 
-def roads_from_lines(path: str, lines: GeoDataFrame) -> RoadGraph:
-    """Join lines where they share a vertex; ``path`` is named in errors."""
-    import shapely
+def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool = False) -> RoadGraph:
+    """Join lines that are roads where they share a vertex, as ``read_roads`` says.
 
-    crs = lines.crs
-    if 'oneway' not in lines and 'other_tags' in lines:  # GDAL's reader of OpenStreetMap files
-        tags = lines['other_tags'].astype(str)
-        lines = lines.assign(oneway=tags.str.extract('"oneway"=>"([^"]*)"', expand=False))
-    coordinates, line = shapely.get_coordinates(lines.geometry, return_index=True)
-    digits = DIGITS_DEGREES if crs is not None and crs.is_geographic else DIGITS_METRES
-    _, first, place = np.unique(coordinates.round(digits), axis=0, return_index=True,
-                                return_inverse=True)
-    place = place.ravel()
-    inner = line[1:] == line[:-1]
-    segments = np.stack((place[:-1][inner], place[1:][inner]), axis=1)
-    way = np.array([_direction(path, value) for value in lines['oneway']]
-                   if 'oneway' in lines else np.zeros(len(lines)), dtype=np.int64)
-    given = np.full(len(lines), np.nan)
-    if 'speed_kph' in lines:
-        try:
-            given = lines['speed_kph'].to_numpy(dtype=float, na_value=np.nan) / 3.6
-        except (TypeError, ValueError) as error:
-            raise InvalidFeatures(f'{path}: speed_kph must be numbers: {error}') from error
-    speed = _speeds(given, f'{path}: speed_kph')
-    of = line[1:][inner]
-    return _graph(coordinates[first], segments, way[of], None if speed is None else speed[of],
-                  crs.to_wkt() if crs is not None else '')
+    ``path`` is named in errors and warnings.
+    """
+    lines, tags = roads_among(path, lines)
+    points, segments, line, digits = _segments(lines)
+    crossings = _crossings(points, segments, np.array([road.level for road in tags])[line])
+    if node_crossings:
+        points, segments, line = _noded(points, segments, line, *crossings, digits)
+    elif count := len(np.unique(crossings[2].round(digits), axis=0)):
+        warn(f'{path}: roads cross or touch at {count} places without a shared vertex, bridges and '
+             'tunnels apart; these are no junctions unless --node-crossings (node_crossings) joins '
+             'them')
+    way = np.array([road.way for road in tags])
+    speed = _speeds(np.array([road.speed for road in tags]), f'{path}: speed_kph')
+    return _graph(points, segments, way[line], None if speed is None else speed[line],
+                  lines.crs.to_wkt() if lines.crs is not None else '')
 
 
 def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
@@ -162,21 +193,65 @@ def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
     import geopandas
     import shapely
 
-    roads = roads_from_lines('', lines[['geometry']])
-    joined = coo_matrix((np.ones(len(roads.pairs)), tuple(roads.pairs.T)), [len(roads.points)] * 2)
-    part = connected_components(joined, directed=False)[1][roads.pairs[:, 0]]
-    pieces = shapely.linestrings(roads.points[roads.pairs])
+    points, segments, *_ = _segments(lines)
+    joined = coo_matrix((np.ones(len(segments)), tuple(segments.T)), [len(points)] * 2)
+    part = connected_components(joined, directed=False)[1][segments[:, 0]]
+    pieces = shapely.linestrings(points[segments])
     km = np.bincount(part, shapely.length(pieces)) / 1000.0
     least = np.sort(km)[-MAX_NAMED:][0]
     names = [f'{each:.4g} km' if each >= least else 'shorter' for each in km]
     return geopandas.GeoDataFrame({'part': [names[k] for k in part]}, geometry=pieces)
 
 
-def _direction(path: str, value: object) -> int:
-    text = str(value).strip().lower().removesuffix('.0')
-    if text not in ONE_WAY:
-        raise InvalidFeatures(f'{path}: oneway must be yes, no or -1, got {value!r}')
-    return ONE_WAY[text]
+def _segments(lines: GeoDataFrame) -> tuple[FloatArray, IndexArray, IndexArray, int]:
+    """Places (P, 2), segments between them (S, 2), the line of each (S,), decimals of places."""
+    import shapely
+
+    coordinates, line = shapely.get_coordinates(lines.geometry, return_index=True)
+    in_degrees = lines.crs is not None and lines.crs.is_geographic
+    if in_degrees:  # continuous across the antimeridian
+        first = coordinates[0, 0]
+        coordinates[:, 0] = (coordinates[:, 0] - first + 180.0) % 360.0 + first - 180.0
+    digits = DIGITS_DEGREES if in_degrees else DIGITS_METRES
+    points, place = _places(coordinates, digits)
+    inner = line[1:] == line[:-1]
+    return points, np.stack((place[:-1], place[1:]), axis=1)[inner], line[1:][inner], digits
+
+
+def _places(points: FloatArray, digits: int) -> tuple[FloatArray, IndexArray]:
+    """Places that are equal to the given decimals once, and the place of each."""
+    _, first, place = np.unique(points.round(digits), axis=0, return_index=True,
+                                return_inverse=True)
+    return points[first], place.ravel()
+
+
+def _crossings(points: FloatArray, segments: IndexArray,
+               level: IndexArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Segments that meet others of their level without a shared place: two (C,), where (C, 2)."""
+    import shapely
+
+    shapes = shapely.linestrings(points[segments])
+    one, other = shapely.STRtree(shapes).query(shapes, predicate='intersects')
+    apart = (segments[one][:, :, None] != segments[other][:, None, :]).all(axis=(1, 2))
+    new = (one < other) & apart & (level[one] == level[other])
+    at = shapely.intersection(shapes[one[new]], shapes[other[new]])
+    single = shapely.get_type_id(at) == shapely.GeometryType.POINT
+    return one[new][single], other[new][single], shapely.get_coordinates(at[single])
+
+
+def _noded(points: FloatArray, segments: IndexArray, line: IndexArray, one: IndexArray,
+           other: IndexArray, at: FloatArray,
+           digits: int) -> tuple[FloatArray, IndexArray, IndexArray]:
+    """Cut segments where they meet (``_crossings``)."""
+    every, place = _places(np.concatenate((points, at)), digits)
+    ends, met, number = place[segments], place[len(points):], np.arange(len(segments))
+    segment = np.concatenate((number, one, other, number))
+    node = np.concatenate((ends[:, 0], met, met, ends[:, 1]))
+    along = np.hypot(*(every[node] - every[ends[segment, 0]]).T)
+    order = np.lexsort((along, segment))
+    segment, node = segment[order], node[order]
+    inner = segment[1:] == segment[:-1]
+    return every, np.stack((node[:-1], node[1:]), axis=1)[inner], line[segment[1:][inner]]
 
 
 def _speeds(values: FloatArray, name: str) -> FloatArray | None:

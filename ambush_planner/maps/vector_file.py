@@ -1,35 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Points, lines and polygons from GeoPackage, GeoJSON and other vector files."""
+"""Points, lines and polygons from GeoPackage, GeoJSON and other vector files, and from CSV.
+
+What is left out is counted in a warning, or refused if all of it matters.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError
+from ..errors import AmbushPlannerError, warn
 from ..option_checks import check_at_least
-from .coordinates import Coordinates, InvalidCoordinates, in_metres
+from .coordinates import WGS84, Coordinates, InvalidCoordinates, in_metres
 from .risk_map import RiskMap, to_map_axes
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
+
+# GDAL's drivers of vector files.
+_DRIVERS = ('ESRI Shapefile', 'DXF', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSON', 'GeoJSONSeq',
+            'KML', 'LIBKML', 'MapInfo File', 'OSM', 'OpenFileGDB', 'SQLite', 'TopoJSON')
+# Layers of OSM and GPX files that are meant if none is named.
+_USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
+# Columns of positions: degrees north and east, or metres.
+_COLUMNS = (('lat', 'lon'), ('latitude', 'longitude'), ('lat', 'lng'), ('y', 'x'),
+            ('northing', 'easting'))
 
 
 class InvalidFeatures(AmbushPlannerError, ValueError):
     """A vector file is unreadable, or lacks features or attributes."""
 
 
-def read_features(source: str, kind: str) -> GeoDataFrame:
-    """Read the features of a ``kind``, 'Point', 'LineString' or 'Polygon', as single parts.
+def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
+    """Read the features of ``kinds``, of 'Point', 'LineString' and 'Polygon', as single parts.
 
     ``source`` is a file, or ``FILE|layername=NAME`` as in QGIS; without a name, the layer is the
-    one that has such features. Features of other kinds are left out; parts of one feature have its
-    index.
+    one that has such features. A ``.csv`` file has points, in the columns lat and lon [degrees] or
+    x and y [m]. Features of other kinds and without a geometry are left out; parts of one feature
+    have its index.
 
-    Raises InvalidFeatures if there are none, or if several layers have some.
+    Warns of what is left out; ``refused`` says why that is an error instead. Raises InvalidFeatures
+    if there are none, or if several layers have some.
     """
     name, _, layer = str(source).partition('|layername=')
     path = Path(name).expanduser()
@@ -37,28 +54,91 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
         raise InvalidFeatures(f'{path}: no such file')
     try:
         import geopandas  # noqa: F401
-        import pyogrio
     except ModuleNotFoundError:
         raise InvalidFeatures(
             f"{path}: vector files need: pip install 'ambush_planner[gis]'"
         ) from None
+    frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
+    return single_parts(str(path), frame, kinds, refused)
+
+
+def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
+                 refused: str = '') -> GeoDataFrame:
+    """The single parts of some kinds in a table, as ``read_features`` returns them."""
+    empty = frame.geometry.isna() | frame.geometry.is_empty
+    parts = frame[~empty].explode()
+    fits = parts.geom_type.isin(kinds)
+    kept, others = parts[fits], parts[~fits]
+    found = Counter(others[~others.index.duplicated()].geom_type)
+    if empty.any():
+        found['without a geometry'] = int(empty.sum())
+    what = ', '.join(f'{count} {kind}' for kind, count in found.items())
+    if kept.empty:
+        raise InvalidFeatures(f'{path}: no {" or ".join(kinds)} in it{", but " * bool(what)}{what}')
+    if found:
+        text = f'{path}: {sum(found.values())} of {len(frame)} features are left out: {what}'
+        if refused:
+            raise InvalidFeatures(f'{text}; {refused}')
+        warn(text)
+    return kept
+
+
+def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
+    """Read the layer that is named, or the one that can have features of the kinds."""
+    import pyogrio
+
     try:
+        if (driver := pyogrio.read_info(path)['driver']) not in _DRIVERS:
+            raise ValueError(f'but of the kind {driver}')
         layers = [layer] if layer else [
-            each for each, geometry in pyogrio.list_layers(path)
-            if geometry and (kind in geometry or geometry in ('Unknown', 'GeometryCollection'))
-        ]
-        frame = pyogrio.read_dataframe(path, layer=layers[0]) if len(layers) == 1 else None
+            each for each, geometry in pyogrio.list_layers(path) if geometry and (
+                geometry in ('Unknown', 'GeometryCollection') or any(
+                    kind in geometry for kind in kinds))]
+        if len(layers) > 1 and driver in ('OSM', 'GPX'):
+            layers = [each for each in layers if each in _USUAL][:1]
+        if len(layers) > 1:
+            raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with '
+                                  f'NAME one of {", ".join(layers)}')
+        return pyogrio.read_dataframe(path, layer=layers[0] if layers else None)
+    except InvalidFeatures:
+        raise
     except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
-        raise InvalidFeatures(f'{path}: not a vector file ({str(error).split("; ")[0]})') from error
-    if len(layers) > 1:
-        raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with NAME '
-                              f'one of {", ".join(layers)}')
-    if frame is not None:
-        frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode()
-        frame = frame[frame.geometry.geom_type == kind]
-    if frame is None or frame.empty:
-        raise InvalidFeatures(f'{path}: no {kind} in it')
-    return frame
+        reason = str(error).split('; ')[0].removesuffix('.')
+        raise InvalidFeatures(f'{path}: not a vector file that can be read ({reason}); it may be '
+                              'damaged, or end early') from error
+
+
+def read_positions(path: Path) -> GeoDataFrame:
+    """Read a CSV file with a position in each row; raises InvalidFeatures.
+
+    Its columns are lat and lon [degrees, WGS 84] or x and y [m], in any case. A position that is no
+    number, or in degrees (0, 0) or not on the Earth, has no geometry.
+    """
+    import pandas
+
+    try:
+        rows = pandas.read_csv(path, skipinitialspace=True)
+    except (ValueError, UnicodeDecodeError) as error:  # of pandas
+        raise InvalidFeatures(f'{path}: {" ".join(str(error).split())}') from error
+    rows.columns = [str(name).strip().lower() for name in rows.columns]
+    for north, east in _COLUMNS:
+        if {north, east} <= set(rows):
+            columns = (pandas.to_numeric(rows[name], errors='coerce') for name in (east, north))
+            return with_positions(rows, np.stack([*columns], axis=1), in_degrees=north[0] == 'l')
+    raise InvalidFeatures(f'{path}: the columns x and y [m], or lat and lon [degrees], are needed; '
+                          f'there are {", ".join(rows)}')
+
+
+def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
+    """A table with positions (L, 2) as points; those without a fix are missing."""
+    import geopandas
+
+    fixed = np.asarray(np.isfinite(xy).all(axis=1))
+    if in_degrees:
+        fixed &= (np.abs(xy) <= (360.0, 90.0)).all(axis=1) & (np.abs(xy) > 1e-6).any(axis=1)
+    points = geopandas.GeoSeries.from_xy(*np.nan_to_num(xy).T, index=rows.index,
+                                         crs=WGS84 if in_degrees else None)
+    return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
 def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
@@ -80,24 +160,31 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
     return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))
 
 
-def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
+def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = None,
+                refused: str = '') -> GeoDataFrame:
     """Read features (``read_features``) in the coordinates of a map.
 
-    Raises InvalidFeatures if none is on the map, or only one of the systems is known.
+    Those without a coordinate system have ``crs``. Raises InvalidFeatures if none is on the map, or
+    only one of the systems is known.
     """
-    from shapely import box
+    import shapely
 
-    features = read_features(source, kind)
-    if risk_map.crs and features.crs is None:
-        raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
-                              f'{risk_map.crs}; name it in the file')
+    features = read_features(source, *kinds, refused=refused)
     if risk_map.crs:
-        features = features.to_crs(risk_map.crs)
+        own = None if features.crs is not None else crs
+        if features.crs is None and not own:
+            raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
+                                  f'{risk_map.crs}; name it in the file, or with crs for all files')
+        if own != risk_map.crs:
+            system = Coordinates(risk_map.crs)
+            features = (features.set_crs(own) if own else features).to_crs(system.crs)
+            features.geometry = shapely.transform(features.geometry,
+                                                  partial(to_map_axes, system.origin))
     elif features.crs is not None and not in_metres(features.crs):
         raise InvalidFeatures(f'{source}: not in metres ({features.crs.name}), and the coordinate '
                               'system of the map is unknown; name it with crs')
     low, high = risk_map.bounds
-    if not features.intersects(box(*low, *high)).any():
+    if not features.intersects(shapely.box(*low, *high)).any():
         raise InvalidFeatures(f'{source}: nothing in it lies on the map, which reaches from '
                               f'({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f})')
     return features
@@ -121,8 +208,9 @@ def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray
 
 
 def attribute(features: GeoDataFrame, key: str, name: str) -> Any:
-    """The column of an attribute; raises InvalidFeatures if there is none."""
-    if name not in features.columns:
-        others = ', '.join(str(each) for each in features.columns if each != 'geometry')
+    """The column of an attribute, in any case; raises InvalidFeatures if there is none."""
+    names = {str(each).lower(): each for each in features.columns if each != 'geometry'}
+    if name not in features.columns and name.lower() not in names:
+        others = ', '.join(map(str, names.values()))
         raise InvalidFeatures(f'{key}: no attribute {name!r}; there is {others or "none"}')
-    return features[name]
+    return features[name if name in features.columns else names[name.lower()]]

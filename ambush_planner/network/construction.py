@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +52,10 @@ class NetworkOptions:
     target_nodes
         Number of nodes to aim for if ``spacing`` is None.
     graph
-        Roads for the method 'graph': a ``RoadGraph``, or the file that ``read_roads`` reads.
+        Roads for the method 'graph': what ``read_roads`` takes (a file, a GeoDataFrame of lines, a
+        graph of networkx or osmnx), or a ``RoadGraph``.
+    node_crossings
+        Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
 
@@ -67,7 +71,8 @@ class NetworkOptions:
     seed: int = 0
     target_nodes: int = 2500
     clear_of_edge: bool = True
-    graph: str | RoadGraph | None = None
+    graph: str | RoadGraph | Any = None
+    node_crossings: bool = False
     join_distance: float = 50.0
 
     def __post_init__(self) -> None:
@@ -79,10 +84,12 @@ class NetworkOptions:
         check_at_least('clearance', self.clearance, 0.0, 'm')
         check_whole('seed', self.seed, 0)
         check_whole('target_nodes', self.target_nodes, 2)
-        check_flag('clear_of_edge', self.clear_of_edge)
+        for name in ('clear_of_edge', 'node_crossings'):
+            check_flag(name, getattr(self, name))
         check_at_least('join_distance', self.join_distance, 0.0, 'm')
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
-            object.__setattr__(self, 'graph', read_roads(self.graph or ''))
+            given = '' if self.graph is None else self.graph
+            object.__setattr__(self, 'graph', read_roads(given, self.node_crossings))
 
     @property
     def roads(self) -> RoadGraph | None:
