@@ -7,10 +7,18 @@ from itertools import pairwise
 import numpy as np
 from games import HUNT, METHODS, random_map
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
+from scipy.spatial import Delaunay, cKDTree
 
-from ambush_planner import GoalBlocked, NetworkOptions, NoRoute, StartBlocked, build_network
+from ambush_planner import (
+    GoalBlocked,
+    Network,
+    NetworkOptions,
+    NoRoute,
+    StartBlocked,
+    build_network,
+)
 from ambush_planner.game.discs import HeldGround
+from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import make_corridors
 
@@ -24,6 +32,27 @@ def some_route(network, seed):
     return shortest_path(
         network.edges, weights, len(network.points), network.source, network.target
     )
+
+
+def graded(network, risk_map, options, rng):
+    """Another network between the same ends, with many nodes near one place: edges of all lengths.
+
+    Some are shorter than the tube.
+    """
+    ends = network.points[[network.source, network.target]]
+    inside = risk_map.to_world(rng.uniform(0.05, 0.95, (40, 2)) * risk_map.size)
+    near = inside[0] + np.exp(rng.uniform(-3.0, 1.0, (60, 1))) * rng.normal(size=(60, 2))
+    uv = risk_map.to_map_axes(np.concatenate((ends, inside, near)))
+    uv = uv[((uv > 0.0) & (uv < risk_map.size)).all(axis=1)]
+    field = ObstacleField(risk_map, options.clear_of_edge)
+    uv = uv[field.clear_points(uv, options.clearance)]
+    corners = Delaunay(uv).simplices
+    edges = np.unique(np.concatenate((corners[:, :2], corners[:, 1:], corners[:, ::2])), axis=0)
+    edges = edges[field.clear_segments(uv[edges[:, 0]], uv[edges[:, 1]], options.clearance)]
+    edges = np.concatenate((edges, edges[:, ::-1]))
+    edges = edges[(edges[:, 0] != 1) & (edges[:, 1] != 0)]
+    return Network(risk_map.to_world(uv), np.r_[0.0, 0.0, np.ones(len(uv) - 2)],
+                   np.unique(edges, axis=0), 0, 1)
 
 
 @cache
@@ -42,14 +71,19 @@ def drive(seed):
         ends = risk_map.to_world(rng.uniform(0.4, cells - 0.4, (2, 2)))
         try:
             network = build_network(risk_map, *ends, options)
+            if rng.random() < 0.3:
+                network = graded(network, risk_map, options, rng)
         except (StartBlocked, GoalBlocked, NoRoute):
+            continue
+        route = some_route(network, seed)
+        if not len(route):
             continue
         tube = (None, None, 0.05, 0.3, 1.0)[rng.integers(5)]
         reach = 0.0 if tube is None else tube + (-tube, 0.5, 2.0, 8.0)[rng.integers(4)]
         held = HeldGround(ends, rng.uniform(0.0, 4.0, 2))
         corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge, reach=reach,
                                    held=held)
-        return corridors, some_route(network, seed), risk_map, clearance, tube, clear_of_edge
+        return corridors, route, risk_map, clearance, tube, clear_of_edge
 
 
 # A limited number of drives, which the tests of a file share.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lines in the middle of corridors: drawn routes with their corners cut as far as is free.
 
-A chord near a corner can be driven instead of the corner if every place within the reach R of the
-chord is within R of the route's two edges there: then no ambush with this reach hits the chord and
+A chord between the two edges at a corner can be driven instead of the corner if every place within
+the reach R of the chord is within R of the edges: then no ambush with this reach hits the chord and
 not the route (docs/theory.md, Proposition 9.2). Held ground protects by where the convoy is, so a
 corner is only cut if the edges around it are, as far as they count, either outside or inside.
 """
@@ -17,10 +17,12 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..game.discs import HeldGround
 from .corridors import Corridors
 
-# Largest share of an edge that the cuts at its two ends may use together.
-CUT = 0.9
-# Cuts shorter than this share of an edge are left out, so that no segment is too short.
-SHORT = 1e-3
+# Least share of an edge between its two cuts, if these do not meet.
+APART = 0.25
+# Smallest cut [edges]: shorter chords would leave no room for round turns at their ends.
+SHORT = 0.1
+# Smallest sine and cosine of half a turn at a corner that is cut.
+TINY = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +48,18 @@ class CutRoutes:
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """The inner nodes (C,) of concatenated routes as corners.
+    """The inner nodes (C, 2) of concatenated routes as corners.
 
-    ``edge`` (C, 2) has the lengths of the edges before and after; ``inner`` and ``outer`` (C, 2)
-    the free widths of their strips on the inner and on the outer side of the turn, the latter at
-    most the tube; ``sine`` and ``cosine`` (C,) are those of half the turn.
+    ``unit`` (C, 2, 2) are the directions of the edges before and after, and ``edge`` (C, 2) their
+    lengths; ``inner`` and ``outer`` (C, 2) the free widths of their strips on the inner and on the
+    outer side of the turn, the latter at most the tube; ``quarter`` (C,) is on the outer side.
+    ``sine`` and ``cosine`` (C,) are those of half the turn.
     """
 
     nodes: FloatArray
+    unit: FloatArray
     edge: FloatArray
+    left: BoolArray
     inner: FloatArray
     outer: FloatArray
     quarter: FloatArray
@@ -82,13 +87,14 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
     left = cross(unit[:-1], unit[1:]) > 0.0
     half = 0.5 * np.hypot(*(unit[:-1] - unit[1:]).T)
     corners = _Corners(
-        nodes[1:-1], np.stack((length[:-1], length[1:]), axis=1),
+        nodes[1:-1], np.stack((unit[:-1], unit[1:]), axis=1),
+        np.stack((length[:-1], length[1:]), axis=1), left,
         _side(free, left), _side(widths, ~left),
         np.where(left, quarters[1:-1, 1], quarters[1:-1, 0]),
         half, np.sqrt(np.maximum(1.0 - half**2, 0.0)))
-    cut = _cuts(corners, corridors.reach, corridors.held)
-    cut[~(joined[:-1] & joined[1:])] = 0.0
-    return _with_chords(whole, corners, _shared(cut, length), left, corridors.tube)
+    most = _cuts(corners, corridors.reach, corridors.held)
+    most[~(joined[:-1] & joined[1:])] = 0.0
+    return _with_chords(whole, corners, *_shared(most, length), corridors.tube)
 
 
 def _directions(points: FloatArray, joined: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -109,7 +115,7 @@ def _cuts(corners: _Corners, reach: float, held: HeldGround) -> FloatArray:
     depth = free_depth(corners.nodes, corners.edge.min(axis=1), sine, cosine, reach, held)
     with np.errstate(divide='ignore', invalid='ignore'):
         cut = np.minimum(depth / sine, 0.999 * corners.inner.min(axis=1) / (sine * cosine))
-    cut[(sine < SHORT) | (cosine < SHORT)] = 0.0
+    cut[(sine < TINY) | (cosine < TINY)] = 0.0
     return cut
 
 
@@ -133,47 +139,81 @@ def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine:
     return depth
 
 
-def _shared(cut: FloatArray, length: FloatArray) -> FloatArray:
-    """Limit cuts (C,) to what the edges (C + 1,) have room for: half each, or what is left over."""
-    padded_cut = padded(cut)
-    before = np.maximum(0.5 * CUT * length, CUT * length - padded_cut[:-1])[:-1]
-    after = np.maximum(0.5 * CUT * length, CUT * length - padded_cut[1:])[1:]
-    cut = np.minimum(cut, np.minimum(before, after))
-    return np.where(cut > SHORT * np.minimum(length[:-1], length[1:]), cut, 0.0)
+def _shared(most: FloatArray, length: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Divide edges (C + 1,) between the cuts at their ends, of which corners allow ``most`` (C,).
+
+    Returns the cuts (C, 2) before and after each corner, and at which edges (C + 1,) they meet.
+    """
+    most = padded(most)
+    tail, head = most[:-1], most[1:]
+    together = tail + head
+    meet = together >= length
+    tail_meeting = np.clip(0.5 * length, length - head, tail)
+    shrink = np.minimum(1.0, (1.0 - APART) * length / np.maximum(together, TINY * length))
+    tail, head = (np.where(meet, tail_meeting, shrink * tail),
+                  np.where(meet, length - tail_meeting, shrink * head))
+    cuts = np.stack((head[:-1], tail[1:]), axis=1)
+    cuts[(cuts < SHORT * np.stack((length[:-1], length[1:]), axis=1)).any(axis=1)] = 0.0
+    cut = padded(cuts[:, 0]) > 0.0
+    return cuts, np.asarray(meet & cut[:-1] & cut[1:])
 
 
-def _with_chords(whole: CutRoutes, corners: _Corners, cut: FloatArray, left: BoolArray,
+def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: BoolArray,
                  tube: float) -> CutRoutes:
-    """Replace each corner with a cut (C,) over 0 by a chord."""
-    depth = cut * corners.sine  # of the chord's middle
-    inside = corners.inner.min(axis=1) / np.maximum(corners.cosine, SHORT) - depth
-    outside = np.minimum(corners.outer.min(axis=1), depth + corners.quarter * corners.cosine)
-    room = np.maximum(inside - tube, 0.0)
-    inside, outside = np.clip((inside, outside), 0.0, tube)
-    ends = np.minimum(np.minimum(corners.outer, outside[:, None]),
-                      (cut / np.maximum(corners.sine, SHORT))[:, None])
-    cut = padded(cut)
-    count = np.where(cut > 0.0, 2, 1)
+    """Replace each corner with cuts (C, 2) over 0 by a chord; at some edges, chords ``meet``."""
+    at = np.flatnonzero(cuts[:, 0] > 0.0)
+    inside, outside, room, ends = _chord_widths(corners, cuts, at, tube)
+    chords, count = at + 1, np.ones(len(whole.points), dtype=np.int64)
+    count[chords] = 2
     last = np.cumsum(count) - 1
-    first, chords = last - count + 1, np.flatnonzero(count == 2)
+    first = last - count + 1
     points = np.empty((last[-1] + 1, 2))
     points[last], points[first] = whole.points, whole.points
-    points[first[chords]] -= cut[chords, None] * whole.unit[chords - 1]
-    points[last[chords]] += cut[chords, None] * whole.unit[chords]
+    points[first[chords]] -= cuts[at, :1] * corners.unit[at, 0]
+    points[last[chords]] += cuts[at, 1:] * corners.unit[at, 1]
     joined = np.ones(len(points) - 1, dtype=bool)
-    widths, rooms = np.empty((2, len(points) - 1, 2))
+    widths, rooms = np.zeros((2, len(points) - 1, 2))
     quarters = np.empty((len(points), 2))
     joined[last[:-1]], widths[last[:-1]], rooms[last[:-1]] = whole.joined, whole.widths, whole.room
     quarters[last] = whole.quarters
-    at, left = chords - 1, left[chords - 1, None]
-    widths[first[chords]] = np.where(left, np.stack((inside, outside), axis=1)[at],
-                                     np.stack((outside, inside), axis=1)[at])
-    rooms[first[chords]] = np.where(left == (True, False), room[at, None], 0.0)
-    quarters[first[chords]] = ends[at, 0, None]  # the inner side has no quarter
-    quarters[last[chords]] = ends[at, 1, None]
-    unit, length = _directions(points, joined)
-    return CutRoutes(points, joined, unit, length, widths, rooms, quarters,
-                     np.append(first[whole.bounds[:-1]], len(points)))
+    inner = np.where(corners.left[at], 0, 1)
+    widths[first[chords], inner], widths[first[chords], 1 - inner] = inside, outside
+    rooms[first[chords], inner] = room
+    quarters[first[chords]] = quarters[last[chords]] = np.inf  # on the inner side, no limit
+    quarters[first[chords], 1 - inner], quarters[last[chords], 1 - inner] = ends.T
+    # Where chords meet, nothing is left of the edge.
+    gone = last[:-1][meet]
+    quarters[gone + 1] = np.minimum(quarters[gone], quarters[gone + 1])
+    kept = np.ones(len(points), dtype=bool)
+    kept[gone] = False
+    points, quarters = points[kept], quarters[kept]
+    unit, length = _directions(points, joined[kept[:-1]])
+    begins = np.cumsum(kept)[first[whole.bounds[:-1]]] - 1
+    return CutRoutes(points, joined[kept[:-1]], unit, length, widths[kept[:-1]], rooms[kept[:-1]],
+                     quarters, np.append(begins, len(points)))
+
+
+def _chord_widths(corners: _Corners, cuts: FloatArray, at: IndexArray,
+                  tube: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Widths (K,) of the chords' strips on the inner and outer side, and quarters at their ends.
+
+    ``at`` (K,) are their corners. The third is how much wider the inner strips are free, the last
+    has the radii (K, 2) of the quarters on the outer side.
+    """
+    cuts, sine, cosine = cuts[at], corners.sine[at], corners.cosine[at]
+    before, after = cuts.T
+    size = np.hypot(*(cuts[:, :1] * corners.unit[at, 0] + cuts[:, 1:] * corners.unit[at, 1]).T)
+    # Sines and cosines of the turns at both ends, and the cosine of the chord's slant.
+    sines = 2.0 * sine[:, None] * cosine[:, None] * cuts[:, ::-1] / size[:, None]
+    cosines = np.sqrt(np.maximum(1.0 - sines**2, 0.0))
+    slant = np.minimum((before + after) * cosine / size, 1.0)
+    # Farthest from both edges is where the corner's axis meets the chord.
+    depth = 2.0 * before * after * sine / (before + after)
+    inside = np.maximum((corners.inner[at].min(axis=1) / cosine - depth) * slant, 0.0)
+    beyond = before * sines[:, 0] + corners.quarter[at] * cosines.min(axis=1)
+    outside = np.clip(np.minimum(corners.outer[at].min(axis=1), beyond), 0.0, tube)
+    ends = np.minimum(np.minimum(corners.outer[at], outside[:, None]), cuts / sines)
+    return np.minimum(inside, tube), outside, np.maximum(inside - tube, 0.0), ends
 
 
 def padded(values: FloatArray) -> FloatArray:
