@@ -40,11 +40,15 @@ class Robot:
         self._moving = self._node.create_publisher(TFMessage, '/tf', TF)
         wait_until(self._moving.get_subscription_count, 'a listener to /tf')
 
-    def is_at(self, x, y):
-        """Be somewhere, and wait until the planner knows it."""
+    def moves_to(self, x, y):
+        """Say where it is now."""
         there = transform('map', self._frame, float(x), float(y))
         there.header.stamp = self._node.get_clock().now().to_msg()
         self._moving.publish(TFMessage(transforms=[there]))
+
+    def is_at(self, x, y):
+        """Be somewhere, and wait until the planner knows it."""
+        self.moves_to(x, y)
         wait_until(lambda: self._known() == (float(x), float(y)), 'the move')
 
     def _known(self):

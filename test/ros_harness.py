@@ -117,6 +117,7 @@ class Client:
                                ('get_plan', GetPlan))
         }
         self._keep(PathMessage, 'path', ALL_LATCHED)
+        self._keep(PathMessage, 'plan', ALL_LATCHED)
         self._keep(DiagnosticArray, '/diagnostics', 100)
         for topic in MARKER_TOPICS:
             self._keep(MarkerArray, topic, ALL_LATCHED, f'{planner}/')

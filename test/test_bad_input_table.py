@@ -82,7 +82,7 @@ def plans(*trips):
 
 def at_the_goal(client):
     client.publish('goal_pose', pose(*START))
-    client.call_until('new_route', lambda answer: 'same position, (1.5, 5.5)' in answer.message)
+    client.call_until('new_route', lambda answer: 'same position, (1.500, 5.500)' in answer.message)
     code = _error_code(client)
     _goes_on(client, goal_pose=pose(*GOAL))
     return code
@@ -126,7 +126,7 @@ def nothing_has_arrived(_):
         for missing, topic, message in (('risk map', 'alpha_map', risk_grid()),
                                         ('start', 'start_pose', pose(*START)),
                                         ('goal', 'goal_pose', pose(*GOAL))):
-            said = f'no {missing} yet: publish one on {topic}'
+            said = f'no {missing} yet: publish one on /{topic}'
             client.call_until('new_route', lambda answer, said=said: said in answer.message)
             code = code or _error_code(client)
             client.publish(topic, message)

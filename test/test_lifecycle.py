@@ -133,7 +133,7 @@ def test_cleanup_forgets_everything_except_the_parameters(tmp_path):
         late = []
         client.node.create_subscription(Path, 'path', late.append, LATCHED)
         manager.go(configure='inactive', activate='active')
-        client.diagnostics(message='waiting for start_pose, goal_pose', departures='0')
+        client.diagnostics(message='waiting for /start_pose, /goal_pose', departures='0')
         running.give()
         assert client.call('new_route').success
         wait_until(lambda: late, 'the path')

@@ -146,7 +146,7 @@ def test_all_departures_are_recorded_when_the_node_ends(tmp_path):
             domain, tmp_path, f'recording.directory:={tmp_path / "runs"}',
             'network.spacing:=1.0') as process, client_in(domain) as client:
         client.publish('alpha_map', risk_grid())
-        client.diagnostics(message='waiting for start_pose, goal_pose')
+        client.diagnostics(message='waiting for /start_pose, /goal_pose')
         for _ in range(30):
             client.send('get_plan', GetPlan.Request(start=START, goal=GOAL))
         wait_until(lambda: len(client.received['path']) > 3, 'some departures')

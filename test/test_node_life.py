@@ -63,7 +63,7 @@ def test_an_error_of_a_request_disappears_and_a_bad_map_stays():
         assert not client.call('new_route').success
         report = client.diagnostics(code='NONE')
         assert report['level'] == DiagnosticStatus.WARN, 'the inputs are still missing'
-        assert report['message'] == 'waiting for alpha_map, start_pose, goal_pose'
+        assert report['message'] == 'waiting for /alpha_map, /start_pose, /goal_pose'
         client.publish('alpha_map', risk_grid(resolution=0.0))
         client.diagnostics(code='INVALID_MAP')
         client.last('/diagnostics', len(client.received['/diagnostics']) + 1)

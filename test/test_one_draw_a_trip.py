@@ -42,9 +42,9 @@ class Drive:
         wait_until(lambda: self.running.planner._inputs._map is not None, 'the map')
         return self.ask('new')
 
-    def ask(self, answer):
+    def ask(self, answer, goal=GOAL):
         """The path (L, 3) of a request, once the diagnostics call it ``answer``."""
-        path = self.client.get_plan(self.here, GOAL)
+        path = self.client.get_plan(self.here, goal)
         self.client.diagnostics(last_answer=answer)
         return path_from_ros(path)
 
@@ -185,6 +185,36 @@ def test_new_routes_and_robots_elsewhere_are_departures_and_each_robot_has_its_o
     drive.departures(5)
     drive.ask('continued')
     drive.departures(5)
+
+
+def test_a_goal_that_is_looked_up_ends_no_trip(drive):
+    whole, van = drive.begin(), Drive(drive.running, 'van')
+    van_whole = van.begin()
+    drive.robot.is_at(*whole[3, :2])
+    for number, goal in enumerate((pose(8.5, 1.5), pose(1.5, 1.5), pose(8.5, 8.5)), 3):
+        drive.ask('new', goal)
+        drive.departures(number)
+        drive.robot.is_at(*whole[3 + number, :2])
+        assert_rest(drive.ask('continued'), whole, 3 + number)
+    van.robot.is_at(*van_whole[3, :2])
+    assert_rest(van.ask('continued'), van_whole, 3)
+    drive.departures(5)
+
+
+def test_the_plan_for_a_new_goal_is_solved_before_the_robot_asks(drive, submitted):
+    whole = drive.begin()
+    drive.robot.is_at(*whole[3, :2])
+    drive.client.publish('goal_pose', pose(8.5, 1.5))
+    wait_until(lambda: len(set(submitted)) == 2, 'a solve')
+    assert tuple(drive.ask('new', pose(8.5, 1.5))[-1, :2]) == (8.5, 1.5)
+    assert len(set(submitted)) == 2
+    drive.client.publish('goal_pose', GOAL)  # it is on its way there
+    drive.ask('continued')
+    assert len(set(submitted)) == 2
+    drive.client.publish('goal_pose', pose(99.0, 1.5))
+    wait_until(lambda: len(set(submitted)) == 3, 'a solve')
+    drive.ask('continued')
+    drive.client.diagnostics(code='NONE', state='ready')  # whoever asks gets the reason
 
 
 def diverted(drive, whole, share, paths):
@@ -331,6 +361,67 @@ def test_a_trip_with_stops_is_continued_through_those_that_remain(actions):
         assert 'departure 2 diverted' in said
         drive.robot.is_at(*path[len(path) // 2, :2])
         assert asked(GOAL)[1] == asked(*stops, GOAL)[1] == 'departure 2 continued'
+
+
+class Tour(Drive):
+    """A robot that asks for paths through stops, by the action."""
+
+    def __init__(self, running, actions, *poses):
+        super().__init__(running)
+        self.goals = Goals(actions.ComputePathThroughPoses, running, 'compute_path_through_poses')
+        self.poses = poses
+        self.robot.is_at(1.5, 5.5)
+        self.client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+
+    def send(self):
+        return self.goals.send(start=None, goals=list(self.poses))
+
+    def take(self, handle):
+        """The path and the message of an answer."""
+        result = self.goals.result(handle)[1]
+        return path_from_ros(result.path), result.error_msg
+
+    def undecided(self):
+        return self.running.planner._dispatcher._undecided
+
+
+def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end(actions):
+    """The last requests of Nav2's trees still name stops; who asks at once for a tour waits."""
+    with stage(parameters=ROBOT) as running:
+        tour = Tour(running, actions, pose(5.0, 8.0), GOAL)
+        whole, _ = tour.take(tour.send())
+        for at in (len(whole) // 4, len(whole) // 2, 3 * len(whole) // 4):
+            tour.robot.is_at(*whole[at, :2])
+            assert tour.take(tour.send())[1] == 'departure 1 continued'
+        tour.robot.is_at(8.3, 5.5)
+        last = tour.send()
+        wait_until(tour.undecided, 'the request being kept')
+        tour.robot.is_at(8.45, 5.5)  # the controller ends, and with it the tree
+        assert tour.goals.cancel(last) == 1
+        tour.departures(1)
+        again = tour.send()
+        wait_until(lambda: tour.robot.moves_to(8.45, 5.5) or not tour.undecided(), 'standing')
+        path, said = tour.take(again)
+        assert said == '' and tuple(path[0, :2]) == (8.45, 5.5)
+        tour.departures(2)
+
+
+@pytest.mark.parametrize('required', [False, True])
+def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(actions, tmp_path,
+                                                                        required):
+    """Nav2's controllers can take the robot to be at the end at once."""
+    parameters = {**ROBOT, 'recording.required': required}
+    with stage(tmp_path, parameters=parameters) as running:
+        tour = Tour(running, actions, pose(5.0, 8.0), pose(1.6, 5.5))
+        whole, _ = tour.take(tour.send())
+        assert np.array_equal(tour.take(tour.send())[0][1:], whole[1:]), 'the same tour'
+        tour.departures(1)
+        assert len(list(tmp_path.rglob('*.mcap'))) == required
+        tour.robot.is_at(*whole[len(whole) // 3, :2])
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the recording')
+    (file,) = tmp_path.rglob('*.mcap')
+    assert Verifier().verify(file).problems == []
 
 
 def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once(actions):

@@ -157,7 +157,7 @@ def test_a_dump_is_loaded_in_any_order(tmp_path):
                         if not each.successful]
             assert expected == {name: second.planner.get_parameter(name).value
                                 for name in PARAMETERS}
-            second.client.diagnostics(message='waiting for alpha_map, start_pose, goal_pose')
+            second.client.diagnostics(message='waiting for /alpha_map, /start_pose, /goal_pose')
 
 
 def test_contradicting_parameters_are_reported_and_requests_refused():

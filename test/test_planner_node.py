@@ -51,7 +51,7 @@ def test_departures_are_solved_once_for_each_goal_map_and_choice_of_parameters()
     with stage() as running:
         client, shown = running.client, running.client.received['edge_probabilities']
         report = client.diagnostics(state='waiting')
-        assert report['message'] == 'waiting for alpha_map, start_pose, goal_pose'
+        assert report['message'] == 'waiting for /alpha_map, /start_pose, /goal_pose'
         assert set(report) == documented_keys() | {'level'}
         paths = departures(running.give(), 20)
         # The most probable two of the 42 paths have 0.35 together: fewer than three, 1 in 10^8.

@@ -19,7 +19,7 @@ def test_rotated_map_in_its_own_frame():
     with stage() as running:
         client = running.client
         client.publish('alpha_map', grid)
-        client.diagnostics(message='waiting for start_pose, goal_pose')
+        client.diagnostics(message='waiting for /start_pose, /goal_pose')
         path = client.get_plan(
             pose(94.5, -48.5, frame='site'), pose(94.5, -41.5, frame='site'))
         assert path.header.frame_id == 'site'

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log lines about maps, plans and departures, and the warning of a volatile map."""
 
-
+import numpy as np
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from ros_harness import stage, wait_until
+from ros_harness import risk_grid, stage, wait_until
+from waiting import stderr_in
 
 
 def test_warns_of_a_volatile_map_as_long_as_it_is_published():
@@ -23,3 +24,16 @@ def test_warns_of_a_volatile_map_as_long_as_it_is_published():
         assert client.diagnostics(state='waiting')['level'] == b'\1'
         other.destroy_node()
         wait_until(lambda: 'volatile' not in message(), 'no warning')
+
+
+def test_a_map_is_logged_when_it_is_the_first_or_of_another_size_or_frame(tmp_path):
+    with stderr_in(tmp_path / 'log') as said, stage() as running:
+        def known():
+            newest = running.planner._inputs._map
+            return newest and (len(newest.values), newest.values.max())
+
+        for rows, value in ((20, 10), (20, 20), (20, 30), (24, 30)):
+            running.client.publish('alpha_map', risk_grid(np.full((rows, 20), value, np.int8)))
+            wait_until(lambda shape=(rows, value): known() == shape, 'the map')
+        wait_until(lambda: '20 x 24 cells' in said(), 'the log')
+    assert said().count('map accepted: ') == 2

@@ -109,17 +109,43 @@ def test_the_stops_that_remain_are_asked_for(x, stops, continues):
         assert other.continues(asked(stops=given), (x, 0.0), 0.0) == continues
 
 
-def test_a_round_trip_that_is_asked_for_again_is_a_new_one():
-    """Start and goal are the same place: only progress tells the one from the other."""
+def test_a_stop_may_be_left_out_from_where_nav2s_trees_take_it_off():
+    """Which is before it counts as passed, if the tolerance is small."""
+    trip = trip_on([(0, 0), *STOPS, (10, 0)], stops=STOPS, passes=(1, 2))
+    assert not trip.continues(asked(stops=STOPS[1:]), (2.9, 0.0), 0.0)
+    assert trip.continues(asked(stops=STOPS[1:]), (3.3, 0.0), 0.0)
+    assert trip.passed == set()
+
+
+def seen(place, seconds, yaw=0.0):
+    return trip_under_way.Sighting(*place, yaw, seconds)
+
+
+def test_a_round_trip_is_asked_for_again_by_a_robot_that_has_stood_at_its_end():
+    """Start and goal are the same place, and a tree names the stops until it has ended."""
     stops = [(5.0, 0.0), (5.0, 5.0)]
     trip = trip_on([(0, 0), *stops, (0, 0)], stops=stops, passes=(1, 2))
     again = asked((0.0, 0.0), stops)
-    assert trip.continues(again, (0.0, 0.0), 0.0)
-    for place in [(2.5, 0.0), (5.0, 0.1), (5.0, 2.5), (5.0, 5.0), (2.5, 2.5), (0.7, 0.7)]:
+    for place in [(0.0, 0.0), (2.5, 0.0), (5.0, 0.1), (5.0, 2.5), (5.0, 5.0), (2.5, 2.5)]:
+        assert trip.continues(again, place, 0.0) and not trip.is_undecided(again)
+    for second, place in enumerate([(1.0, 1.0), (0.3, 0.2), (0.2, 0.1), (0.15, 0.1)]):
         assert trip.continues(again, place, 0.0)
-    assert trip.follow((0.3, 0.2)) > 15.0
-    assert not trip.continues(again, (0.1, 0.1), 0.0)
-    assert trip.continues(asked((0.0, 0.0)), (0.2, 0.2), 0.0), 'the goal remains'
+        assert trip.is_undecided(again) == (second > 0)
+        trip.watch(seen(place, second))
+    trip.watch(seen((0.15, 0.1), 3.1))  # too early to be standing
+    trip.watch(seen((0.15, 0.1), 4.0, yaw=0.3))  # it turns
+    assert trip.continues(again, place, 0.0) and not trip.arrived
+    assert not trip.is_undecided(asked((0.0, 0.0)))
+    trip.watch(seen((0.16, 0.1), 5.0, yaw=0.3))
+    assert trip.arrived and not trip.continues(again, place, 0.0)
+    assert trip.continues(asked((0.0, 0.0)), place, 0.0), 'the goal remains'
+
+
+def test_a_robot_whose_place_never_settles_arrives_in_the_end():
+    trip = trip_on([(0, 0), (10, 0)])
+    for second in range(20):
+        assert trip.arrived == (second > 12)
+        trip.watch(seen((0.0 if second < 2 else 9.9 + 0.05 * (second % 2), 0.0), second))
 
 
 @examples(25)

@@ -56,7 +56,7 @@ def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
         client.publish('alpha_map', risk_grid(np.full((20, 20), 20, np.int8)))
         client.publish('start_pose', pose(1.5, 5.5))
         client.publish('goal_pose', pose(8.5, 5.5))
-        client.diagnostics(message='waiting for costmap')
+        client.diagnostics(message='waiting for /costmap')
         wait_until(lambda: 'no costmap yet' in client.call('new_route').message, 'the reason')
         wall = np.zeros((40, 4), np.int8)
         wall[:36] = 99

@@ -252,7 +252,8 @@ def _checked_positions(risk_map: RiskMap, field: ObstacleField, given: list[npt.
     positions = [(float(x), float(y)) for x, y in np.asarray(given, dtype=np.float64)]
     for (one, a), (other, b) in pairwise(zip(names, positions, strict=True)):
         if a == b:
-            raise InvalidNetwork(f'{one} and {other} are the same position, {a}')
+            raise InvalidNetwork(f'{one} and {other} are the same position, '
+                                 f'({a[0]:.3f}, {a[1]:.3f})')
     return positions
 
 
@@ -270,7 +271,7 @@ def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, 
     where = f'{name} ({position[0]:.3f}, {position[1]:.3f})'
     uv = risk_map.to_map_axes(position)
     if not risk_map.contains(uv):
-        (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
+        (left, bottom), (right, top) = np.round(risk_map.bounds, 3).tolist()
         raise off_map(f'{where} is outside the map, which has x from {left:.10g} to {right:.10g} '
                       f'and y from {bottom:.10g} to {top:.10g} [m]')
     clearance = options.clearance
@@ -280,7 +281,7 @@ def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, 
         lower = ', or lower the clearance' if clearance else ''
         free = nearest_free_cell(risk_map, (position[0], position[1]),
                                  SEARCHED * risk_map.resolution, clearance, options.clear_of_edge)
-        place = f' to ({free[0]:.10g}, {free[1]:.10g})' * (tuple(position) != free)
+        place = f' to ({free[0]:.3f}, {free[1]:.3f})' * (tuple(position) != free)
         unknown = risk_map.unknown is not None and risk_map.unknown[risk_map.cells(uv)]
         ground = ('on unknown ground, an obstacle unless map.unknown_alpha gives it a loss'
                   if unknown else f'in an obstacle{near}')

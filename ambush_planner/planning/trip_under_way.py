@@ -9,7 +9,9 @@ A request continues the trip, and is no departure, if all of this holds:
 2. The robot is *on the path*: within ``tolerance`` of what remains of it. Progress along the path
    only grows, because a path may come near itself; a robot that is back along it by more than
    ``back`` is no longer on it.
-3. The robot has *not arrived*, if the request asks for stops again that it has passed.
+3. The robot has *not arrived*, if the request names stops that it has passed: it would be for the
+   next round. Arrived means that it has stood at the end, because Nav2's trees name such stops up
+   to the end, and asking does not say who asks. Until then such a request is *undecided*.
 
 The answer is the rest of the path from the robot's place, if that is clear on the newest map. If
 not, it is another rest of the same plan that begins at one of the ``nodes_ahead``.
@@ -21,6 +23,7 @@ import math
 from collections.abc import Set
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +32,14 @@ from .options import automatic_tube
 from .plan import Plan, Route
 
 Position = tuple[float, float]
+
+# Nav2's trees take a stop off their list when the robot is within 0.7 m of it [m].
+_TAKEN_OFF = 1.0
+# Motion up to which a robot stands [m, rad], in at least this time [s].
+_STANDS, _STANDS_FOR = 0.02, 0.5
+# Maximum number of sightings of a robot at the end of its path until it counts as arrived, however
+# much it or its localisation moves.
+_LONGEST_END = 10
 
 
 @dataclass(frozen=True)
@@ -42,6 +53,20 @@ class Destination:
     goal: Position
     cell: float
     stops: tuple[Position, ...] = ()
+
+
+class Sighting(NamedTuple):
+    """Where a robot is [m, m, rad], and the time of its transform [s]."""
+
+    x: float
+    y: float
+    yaw: float
+    seconds: float
+
+    def is_near(self, other: Sighting) -> bool:
+        """Whether a robot that was seen twice stands."""
+        turned = abs(math.remainder(self.yaw - other.yaw, math.tau))
+        return max(math.dist(self[:2], other[:2]), turned) <= _STANDS
 
 
 @dataclass(eq=False)
@@ -72,13 +97,31 @@ class TripUnderWay:
     tolerance: float
     back: float
     progress: float = field(default=0.0, init=False)
+    arrived: bool = field(default=False, init=False)
+    _seen: Sighting | None = field(default=None, init=False)
+    _at_end: int = field(default=0, init=False)  # how often in a row the robot was seen there
 
     def continues(self, request: Destination, place: Position, goal_tolerance: float) -> bool:
         """Whether a request from ``place`` continues the trip; notes the progress."""
         return (request.frames == self.destination.frames
                 and self.follow(place) is not None
-                and self._same_trip(request, max(request.cell, goal_tolerance))
-                and not (self._asks_again(request) and self._remaining <= self.tolerance))
+                and self._same_trip(request, place, max(request.cell, goal_tolerance))
+                and not (self._asks_again(request) and self.arrived))
+
+    def is_undecided(self, request: Destination) -> bool:
+        """Whether a request that continues the trip may be for the next round of it instead."""
+        return self._asks_again(request) and self._near_end
+
+    def watch(self, seen: Sighting) -> None:
+        """Note where the robot is, about once a second: it arrives when it stands at the end."""
+        at_end = self.follow((seen.x, seen.y)) is not None and self._near_end
+        self._at_end = self._at_end + 1 if at_end else 0
+        before, self._seen = self._seen, seen if at_end else None
+        if before and at_end and seen.seconds < before.seconds + _STANDS_FOR:
+            self._seen = before
+        elif before and at_end and seen.is_near(before):
+            self.arrived = True
+        self.arrived = self.arrived or self._at_end > _LONGEST_END
 
     def follow(self, place: Position) -> float | None:
         """Note the progress of a robot at ``place``, and return how far along the path it is [m].
@@ -122,15 +165,15 @@ class TripUnderWay:
         steps = [k for k in (following, following - 1) if 0 < k < len(self.nodes)]
         return self.nodes[steps]
 
-    def _same_trip(self, request: Destination, tolerance: float) -> bool:
-        """Whether a request is for the goal and the remaining stops of this trip."""
+    def _same_trip(self, request: Destination, place: Position, tolerance: float) -> bool:
+        """Whether a request is for the goal and the stops that remain at ``place``."""
         wanted, own = list(request.stops), self.destination
         if math.dist(request.goal, own.goal) > tolerance:
             return False
         for number, stop in enumerate(own.stops):
             if wanted and math.dist(wanted[0], stop) <= tolerance:
                 wanted.pop(0)
-            elif number not in self.passed:
+            elif number not in self.passed and math.dist(place, stop) > _TAKEN_OFF:
                 return False
         return not wanted
 
@@ -145,8 +188,8 @@ class TripUnderWay:
         return set(range(len(self.destination.stops))) - set(self.visits[ahead].tolist())
 
     @property
-    def _remaining(self) -> float:
-        return float(self._line.along[-1]) - self.progress
+    def _near_end(self) -> bool:
+        return float(self._line.along[-1]) - self.progress <= self.tolerance
 
     @cached_property
     def _line(self) -> _Line:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from threading import Lock
 from typing import Any
 from uuid import uuid4
@@ -23,12 +24,12 @@ from std_srvs.srv import Trigger
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import AmbushPlannerError, InvalidOption
-from ..maps.ros_messages import path_from_ros
+from ..maps.ros_messages import path_from_ros, pose_from_ros
 from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import other_rest, whole_route
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan, Route
-from ..planning.trip_under_way import Destination, TripUnderWay, trip_on
+from ..planning.trip_under_way import Destination, Sighting, TripUnderWay, trip_on
 from ..recordings import RecordedMessage
 from ..recordings.metadata import Diversion
 from ..routes.driven_path import tight_turns
@@ -50,6 +51,8 @@ from .topics import Publishers
 _MAX_SOLVES = 4
 # Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
 _MAX_BEHIND = 1.0
+# Maximum number of trips of one robot that are kept: another goal that is looked up ends none.
+_MAX_TRIPS = 4
 
 INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
 
@@ -68,11 +71,13 @@ class _Pending:
     asked: Trip | None = None  # as the last solve was asked for
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _UnderWay:
     """A trip, its departure or the last diversion of that, and the whole route (K,).
 
-    ``left`` is done once the path is published; with ``recording.required`` that takes a while.
+    ``left`` is done once the path is published; with ``recording.required`` that takes a while. A
+    tour that ends where it begins is ``recorded`` when the robot has set out, because Nav2's
+    controllers can take it to be at the end.
     """
 
     trip: TripUnderWay
@@ -80,6 +85,7 @@ class _UnderWay:
     request: TripRequest
     route: IndexArray
     left: Future[None]
+    recorded: bool
 
 
 class Dispatcher:
@@ -104,7 +110,8 @@ class Dispatcher:
                                         self._departures)
         self._waiting: list[_Pending] = []
         self._count = 0
-        self._under_way: dict[tuple[str, str], _UnderWay] = {}  # by the frames of map and robot
+        self._under_way: list[_UnderWay] = []  # the newest one first
+        self._undecided: list[_Pending] = []  # for a trip at its end, or for its next round
         self._paused, self._ending = True, False
         self._leaving = Lock()  # while a departure leaves; none does once the node is paused
         self._map_is_new = False
@@ -120,6 +127,7 @@ class Dispatcher:
             self._ending = True
         self._recordings.hurry()
         self._plans.close()
+        self._departures.submit(self._retry)
         self._departures.finish()
 
     def pause(self) -> None:
@@ -148,9 +156,13 @@ class Dispatcher:
             self._departures.submit(self._review)
 
     def follow(self) -> None:
-        """Note how far the robot has come on its path; to be called about once a second."""
+        """Note how far robots have come on their paths; to be called about once a second."""
         if self._under_way:
             self._departures.submit(self._follow)
+
+    def prepare(self) -> None:
+        """Have a robot's trip to the latest goal solved in the background, before it asks."""
+        self._departures.submit(self._prepare)
 
     def depart(self, call: ServiceCall, trip_request: TripRequest,
                client: str = '') -> Future[Answer]:
@@ -238,13 +250,13 @@ class Dispatcher:
 
     def _goes_on(self, trip: Trip, pending: _Pending) -> bool:
         """Answer a robot that has arrived or is on its way; False if it is neither."""
-        wanted = _destination(trip)
-        under_way = self._under_way.get(wanted.frames)
-        if under_way and not under_way.trip.continues(wanted, trip.start_xy, trip.goal_tolerance):
-            under_way = None
+        under_way = self._continued_by(trip)
         if under_way and not under_way.left.done():  # try again once it has left, or has not
             under_way.left.add_done_callback(
                 lambda _: self._departures.submit(lambda: self._try(pending), pending.answer))
+            return True
+        if under_way and under_way.trip.is_undecided(_destination(trip)):
+            self._undecided.append(pending)
             return True
         ground = _clear_ground(trip.map, pending.parameters)
         if not trip.stops_xy and ground.has_arrived(trip.start_xy, trip.goal_xy):
@@ -264,6 +276,12 @@ class Dispatcher:
             pending.answer.set_result(Answer(self._path(rows, trip), remarks, pending.begin_ns,
                                              max(pending.begin_ns, self._now())))
         return True
+
+    def _continued_by(self, trip: Trip) -> _UnderWay | None:
+        """Return the trip under way that a request for this trip continues, if there is one."""
+        wanted, at = _destination(trip), trip.start_xy
+        return next((each for each in self._under_way
+                     if each.trip.continues(wanted, at, trip.goal_tolerance)), None)
 
     def _divert(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> bool:
         """Take the rest of another route of the same plan; False if none is clear."""
@@ -292,7 +310,7 @@ class Dispatcher:
                     'route of its plan is',
         ))
         self._set_out(trip_on(held.plan, *drawn, way.destination, way.passed), departure,
-                      whole_route(under_way.route, route.nodes), pending)
+                      whole_route(under_way.route, route.nodes), pending, under_way)
         return True
 
     def _solve_for(self, trip: Trip, pending: _Pending) -> None:
@@ -340,8 +358,11 @@ class Dispatcher:
         self._set_out(way, departure, route.nodes, pending)
 
     def _set_out(self, way: TripUnderWay, departure: Departure, route: IndexArray,
-                 pending: _Pending) -> None:
-        """Have a departure leave, at once or when it is recorded; it is under way from now on."""
+                 pending: _Pending, before: _UnderWay | None = None) -> None:
+        """Have a departure leave, at once or when it is recorded; it is under way from now on.
+
+        ``before`` is the trip that it diverts.
+        """
         answer = Answer(departure.path, departure.remarks, departure.begin_ns, departure.end_ns,
                         departure)
 
@@ -349,23 +370,28 @@ class Dispatcher:
             with self._leaving:
                 self._refuse_unless_active()
                 if departure.parameters.publish_path:
-                    self._publishers.publish('path', departure.published.data)
+                    for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
+                        self._publishers.publish(topic, departure.published.data)
                 self._reporter.departed(departure)
             diverted = ' diverted' if departure.diversion else ''
             self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
             pending.answer.set_result(answer)
 
-        left = self._recordings.depart(departure, leave)
-        under_way = _UnderWay(way, departure, pending.trip_request, route, left)
-        frames, before = way.destination.frames, self._under_way.get(way.destination.frames)
-        if departure.trip.moves:
-            self._under_way[frames] = under_way
+        trip = departure.trip
+        ends_here = bool(trip.moves and trip.stops_xy and not before
+                         and math.dist(trip.start_xy, trip.goal_xy) <= way.tolerance)
+        if before:
+            self._record(before)
+        left = self._recordings.depart(departure, leave, not ends_here)
+        under_way = _UnderWay(way, departure, pending.trip_request, route, left, not ends_here)
+        if trip.moves:
+            self._take_up(under_way, before)
 
         def stay() -> None:
-            if self._under_way.get(frames) is under_way:
-                del self._under_way[frames]
+            if under_way in self._under_way:
+                self._under_way.remove(under_way)
                 if before and not (before.left.done() and before.left.exception()):
-                    self._under_way[frames] = before
+                    self._under_way.insert(0, before)
             left.result()
 
         def stay_unless_left(_: Future[None]) -> None:
@@ -373,6 +399,19 @@ class Dispatcher:
                 self._departures.submit(stay, pending.answer)
 
         left.add_done_callback(stay_unless_left)
+
+    def _take_up(self, new: _UnderWay, before: _UnderWay | None) -> None:
+        """Keep a trip, and the last ones of its robot that it does not divert or come after."""
+        frames = new.trip.destination.frames
+        own = [each for each in self._under_way if each.trip.destination.frames == frames]
+        ended = any(each.trip.arrived for each in own)
+        dropped = [*own[0 if ended else _MAX_TRIPS - 1:], before]
+        self._under_way = [new, *(each for each in self._under_way if each not in dropped)]
+
+    def _record(self, under_way: _UnderWay) -> None:
+        if not under_way.recorded:
+            under_way.recorded = True
+            self._recordings.record(under_way.departure)
 
     def _departure(self, fit: Fit, route: Route, rows: FloatArray, source: list[int],
                    pending: _Pending) -> Departure:
@@ -416,10 +455,30 @@ class Dispatcher:
         self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
 
     def _follow(self) -> None:
-        for each in self._under_way.values():
+        for each in self._under_way:
             with suppress(AmbushPlannerError):  # TF does not know where the robot is
-                each.trip.follow(self._inputs.locate(
-                    each.request, each.departure.parameters.robot).start_xy)
+                at = self._inputs.locate(each.request, each.departure.parameters.robot).start_pose
+                seconds = Time.from_msg(at.header.stamp).nanoseconds / 1e9
+                each.trip.watch(Sighting(*pose_from_ros(at.pose), seconds))
+                if each.trip.progress > each.trip.tolerance:
+                    self._record(each)
+        self._retry()
+
+    def _retry(self) -> None:
+        """Try the undecided requests again."""
+        undecided, self._undecided = self._undecided, []
+        for each in undecided:
+            self._departures.submit(partial(self._try, each), each.answer)
+
+    def _prepare(self) -> None:
+        with suppress(AmbushPlannerError):  # whoever asks gets the reason
+            self._refuse_unless_active()
+            parameters = self._settings.agreeing()
+            robot = parameters.robot
+            trip = self._inputs.locate(self._inputs.latest(robot), robot)
+            known = self._continued_by(trip) or self._plans.fit(trip, parameters)
+            if trip.moves and not known:
+                self._plans.solve(_out_of_obstacle(trip, parameters), parameters, background=True)
 
     def _now(self) -> int:
         """Return the time of the node's clock [ns]."""

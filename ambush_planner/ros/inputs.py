@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn
@@ -78,7 +79,7 @@ class Inputs:
     A map is checked on arrival, and a malformed one leaves the previous map current. A pose is
     checked at departure, when its map is known; a bad pose replaces the previous one, so that no
     convoy departs for an abandoned goal. If a trip starts at the robot, its pose is
-    recorded as if it had arrived on ``start_topic``.
+    recorded as if it had arrived on ``start_pose``. ``full_name`` is that of a topic.
 
     Attributes
     ----------
@@ -92,9 +93,9 @@ class Inputs:
         Whether requests bring their own start and goal, so that those on the topics are not missed.
     """
 
-    def __init__(self, transforms: FrameTransforms, start_topic: str,
+    def __init__(self, transforms: FrameTransforms, full_name: Callable[[str], str],
                  settings: NodeSettings) -> None:
-        self._transforms, self._start_topic = transforms, start_topic
+        self._transforms, self._full_name = transforms, full_name
         self.settings = settings
         self.with_costmap = bool(settings.current.values['map.costmap'])
         self._arrived: dict[str, CurrentMap | None] = {'alpha_map': None}
@@ -146,10 +147,10 @@ class Inputs:
         return self._map
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
-        """Return the topics of the inputs that have not arrived."""
+        """Return the full names of the topics of the inputs that have not arrived."""
         poses = {'start_pose': self.start or robot.frame, 'goal_pose': self.goal}
         inputs = {**self._arrived, **({} if self.asked_directly else poses)}
-        return tuple(name for name, given in inputs.items() if not given)
+        return tuple(self._full_name(name) for name, given in inputs.items() if not given)
 
     def latest(self, robot: RobotOptions) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
@@ -158,11 +159,10 @@ class Inputs:
         """
         self.current_map()
         if self.start is None and not robot.frame:
-            raise NoStart(
-                'no start yet: publish one on start_pose or initialpose, or set robot_base_frame'
-            )
+            raise NoStart(f'no start yet: publish one on {self._full_name("start_pose")} or '
+                          f'{self._full_name("initialpose")}, or set robot_base_frame')
         if self.goal is None:
-            raise NoGoal('no goal yet: publish one on goal_pose')
+            raise NoGoal(f'no goal yet: publish one on {self._full_name("goal_pose")}')
         return TripRequest(self.start, self.goal, via=self.via)
 
     def current_map(self) -> CurrentMap:
@@ -172,9 +172,9 @@ class Inputs:
     def _no_map(self) -> NoReturn:
         if self._arrived['alpha_map'] is not None:
             raise NoMap('no costmap yet, or no transform to the frame of the risk map: publish one '
-                        'on costmap, or start with map.costmap false')
+                        f'on {self._full_name("costmap")}, or start with map.costmap false')
         why = f'; the last one was refused: {self._refused}' if self._refused else ''
-        raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
+        raise NoMap(f'no risk map yet: publish one on {self._full_name("alpha_map")}{why}')
 
     def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
@@ -210,7 +210,7 @@ class Inputs:
         if start is not None and (start.message.header.frame_id or not robot.frame):
             return start, self._transforms.to_frame(start.message, 'start', frame, robot.max_age)
         pose = self._transforms.to_frame(robot_pose(robot), 'start', frame, robot.max_age)
-        return ReceivedMessage(self._start_topic, type_name(pose), pose, LATEST), pose
+        return ReceivedMessage(self._full_name('start_pose'), type_name(pose), pose, LATEST), pose
 
     def _located_stops(self, via: ReceivedMessage | None, frame: str,
                        max_age: float) -> tuple[tuple[float, float], ...]:

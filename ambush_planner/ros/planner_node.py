@@ -172,8 +172,7 @@ class PlannerNode(LifecycleNode):
             made.callback(publishers.close)
             transforms = FrameTransforms(self)
             made.callback(transforms.close)
-            self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'),
-                                  self._settings)
+            self._inputs = Inputs(transforms, self.resolve_topic_name, self._settings)
             recordings = Recordings(self._settings.current.recording, self._reporter,
                                     self.get_logger())
             made.callback(recordings.finish)
@@ -182,8 +181,7 @@ class PlannerNode(LifecycleNode):
                                           self._reporter, self.get_clock(), self.get_logger())
             made.callback(self._dispatcher.close)
             self._topic_subscriptions = Subscriptions(
-                self, self._inputs, self._error_boundary, self._report_missing,
-                self._map_accepted,
+                self, self._inputs, self._error_boundary, self._pose_accepted, self._map_accepted,
             )
             made.callback(self._topic_subscriptions.close)
             self._configured = made.pop_all()
@@ -234,6 +232,10 @@ class PlannerNode(LifecycleNode):
     def _report_missing(self) -> None:
         if self._inputs is not None:
             self._reporter.set(missing=self._inputs.missing(self._settings.current.robot))
+
+    def _pose_accepted(self) -> None:
+        self._report_missing()
+        _configured(self._dispatcher).prepare()
 
     def _map_accepted(self) -> None:
         self._reporter.succeeded('map')

@@ -26,8 +26,6 @@ from .inputs import Inputs
 from .listener import Listener
 from .topics import LATCHED, LATEST, UPDATES
 
-# Minimum time between two log lines about changes of one map [s].
-_MAP_LOG_PERIOD = 10.0
 # Age from which a costmap counts as stopped, and how often its place is looked up again [s].
 _STOPPED, _JOIN_PERIOD = 5.0, 1.0
 
@@ -103,19 +101,16 @@ class Subscriptions:
             self._node.destroy_subscription(subscription)
 
     def _log_map(self, new: CurrentMap | None) -> None:
-        before, self._logged_map = self._logged_map, new
-        if new is None or new is before:
+        """Log a map, unless it is the last one with other values, as a costmap every second."""
+        before, self._logged_map = self._logged_map, new or self._logged_map
+        if new is None or (before is not None and new.same_ground(before)):
             return
         height, width = new.values.shape
-        text = (f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
-                f'{new.frame[:80]!r}')
         logger = self._node.get_logger()
-        if before is not None and new.same_ground(before):  # a costmap, published every second
-            logger.info(text, throttle_duration_sec=_MAP_LOG_PERIOD)
-        else:
-            logger.info(text)
-            if not carries_risk(new.values, self._inputs.settings.current.occupancy):
-                logger.warning(NO_RISK)
+        logger.info(f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the '
+                    f'frame {new.frame[:80]!r}')
+        if not carries_risk(new.values, self._inputs.settings.current.occupancy):
+            logger.warning(NO_RISK)
 
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:

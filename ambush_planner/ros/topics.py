@@ -31,7 +31,7 @@ TF_STATIC = QoSProfile(depth=100, reliability=_RELIABLE, durability=_LATCHING)
 Topics = Mapping[str, tuple[type, QoSProfile]]
 _MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 # Topics that exist while the node is configured.
-PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED),
+PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED), 'plan': (PathMessage, LATCHED),
                        **{f'~/{each}': (MarkerArray, LATCHED) for each in _MARKERS}}
 # Topics that exist in all states of the node.
 STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
