@@ -83,13 +83,15 @@ class Coordinates:
         Raises InvalidCoordinates if a position is not on the Earth, or not in the system's area.
         """
         latitude, longitude = np.moveaxis(np.asarray(lat_lon, dtype=np.float64), -1, 0)
-        if not (np.all(np.abs(latitude) <= 90.0) and np.all(np.abs(longitude) <= 360.0)):
-            raise InvalidCoordinates('latitude must be in -90..90 and longitude in -180..180, got '
-                                     f'{np.asarray(lat_lon).tolist()}')
         xy = np.stack(self._to_degrees.transform(longitude, latitude, direction='INVERSE'), axis=-1)
-        if not np.isfinite(xy).all():
-            raise InvalidCoordinates(f'{np.asarray(lat_lon).tolist()} is too far from the area of '
-                                     f'{self.crs.to_string()}')
+        for bad, problem in (
+            (~((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)),
+             'latitude must be in -90..90 and longitude in -180..180'),
+            (~np.isfinite(xy).all(axis=-1), f'too far from the area of {self.crs.to_string()}'),
+        ):
+            if bad.any():
+                first = np.stack((latitude, longitude), axis=-1)[bad][0].tolist()
+                raise InvalidCoordinates(f'{first}: {problem} ({bad.sum()} such positions)')
         return to_map_axes(self.origin, xy)
 
 

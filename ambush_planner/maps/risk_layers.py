@@ -6,22 +6,24 @@ top to bottom:
 
 * ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
   that are too steep or unknown are obstacles.
-* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre,
-  then multiplies by its ``factor``.
+* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre, then
+  multiplies by its ``factor``. All shapes grow by ``buffer`` [m]; points and lines need one.
 * ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
-  with the same value count once.
+  with the same value count once. Lines that are no roads (``roads_among``) are left out.
 * ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of
   ``weight`` * 2^(-age / half_life) * exp(-distance^2 / (2 bandwidth^2)). Ages are in days before
   ``until``, by default the newest incident; later ones are left out.
 
 Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
 touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A text
-as a value names the attribute to read it from.
+as a value names the attribute to read it from. What is left out of a file is counted in a warning,
+and is an error on forbidden and held ground. ``crs`` at the top is that of files without one.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -44,6 +46,7 @@ from .incidents import (
 from .occupancy import OccupancyOptions, risk_from_occupancy
 from .risk_map import MIN_LOSS, RiskMap
 from .road_file import connected_parts
+from .road_tags import roads_among
 from .terrain_risk import TerrainOptions, terrain_map
 from .vector_file import InvalidFeatures, attribute_values, features_on
 from .visibility import ViewOptions
@@ -58,12 +61,13 @@ _VIEW = ('weapon_range', 'vehicle_height', 'person_height')
 _SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'held': False}
 _KINDS: Mapping[str, Mapping[str, Any]] = {
     'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
-    'polygons': _SHAPES,
+    'polygons': {**_SHAPES, 'buffer': 0.0},
     'roads': {**_SHAPES, 'width': 0.0},
     'incidents': {'loss': 9.0, 'bandwidth': 'auto', 'half_life': math.inf, 'until': None,
                   'date': 'date', 'weight': 1.0},
 }
-_GEOMETRIES = {'polygons': 'Polygon', 'roads': 'LineString', 'incidents': 'Point'}
+_GEOMETRIES = {'polygons': ('Polygon', 'LineString', 'Point'), 'roads': ('LineString',),
+               'incidents': ('Point',)}
 # Incidents count as near a cell up to this distance [bandwidths].
 NEAR = 2.0
 # With fewer incidents of full weight in all, or near most of the cells that they make costly, a
@@ -117,7 +121,7 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
     if not isinstance(top['layers'], list) or not top['layers']:
         raise InvalidLayers('layers must be a list with a line for each layer')
     lines = [_line(k, line) for k, line in enumerate(top['layers'], start=1)]
-    base = _number('base', top['base'])
+    base, crs = _number('base', top['base']), str(top['crs']) if top['crs'] else None
     joined: _Joined | None = None
     for number, (kind, values) in enumerate(lines, start=1):
         path = (folder or Path()) / Path(str(values[kind])).expanduser()
@@ -126,11 +130,21 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
                 if joined:
                     raise InvalidLayers('must be the first layer and the only terrain, since it '
                                         'gives the grid')
-                joined = _terrain(path, values, _number('resolution', top['resolution']), progress)
+                joined = _terrain(path, crs, values, _number('resolution', top['resolution']),
+                                  progress)
                 joined.loss += base
                 continue
             joined = joined or _without_terrain(top, base)
-            features = features_on(joined.ground, str(path), _GEOMETRIES[kind])
+            whole = [key for key in ('forbidden', 'held') if values.get(key)]
+            features = features_on(joined.ground, str(path), *_GEOMETRIES[kind], crs=crs, refused=(
+                f'{whole[0]} ground must be whole' if whole else ''))
+            if kind == 'roads':
+                roads, _ = roads_among(str(path), features)
+                if whole and len(roads) < len(features):
+                    raise InvalidFeatures(
+                        f'{path.name}: {whole[0]} ground must be whole; put lines that are no '
+                        'roads into a layer of polygons with a buffer')
+                features = roads
             add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
             add(path.name, features, values)
         except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
@@ -168,9 +182,11 @@ def _with_defaults(where: str, given: Mapping[str, Any],
     return {**defaults, **given}
 
 
-def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
+def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution: float,
              progress: Callable[[float], None] | None) -> _Joined:
-    elevation = elevation_from_raster(read_raster(path), resolution)
+    if crs and crs.startswith('datum'):
+        raise InvalidLayers(f'crs: {crs}: a terrain is in a coordinate system; name that')
+    elevation = elevation_from_raster(read_raster(path, crs=crs), resolution)
     given = {key: each for key, each in values.items() if each is not None}
     view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
@@ -193,7 +209,9 @@ def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
     if min(rows, columns) < 1 or rows * columns > MAX_CELLS:
         raise InvalidLayers(f'bounds {bounds} have {columns} x {rows} cells of {resolution:g} m; '
                             f'at least 1 and at most {MAX_CELLS} are possible')
-    crs = Coordinates(str(top['crs'])).crs.to_string() if top['crs'] else None
+    crs = str(top['crs']) if top['crs'] else None
+    if crs and (system := Coordinates(crs)).origin == (0.0, 0.0, 0.0):
+        crs = system.crs.to_string()
     cells = np.zeros((rows, columns))
     ground = RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
     return _Joined(ground, cells + base)
@@ -224,12 +242,23 @@ class _Joined:
 
     def add_shapes(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply polygons or roads."""
-        roads, shown = 'roads' in values, features.boundary
+        roads = 'roads' in values
         if roads:
             shown = connected_parts(features)
             width = attribute_values(features, 'width', values['width'])
             wide = features.buffer(width / 2.0).where(width > 0.0, features.geometry)
             features = features.set_geometry(wide)
+        else:
+            buffer = attribute_values(features, 'buffer', values['buffer'])
+            if flat := Counter(features.geom_type[(features.geom_type != 'Polygon')
+                                                  & (buffer == 0.0)]):
+                what = ', '.join(f'{count} {kind}' for kind, count in flat.items())
+                raise InvalidFeatures(f'{name}: {sum(flat.values())} of {len(features)} shapes are '
+                                      f'no polygons ({what}); make them polygons, or give the '
+                                      'layer a buffer [m], which all shapes grow by')
+            features = features.set_geometry(
+                features.buffer(buffer).where(buffer > 0.0, features.geometry))
+            shown = features.boundary
         for key, apply in (('loss', np.multiply), ('factor', np.power)):
             column = attribute_values(features, key, values[key])
             for each in np.unique(column):

@@ -5,14 +5,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import shown
+from ..errors import shown, warn
 from .coordinates import Coordinates
-from .vector_file import InvalidFeatures, from_system, read_features
+from .vector_file import (
+    InvalidFeatures,
+    from_system,
+    read_features,
+    read_positions,
+    with_positions,
+)
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+# Dates before are those of a receiver or a program that does not know the time: 1990 [s].
+FIRST_DATE = 631152000.0
+# Days at which clocks of receivers begin, too: 1999-08-22 and 2000-01-01 [days].
+_FIRST_DAYS = (10825, 10957)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +43,13 @@ def read_tracks(source: str, crs: str | None) -> list[Track]:
     """Read the tracks of a file as world positions of a map with the coordinate system ``crs``.
 
     * ``.gpx``: its tracks, with all segments of each, or its routes if there are no tracks.
-    * ``.csv``: a row for each position, with the columns x and y [m], or lat and lon [degrees];
-      optional are ``track``, which names the row's track, and ``time`` (ISO 8601, or seconds).
+    * ``.csv``: a row for each position (``read_positions``); optional are ``track``, which names
+      the row's track, and ``time`` (ISO 8601, or seconds since 1970).
     * Other files: each line of a vector file, as ``read_features`` takes it.
 
-    Raises InvalidFeatures if the file is unreadable, has no track, or has unusable coordinates.
+    Positions without a fix are left out, times that say nothing (missing, all equal, or from before
+    1990) are ignored, and a GPX file that ends early is read up to there; warnings say so. Raises
+    InvalidFeatures if the file is unreadable, has no track, or has unusable coordinates.
     """
     path = Path(source.partition('|')[0])
     read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
@@ -40,43 +57,74 @@ def read_tracks(source: str, crs: str | None) -> list[Track]:
         xy, names, times = read(source, crs)
     except InvalidFeatures:
         raise
-    except (RuntimeError, ValueError) as error:  # of pyogrio, pandas, Coordinates
+    except (RuntimeError, ValueError) as error:  # of pandas, Coordinates
         raise InvalidFeatures(f'{path}: {error}') from error
-    if not len(xy) or not np.isfinite(xy).all():
-        what = 'a position is no number' if len(xy) else 'there is no track in it'
-        raise InvalidFeatures(f'{path}: {what}')
-    tracks = []
+    if not len(xy):
+        raise InvalidFeatures(f'{path}: there is no track in it')
+    tracks, ignored = [], 0
     for name in dict.fromkeys(names.tolist()):
         own = names == name
-        timed = times is not None and np.isfinite(times[own]).all()
-        tracks.append(Track(shown(f'track {name} of {path.name}'), xy[own],
-                            times[own] if timed else None))
+        when = None if times is None or not _tells(times[own]) else times[own]
+        ignored += times is not None and when is None
+        tracks.append(Track(shown(f'track {name} of {path.name}'), xy[own], when))
+    if ignored:
+        warn(f'{path}: the times of {ignored} of {len(tracks)} tracks are ignored: they are '
+             'missing, all equal, or from before 1990')
     return tracks
+
+
+def _tells(times: FloatArray) -> bool:
+    """Whether times say when a track was driven."""
+    return bool(np.isfinite(times).all() and np.ptp(times) > 0.0 and times.min() >= FIRST_DATE
+                and times.min() // 86400.0 not in _FIRST_DAYS)
 
 
 def _of_rows(source: str, crs: str | None) -> tuple[FloatArray, Any, Any]:
     """Positions (L, 2) [m], names of their tracks (L,), times (L,) [s] or None."""
     import pandas
-    import pyogrio
+    import shapely
 
-    if source.lower().endswith('.csv'):
-        rows = pandas.read_csv(source, skipinitialspace=True)
-    else:
-        rows, kind = pyogrio.read_dataframe(source, layer='track_points'), 'track'
-        if rows.empty:
-            rows, kind = pyogrio.read_dataframe(source, layer='route_points'), 'route'
-        rows = rows.assign(lat=rows.geometry.y, lon=rows.geometry.x, track=rows[f'{kind}_fid'] + 1)
-    in_degrees, times = {'lat', 'lon'} <= set(rows), rows.get('time')
-    if not in_degrees and not {'x', 'y'} <= set(rows):
-        raise ValueError('the columns x and y [m], or lat and lon [degrees], are needed; there are '
-                         + ', '.join(map(str, rows)))
-    xy = rows[['lat', 'lon'] if in_degrees else ['x', 'y']].to_numpy(np.float64)
-    xy = Coordinates(crs or '').from_lat_lon(xy) if in_degrees else xy
+    path = Path(source)
+    rows = _gpx(path) if path.suffix.lower() == '.gpx' else read_positions(path)
+    fixed = rows[rows.geometry.notna()]
+    if count := len(rows) - len(fixed):
+        warn(f'{path}: {count} of {len(rows)} positions have no fix and are left out')
+    xy, times = shapely.get_coordinates(fixed.geometry), fixed.get('time')
+    if rows.crs is not None and len(xy):
+        xy = Coordinates(crs or '').from_lat_lon(xy[:, ::-1])
     if times is not None and not pandas.api.types.is_numeric_dtype(times):
-        times = pandas.to_datetime(times, utc=True, format='ISO8601')
+        times = pandas.to_datetime(times, utc=True, format='ISO8601', errors='coerce')
         times = (times - pandas.Timestamp(0, tz='UTC')).dt.total_seconds()
-    names = rows.get('track', pandas.Series(1, rows.index)).to_numpy()
+    names = fixed.get('track', pandas.Series(1, fixed.index)).to_numpy()
     return xy, names, None if times is None else times.to_numpy(np.float64)
+
+
+def _gpx(path: Path) -> GeoDataFrame:
+    """The positions of the tracks of a GPX file, or of its routes, up to where it ends."""
+    from pandas import DataFrame, to_numeric
+
+    parser: Any = ElementTree.XMLPullParser(('start', 'end'))
+    found: dict[str, list[Any]] = {'trk': [], 'rte': []}
+    number, damage = 0, ''
+    parser.feed(path.read_bytes())
+    try:
+        for event, element in parser.read_events():
+            kind = element.tag.rpartition('}')[2]
+            number += event == 'start' and kind in found
+            if event == 'end' and kind in ('trkpt', 'rtept'):
+                found[kind[:3]].append((element.get('lat'), element.get('lon'),
+                                        element.findtext('{*}time'), number))
+        parser.close()
+    except ElementTree.ParseError as error:
+        damage = f'{path}: damaged, or ends early, at line {error.position[0]}'
+    rows = DataFrame(found['trk'] or found['rte'], columns=['lat', 'lon', 'time', 'track'])
+    if damage and rows.empty:
+        raise InvalidFeatures(damage)
+    if damage:
+        warn(f'{damage}; it is read up to there, {len(rows)} positions')
+    rows = rows if rows['time'].notna().any() else rows.drop(columns='time')
+    degrees = [to_numeric(rows[name], errors='coerce') for name in ('lon', 'lat')]
+    return with_positions(rows, np.stack(degrees, axis=1), in_degrees=True)
 
 
 def _of_lines(source: str, crs: str | None) -> tuple[FloatArray, Any, Any]:

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What layers of risk and tracks leave out is counted, or refused where it matters: tables."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip('geopandas', reason='vector files need geopandas')
+import geopandas
+import rasterio
+from rasterio.transform import from_origin
+from shapely.geometry import LineString, MultiPoint, Point, box
+
+from ambush_planner import AmbushPlannerError, AmbushPlannerWarning
+from ambush_planner.maps.coordinates import Coordinates
+from ambush_planner.maps.risk_layers import risk_from_layers
+from ambush_planner.maps.track_file import read_tracks
+
+CRS = 'EPSG:32633'
+WEST, SOUTH = 455000.0, 5410000.0
+GRID = {'crs': CRS, 'resolution': 10.0, 'bounds': [WEST, SOUTH, WEST + 400, SOUTH + 400]}
+FIELD = box(WEST + 50, SOUTH + 50, WEST + 150, SOUTH + 150)  # 100 cells
+RING = LineString([(WEST + 205, SOUTH + 205), (WEST + 345, SOUTH + 205), (WEST + 345, SOUTH + 345),
+                   (WEST + 205, SOUTH + 205)])
+ROAD = LineString([(WEST + 5, SOUTH + 255), (WEST + 395, SOUTH + 255)])
+MINE = Point(WEST + 305, SOUTH + 105)
+
+
+def words_of(said):
+    return ' '.join(str(each.message) for each in said
+                    if issubclass(each.category, AmbushPlannerWarning))
+
+
+def made(folder, shapes, layer, top=None, crs=CRS, **attributes):
+    """The risk map of one layer of shapes, and what was said."""
+    frame = geopandas.GeoDataFrame(attributes or None, geometry=list(shapes), crs=crs)
+    frame.to_file(folder / 'x.gpkg')
+    (kind,) = (key for key in ('polygons', 'roads', 'incidents') if key in layer)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        risk = risk_from_layers({**(top or GRID), 'layers': [{**layer, kind: 'x.gpkg'}]}, folder)
+    return risk.risk_map, words_of(said)
+
+
+AREA, STREETS = {'polygons': ''}, {'roads': ''}
+
+
+@pytest.mark.parametrize(('shapes', 'layer', 'tags', 'words'), [
+    ([FIELD, ROAD, RING, MINE], {**AREA, 'forbidden': True}, {}, 'layer 1 .polygons.: x.gpkg: 3 of '
+     r'4 shapes are no polygons \(2 LineString, 1 Point\); .* buffer'),
+    ([FIELD, MINE], {**AREA, 'held': True}, {}, '1 of 2 shapes'),
+    ([FIELD, RING], {**AREA, 'loss': 3}, {}, '1 of 2 shapes'),
+    ([MultiPoint([MINE, Point(WEST, SOUTH)]), FIELD], AREA, {}, '2 of 3 shapes .*2 Point'),
+    ([ROAD], {**AREA, 'factor': 2}, {}, '1 of 1 shapes'),
+    ([FIELD, MINE], {**AREA, 'forbidden': True, 'buffer': 'far'}, {'far': [9.0, 0.0]},
+     '1 of 2 shapes'),
+    ([FIELD, None, None], {**AREA, 'forbidden': True}, {},
+     '2 of 3 features are left out: 2 without a geometry; forbidden ground must be whole'),
+    ([FIELD, None], {**AREA, 'held': 'barred'}, {'barred': [1, 1]}, 'held ground must be whole'),
+    ([ROAD, FIELD], {**STREETS, 'forbidden': True}, {}, '1 of 2 features .*1 Polygon; forbidden'),
+    ([ROAD, RING], {**STREETS, 'forbidden': True}, {'highway': ['track', 'footway']},
+     'forbidden ground must be whole; put lines that are no roads'),
+    ([ROAD, None], {**STREETS, 'held': True}, {}, '1 without a geometry; held'),
+    ([ROAD], {**STREETS, 'passable': True}, {'waterway': ['river']}, 'lines are no roads'),
+])
+def test_what_would_open_forbidden_or_held_ground_is_refused(shapes, layer, tags, words, tmp_path):
+    with pytest.raises(AmbushPlannerError, match=words):
+        made(tmp_path, shapes, layer, **tags)
+
+
+@pytest.mark.parametrize(('shapes', 'layer', 'tags', 'words', 'cells'), [
+    ([FIELD], {**AREA, 'forbidden': True}, {}, '', 100),
+    ([MINE], {**AREA, 'forbidden': True, 'buffer': 14.0}, {}, '', 9),
+    ([ROAD], {**AREA, 'forbidden': True, 'buffer': 4.0}, {}, '', 40),
+    ([RING], {**AREA, 'forbidden': True, 'buffer': 1.0}, {}, '', 68),
+    ([FIELD, MINE], {**AREA, 'forbidden': True, 'buffer': 'far'}, {'far': [0.0, 14.0]}, '', 109),
+    ([FIELD, MINE], {**AREA, 'forbidden': True, 'buffer': 'FAR'}, {'far': [0.0, 4.0]}, '', 101),
+    ([FIELD, None], AREA, {}, '1 of 2 features are left out: 1 without a geometry', 0),
+    ([ROAD, MINE, FIELD], STREETS, {}, '2 of 3 features are left out: 1 Point, 1 Polygon', 0),
+    ([ROAD, RING], {**STREETS, 'factor': 2}, {'highway': ['track', 'path']}, 'path 1', 0),
+    ([MINE, FIELD], {'incidents': '', 'bandwidth': 50}, {}, '1 of 2 features .*1 Polygon', 0),
+])
+def test_what_is_left_out_elsewhere_is_counted(shapes, layer, tags, words, cells, tmp_path):
+    risk_map, said = made(tmp_path, shapes, layer, **tags)
+    assert risk_map.obstacles.sum() == cells
+    assert words.split('.*')[0] in said and bool(words) == bool(said)
+
+
+@pytest.mark.parametrize(('name', 'text'), [
+    ('a.csv', 'lat,lon,kind\n{0},{1},bomb\n,,none\n0,0,none\n'),
+    ('A.CSV', 'Latitude,Longitude\n{0},{1}\n'),
+    ('a.csv', 'x,y\n{2},{3}\n'), ('a.csv', 'Y;X\n'),
+    ('a.gpx', '<gpx xmlns="http://www.topografix.com/GPX/1/1"><wpt lat="{0}" lon="{1}"/>'
+     '<trk><trkseg><trkpt lat="1" lon="1"/></trkseg></trk></gpx>'),
+])
+def test_incidents_from_csv_and_gpx(name, text, tmp_path):
+    x, y = WEST + 205.0, SOUTH + 105.0
+    degrees = Coordinates(CRS).to_lat_lon((x, y))
+    (tmp_path / name).write_text(text.format(*degrees, x, y))
+    layers = {**GRID, 'layers': [{'incidents': name, 'bandwidth': 50}]}
+    if ';' in text:
+        with pytest.raises(AmbushPlannerError, match='the columns x and y .* there are y;x'):
+            risk_from_layers(layers, tmp_path)
+        return
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        alpha = risk_from_layers(layers, tmp_path).risk_map.alpha
+    assert np.unravel_index(alpha.argmax(), alpha.shape) == (10, 20)
+    assert ('2 of 3 features are left out: 2 without a geometry' in words_of(said)) == (
+        'none' in text)
+
+
+def test_the_system_at_the_top_is_that_of_files_without_one(tmp_path):
+    heights = 300.0 + np.mgrid[:40, :40][0]
+    with rasterio.open(tmp_path / 'dem.tif', 'w', driver='GTiff', height=40, width=40, count=1,
+                       dtype='float64', transform=from_origin(WEST, SOUTH + 400, 10, 10)) as file:
+        file.write(heights, 1)
+    geopandas.GeoDataFrame(geometry=[FIELD]).to_file(tmp_path / 'bare.gpkg')
+    geopandas.GeoDataFrame(geometry=[FIELD], crs=CRS).to_crs(4326).to_file(tmp_path / 'f.geojson')
+    terrain = {'terrain': 'dem.tif', 'weapon_range': 60}
+    area = {'polygons': 'bare.gpkg', 'forbidden': True}
+    for layers in ([terrain, area], [terrain, {**area, 'polygons': 'f.geojson'}], [area]):
+        top = {'crs': CRS} if terrain in layers else GRID
+        risk_map = risk_from_layers({**top, 'layers': layers}, tmp_path).risk_map
+        assert risk_map.crs == CRS and 100 <= risk_map.obstacles.sum() < 150
+    for top, words in (({}, 'coordinate system'), ({'crs': 'datum 48 14 0'}, 'datum .*terrain')):
+        with pytest.raises(AmbushPlannerError, match=words):
+            risk_from_layers({**top, 'layers': [terrain, {**area, 'polygons': 'f.geojson'}]},
+                             tmp_path)
+
+
+@pytest.mark.parametrize('yaw', [0.0, 0.5])
+def test_a_datum_is_the_frame_of_the_grid(yaw, tmp_path):
+    frame = f'datum {48.84} {14.387} {yaw}'
+    system = Coordinates(frame)
+    place = system.to_lat_lon((105.0, 55.0))[::-1]
+    top = {'crs': frame, 'resolution': 10.0, 'bounds': [0, 0, 400, 400]}
+    risk_map, _ = made(tmp_path, [Point(*place)], {**AREA, 'forbidden': True, 'buffer': 4e-5},
+                       top, 'EPSG:4326')
+    assert risk_map.crs == frame and np.argwhere(risk_map.obstacles).tolist() == [[5, 10]]
+
+
+# Six days on one way, in tracks of one file; the times and positions of receivers.
+DEGREES = Coordinates(CRS).to_lat_lon(np.stack((WEST + np.arange(0, 400, 20.0),
+                                                np.full(20, SOUTH + 9.0)), axis=1))
+
+
+def gpx(begins, places=DEGREES, step=10):
+    tracks = []
+    for begin in begins:
+        times = ['' if begin is None else f'<time>{np.datetime64(begin) + step * k}Z</time>'
+                 for k in range(len(places))]
+        tracks.append(''.join(f'<trkpt lat="{lat}" lon="{lon}">{time}</trkpt>\n'
+                              for (lat, lon), time in zip(places, times, strict=True)))
+    return ('<gpx xmlns="http://www.topografix.com/GPX/1/1">'
+            + ''.join(f'<trk><trkseg>{each}</trkseg></trk>' for each in tracks) + '</gpx>')
+
+
+@pytest.mark.parametrize(('begin', 'step', 'timed'), [
+    ('2026-03-01T08:00:00', 10, True), (None, 10, False), ('1970-01-01T00:00:00', 10, False),
+    ('2026-03-01T08:00:00', 0, False), ('1980-01-06T00:00:00', 10, False),
+    ('2000-01-01T00:00:00', 10, False), ('1999-08-22T00:00:05', 10, False),
+    ('1989-12-31T00:00:00', 10, False), ('1970-01-01T08:00:00', 10, False),
+    ('2005-08-01T08:00:00', 10, True),
+])
+def test_times_that_say_nothing_are_ignored(begin, step, timed, tmp_path):
+    (tmp_path / 'a.gpx').write_text(gpx([begin] * 6, step=step))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        tracks = read_tracks(str(tmp_path / 'a.gpx'), CRS)
+    assert len(tracks) == 6 and all((each.times is not None) == timed for each in tracks)
+    assert ('the times of 6 of 6 tracks are ignored' in words_of(said)) == (
+        not timed and begin is not None)
+
+
+@pytest.mark.parametrize('bad', [
+    (0.0, 0.0), (91.0, 0.0), (48.0, 400.0), ('', ''), ('nan', 'nan'), (0.0, -0.0), ('x', 14.0),
+    (-91.0, 14.0), ('', 14.0), (1e-7, 0.0),
+])
+def test_positions_without_a_fix_are_counted(bad, tmp_path):
+    places = [*DEGREES.tolist()]
+    places[3:5] = [bad, bad]
+    (tmp_path / 'a.gpx').write_text(gpx([None], places))
+    rows = ''.join(f'{lat},{lon}\n' for lat, lon in places)
+    (tmp_path / 'a.csv').write_text('lat,lon\n' + rows)
+    for name in ('a.gpx', 'a.csv'):
+        with pytest.warns(AmbushPlannerWarning) as said:
+            (track,) = read_tracks(str(tmp_path / name), CRS)
+        assert len(track.xy) == 18 and '2 of 20 positions have no fix' in words_of(said)
+        assert len(words_of(said)) < 300
+
+
+@pytest.mark.parametrize(('cut', 'count', 'words'), [
+    (lambda text: text[: len(text) // 2], 9, 'ends early, at line'),
+    (lambda text: text[:-6], 20, 'ends early'), (lambda text: text[:-30], 19, 'ends early'),
+    (lambda text: text[:600] + '\0\0' + text[602:], 8, 'damaged'),
+    (lambda text: text + '\n<trk>', 20, 'damaged'), (lambda text: text[:30], 0, 'ends early'),
+    (lambda text: '', 0, 'ends early'), (lambda text: 'hello', 0, 'damaged'),
+    (lambda text: '<gpx></gpx>', 0, 'there is no track in it'),
+])
+def test_files_that_end_early_are_read_up_to_there(cut, count, words, tmp_path):
+    (tmp_path / 'a.gpx').write_text(cut(gpx([None])))
+    if not count:
+        with pytest.raises(AmbushPlannerError, match=words) as refused:
+            read_tracks(str(tmp_path / 'a.gpx'), CRS)
+        assert '\n' not in str(refused.value) and len(str(refused.value)) < 200
+        return
+    with pytest.warns(AmbushPlannerWarning, match=words):
+        (track,) = read_tracks(str(tmp_path / 'a.gpx'), CRS)
+    assert count <= len(track.xy) <= count + 2
+
+
+def test_errors_of_positions_are_one_line():
+    for places in (DEGREES + 60.0, DEGREES * np.nan):
+        with pytest.raises(AmbushPlannerError, match='20 such positions') as refused:
+            Coordinates(CRS).from_lat_lon(places)
+        assert len(str(refused.value)) < 200
