@@ -54,14 +54,10 @@ lint: $(VENV)/.test
 # A missed latency target does not stop the benchmarks that follow.
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py --early --changes 50 --peers
+	$(BIN)/python benchmarks/ground.py
 	$(BIN)/python benchmarks/others.py
-	$(BIN)/python benchmarks/few.py
 	$(BIN)/python benchmarks/random_games.py --count 200
-	$(BIN)/python benchmarks/mesh_convergence.py
-	$(BIN)/python benchmarks/cells.py
-	$(BIN)/python benchmarks/routes.py
 	-$(BIN)/python benchmarks/node_latency.py
-	-$(BIN)/python benchmarks/node_map_changes.py
 	-$(BIN)/python benchmarks/node_motion.py
 
 endurance: $(VENV)/.test

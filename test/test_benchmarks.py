@@ -16,17 +16,15 @@ TIMEOUT = 250  # s
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
-    'few': '--families gates --seed 1',
-    'mesh_convergence': '--families hills-coarse --each 1 --fractions 2 1 --seed 1',
+    'ground': '--family yard --seed 3 --ways default --shifts 2',
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 1',
-    'routes': '--maps maze --departures 2 --nodes 300',
     'solver': '--kinds plan nodes --sizes 100 --each 1 --families gates --seed 1 --limit 60 '
               '--early --changes 1 --peers',
 }
 NODE_SCRIPTS = {
-    'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',
-    'node_map_changes': '--seconds 0.6 --cells 200 --nodes 400',
+    'node_fuzz': '--messages 20 --seed 3',
+    'node_latency': '--samples 1 --calls 2 --nodes 400 --seconds 0.6 --cells 200',
 }
 if not interfaces._missing():
     NODE_SCRIPTS['node_motion'] = '--trips 1 --speeds 2 --hurry 3 --ask 1Hz'
