@@ -27,9 +27,7 @@ def plan(radius, held, alpha=1.0, tolerance=0.0, obstacles=None):
 @pytest.mark.parametrize('alpha', [1.0, 7.0])
 def test_names_a_place_that_covers_every_way_out(alpha):
     (text,) = concerns(plan(3.0, 0.5, alpha))
-    assert text.startswith(('one place covers every way out of the start: the value ',
-                            'one place covers every way into the goal: the value '))
-    assert 'hold 3.3 m there (game.secured_radius -1), or ' in text
+    assert 'covers every way' in text and 'hold 3.3 m' in text and 'game.secured_radius' in text
 
 
 def test_a_chosen_radius_leaves_no_place_that_covers_every_way_out():
@@ -46,4 +44,4 @@ def test_names_a_passage_far_from_the_ends():
     wall[:, 15] = True
     wall[9:11, 15] = False
     (text,) = concerns(plan(2.0, None, obstacles=wall))
-    assert text.startswith('one place hits every route, ') and 'hold' not in text
+    assert 'hits every route' in text and 'hold' not in text

@@ -69,7 +69,7 @@ def test_a_trip_has_one_node_for_each_hiding_place():
 def test_no_hiding_places_without_an_ambush_radius():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
-    game = GameOptions(ambush_in_obstacles=True)
-    assert add_hiding_places(network, risk_map, PlanningOptions(game=game)) is network
-    reaching = PlanningOptions(game=replace(game, ambush_radius=3.0))
-    assert len(add_hiding_places(network, risk_map, reaching).points) > len(network.points)
+    game, options = GameOptions(ambush_in_obstacles=True), PlanningOptions()
+    assert add_hiding_places(network, risk_map, options, game) is network
+    hidden_in = add_hiding_places(network, risk_map, options, replace(game, ambush_radius=3.0))
+    assert len(hidden_in.points) > len(network.points)

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HiGHS through scipy: optimum, infeasible, no time, the fallbacks.
+"""HiGHS through scipy: optimum, infeasible, no time, unbounded.
 
 That its interior point method runs without crossover is seen in test_linear_program.
 """
 
 import math
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,19 +50,3 @@ def test_an_unbounded_program_fails_by_name(solver):
     free = Program(endless.cost, csr_matrix((0, 3)), np.empty(0), csr_matrix((1, 3)), np.zeros(1))
     with pytest.raises(SolverFailed, match=solver):
         run(free, solver, math.inf)
-
-
-def test_other_tolerances_are_tried_when_highs_is_in_trouble(monkeypatch):
-    tried, enough = [], 5
-
-    def linprog(*_, options, **__):
-        tried.append((options['presolve'], options['ipm_optimality_tolerance']))
-        status = highs.OPTIMAL if len(tried) == enough else highs.NUMERICAL_TROUBLE
-        return SimpleNamespace(status=status, x=np.zeros(3), nit=1, message='')
-
-    monkeypatch.setattr('scipy.optimize.linprog', linprog)
-    assert run(program(), 'interior_point', math.inf).status == highs.OPTIMAL
-    assert len(set(tried)) == 5
-    enough = math.inf
-    with pytest.raises(SolverFailed, match='interior_point'):
-        run(program(), 'interior_point', math.inf)

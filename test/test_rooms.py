@@ -60,7 +60,8 @@ def test_a_file_imports_only_from_rooms_before_its_own_and_ros_in_its_room_only(
 # The files of the game's room, and its own rooms, in their order.
 GAME = (('discs', 'game', 'budget', 'slack'), ('law',),
         ('route_sampler', 'faces', 'ambusher', 'hits'), ('certificate',), ('value',),
-        ('copies', 'solver'), ('strategy', 'revaluation', 'bottleneck', 'spotter'))
+        ('copies',), ('search',), ('chain_search', 'trip_search'), ('solver',),
+        ('strategy', 'revaluation', 'bottleneck', 'spotter'))
 
 
 def test_a_file_of_the_game_imports_only_from_those_before_its_own():

@@ -8,21 +8,6 @@ from ambush_planner.game.law import triangular
 from ambush_planner.game.law.triangular import Recursion
 
 
-def refused(*_):
-    raise TypeError('called otherwise in this scipy')
-
-
-def not_in_place(_n, _m, _k, _first, _column, _entries, _x, _y):
-    """A product that leaves y as it is."""
-
-
-@pytest.mark.parametrize('product', [None, refused, not_in_place])
-def test_a_product_that_does_not_work_in_place_is_not_used(monkeypatch, product):
-    assert triangular.IN_PLACE
-    monkeypatch.setattr(triangular, 'csr_matvecs', product)
-    assert not triangular._goes_row_by_row()
-
-
 @pytest.mark.parametrize('in_place', [True, False])
 @pytest.mark.parametrize('shape', [(30,), (30, 4)])
 def test_solves_as_dense_algebra_does(monkeypatch, in_place, shape):

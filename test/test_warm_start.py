@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
-from ambush_planner.game.solver import Multipliers
+from ambush_planner.game.search import Multipliers
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions

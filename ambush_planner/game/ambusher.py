@@ -57,6 +57,12 @@ class Ambusher:
                 raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
 
 
+def padded(shares: FloatArray, count: int) -> FloatArray:
+    """Shares (..., K) of the first sites as those (..., count) of all, 0 for the others."""
+    more = np.zeros((*shares.shape[:-1], count - shares.shape[-1]))
+    return np.concatenate((shares, more), axis=-1)
+
+
 def on_nodes(game: Game, shares: FloatArray) -> FloatArray:
     """Shares (..., S) of the sites as shares (..., N) of their first nodes."""
     nodes = np.zeros((*shares.shape[:-1], game.node_count))

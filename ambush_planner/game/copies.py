@@ -19,7 +19,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
-from ..errors import SolverFailed
+from ..errors import SolverFailed, TimeLimit
 from ..network.trip_graph import with_copies
 from .budget import margin_rows
 from .game import Game
@@ -59,9 +59,11 @@ def law_on_copies(routes: Routes, slack: float, deadline: float) -> LawOnCopies 
         few, every = routes.mixtures.among(order[:count]), count >= len(order)
         count *= 2
         try:
-            shares = few.solve(TIGHT).shares
+            shares = few.solve(TIGHT, deadline).shares
         except SolverFailed:  # these routes exceed a budget
             continue
+        except TimeLimit:
+            break
         value = few.value(shares)
         if within(value, routes.value, FEW_LOSE * slack) or every:
             limit = max(ceiling(routes.bound, slack), ceiling(value, slack / 2.0))

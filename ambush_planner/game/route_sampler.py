@@ -15,9 +15,6 @@ from ..network.shortest_paths import shortest_path
 from .game import Game
 from .law.acyclic import is_acyclic
 
-# Largest number of poses in a path; serialising more would block the node for seconds.
-MAX_POSES = 20_000
-
 
 class RouteSampler:
     """Draws routes: at each node, the next edge has probability p_ij / x_i.

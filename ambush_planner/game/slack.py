@@ -13,6 +13,8 @@ Reason = Literal['complete', 'time', 'solver', 'stalled']
 
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
+# Least slack of a search, so that it ends within the tolerance if none is asked for.
+MIN_SLACK = 0.9 * CERTIFICATE_TOLERANCE
 
 
 def ceiling(bound: float, slack: float) -> float:

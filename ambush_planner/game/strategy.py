@@ -23,11 +23,15 @@ from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
 from .route_sampler import RouteSampler, entropy, route_entropy
+from .search import Ground, Multipliers, Problem
 from .slack import CERTIFICATE_TOLERANCE, Reason, within
-from .solver import Ground, Multipliers, Problem, most_unpredictable
+from .solver import most_unpredictable
 from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, unseen
 
+# How much earlier than the time limit a search ends, as a share of it and at most [s]; and how
+# much later at most its judge, as a share and at least [s].
+EARLY, LATER = (0.05, 0.5), (0.03, 0.5)
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
 
@@ -106,39 +110,12 @@ class Strategy(Shown):
         The network with its options applied: sites, losses, playable edges.
     edge_probability : (M,)
         p: expected uses of each edge; probabilities where the strategy is acyclic.
-    shown_probability : (M,)
-        p with all copies of an edge, which a trip can have, added up at the first of them.
-    visit_probability : (N,)
-        x: expected visits of each node, 1 at the source and the target.
-    ambush_probability : (N,)
-        q: the ambusher's equilibrium strategy at the first node of each place; it sums to the
-        number of ambushers. On trips, ``ambusher.by_leg`` says for which leg he waits there.
-    ambush_at_places : (K,)
-        q by place, K = ``network.place_count``: the shares at all nodes of each added up.
-    value : float
-        z(p): mean loss of the best ambush. A route counts once per site, however often it comes
-        back into the site's reach. If p has cycles, every entry counts: an upper bound.
-    lower_bound : float
-        No strategy within the budgets has a smaller value, counted in the same way.
-    gap : float
-        value - lower_bound.
-    edge_entropy, route_entropy : float
-        -sum p ln p (the paper's), and the entropy of the drawn route, -sum p_ij ln(p_ij / x_i)
-        [nats].
-    expected_length, shortest_length, length_budget : float
-        [m], or [s] if the network has driving times (``travel_costs``); the shortest route is the
-        whole network's. With ``length_weight`` the budget is the strategy's own expected length.
-    expected_exposure, least_exposure, exposure_budget : float
-        Integral of alpha along the route [loss x m]: its mean, the least of any route, the budget.
-    length_price, exposure_price : float
-        Decrease of the value per unit of increase of the budget.
+    ambusher : Ambusher
+        The best one: where he waits, and what the budgets are worth to him.
     iterations : int
         Evaluations of the Gibbs law, or iterations of the interior point or simplex method.
     multipliers : Multipliers or None
         Those of the Gibbs law, for a warm start.
-    entropy_gap : float
-        How much more route entropy another strategy on the same acyclic part could have within the
-        same limits [nats]; NaN if that is not known, as with a reach or on trips.
     reason : str
         Why the search ended: 'complete', the value is within the slack of its bound; 'time', the
         time limit passed; 'solver', a numerical solver failed; 'stalled', no method found a better
@@ -157,12 +134,16 @@ class Strategy(Shown):
 
     @property
     def value(self) -> float:
-        """z(p): mean loss of the best ambush."""
+        """z(p): mean loss of the best ambush.
+
+        A route counts once per site, however often it comes back into the site's reach. If p has
+        cycles, every entry counts: an upper bound.
+        """
         return self.certificate.value
 
     @property
     def lower_bound(self) -> float:
-        """No strategy within the budgets has a smaller value."""
+        """No strategy within the budgets has a smaller value, counted in the same way."""
         return self.certificate.bound
 
     @property
@@ -172,58 +153,70 @@ class Strategy(Shown):
 
     @cached_property
     def visit_probability(self) -> FloatArray:
-        """x (N,): expected visits of each node."""
+        """x (N,): expected visits of each node, 1 at the source and the target."""
         return frozen_array(self.game.visits(self.edge_probability), np.float64)
 
     @cached_property
     def shown_probability(self) -> FloatArray:
-        """p (M,) with all copies of an edge added up at the first of them: what pictures show."""
+        """p (M,) with all copies of an edge, which a trip can have, added up at the first."""
         p, first = self.edge_probability, self.network.first_edge
         return frozen_array(sums(first, p, len(p)), np.float64)
 
     @property
     def ambush_probability(self) -> FloatArray:
-        """q (N,): the ambusher's strategy."""
+        """q (N,): the ambusher's equilibrium strategy at the first node of each place.
+
+        It sums to the number of ambushers. On trips, ``ambusher.by_leg`` says for which leg he
+        waits there.
+        """
         return self.ambusher.q
 
     @property
+    def ambush_at_places(self) -> FloatArray:
+        """q by place (K,), K = ``network.place_count``: summed over the nodes of each."""
+        return self.game.at_places(self.ambush_probability)
+
+    @property
     def edge_entropy(self) -> float:
-        """-sum p ln p [nats]."""
+        """-sum p ln p, the paper's [nats]."""
         return entropy(self.edge_probability, np.ones_like(self.edge_probability))
 
     @cached_property
     def route_entropy(self) -> float:
-        """Entropy of a drawn route [nats]."""
+        """Entropy of a drawn route, -sum p_ij ln(p_ij / x_i) [nats]."""
         return route_entropy(self.network, self.edge_probability)
 
     @property
     def entropy_gap(self) -> float:
-        """How much more route entropy the same part could have [nats]; NaN if unknown."""
+        """How much more route entropy another strategy on the same acyclic part could have [nats].
+
+        Within the same limits. NaN if that is not known, as with a reach or on trips.
+        """
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
     @property
     def expected_length(self) -> float:
-        """Mean length [m], or time [s]."""
+        """Mean length [m], or [s] if the network has driving times (``travel_costs``)."""
         return self.budgets[0].mean(self.edge_probability)
 
     @property
     def shortest_length(self) -> float:
-        """Length of the network's shortest route [m or s]."""
+        """Length of the whole network's shortest route [m or s]."""
         return self.budgets[0].least
 
     @property
     def length_budget(self) -> float:
-        """Largest mean length [m or s]; inf: unlimited."""
+        """Largest mean length [m or s]; with ``length_weight`` the strategy's own; inf: any."""
         return self.budgets[0].limit
 
     @property
     def length_price(self) -> float:
-        """Decrease of the bound per unit of length."""
+        """Decrease of the value per unit of increase of the length budget."""
         return self.ambusher.prices[0]
 
     @property
     def expected_exposure(self) -> float:
-        """Mean exposure [loss x m]."""
+        """Mean integral of alpha along the route [loss x m]."""
         return self.budgets[1].mean(self.edge_probability)
 
     @property
@@ -238,7 +231,7 @@ class Strategy(Shown):
 
     @property
     def exposure_price(self) -> float:
-        """Decrease of the bound per unit of exposure."""
+        """Decrease of the value per unit of increase of the exposure budget."""
         return self.ambusher.prices[1]
 
     def _summary(self) -> dict[str, str]:
@@ -260,11 +253,6 @@ class Strategy(Shown):
     def network(self) -> Network:
         """The network that the strategy is for."""
         return self.game.network
-
-    @property
-    def ambush_at_places(self) -> FloatArray:
-        """How likely an ambusher waits at each place (K,): q summed over the nodes of each."""
-        return self.game.at_places(self.ambush_probability)
 
     @cached_property
     def _sampler(self) -> RouteSampler:
@@ -363,8 +351,10 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
     budgets = make_budgets(game, options)
     if options.solver != 'max_entropy':
         return _by_linear_program(game, budgets, options, deadline)
-    found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm,
-                                       progress))
+    limit = options.time_limit
+    found = most_unpredictable(Problem(
+        game, budgets, options.risk_slack, deadline - min(EARLY[0] * limit, EARLY[1]), ground, warm,
+        progress, deadline + max(LATER[0] * limit, LATER[1])))
     strategy = strategy_of(found.game, found.p, found.ambusher, found.budgets, found.bound)
     strategy = replace(strategy, iterations=found.evaluations, multipliers=found.multipliers,
                        entropy_bound=found.entropy_bound)

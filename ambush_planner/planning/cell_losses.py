@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
-from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -22,6 +21,7 @@ from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges
 from ..game.game import Game
 from ..game.law.chain import MarkovChain
+from ..game.search import Places
 from ..game.value.routes import RouteMixture
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
@@ -32,18 +32,6 @@ _DIVISION = 4
 # Maximum share of changed cells; beyond it losses are computed from the whole map.
 _MAX_CHANGED = 0.05
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
-
-
-class Places(NamedTuple):
-    """Places where an ambusher can wait.
-
-    Positions (K, 2) [m], losses (K,), mean losses (K,), and the edges that enter their discs.
-    """
-
-    points: FloatArray
-    alpha: FloatArray
-    mean_loss: FloatArray
-    entering: csr_matrix
 
 
 class CellLosses:

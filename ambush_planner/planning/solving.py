@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, frozen_array
 from ..errors import TimeLimit
-from ..game.game import make_game
+from ..game.game import GameOptions, make_game
 from ..game.revaluation import open_gap
-from ..game.solver import Multipliers
+from ..game.search import Multipliers
 from ..game.strategy import Strategy, solve_game
 from ..game.value.routes import Progress, unseen
 from ..maps.risk_map import RiskMap
@@ -56,11 +56,12 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     returned if it is within ``max_gap``. Raises the errors of ``solve``.
     """
     cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
-    network = add_hiding_places(network, risk_map, options)
+    played = solved_game(risk_map, options)
+    network = add_hiding_places(network, risk_map, options, played)
     if warm:
         places = warm.sites_beyond(network)
         network = with_places(network, places, cells.at(places))
-    game = make_game(network, solved_game(risk_map, options))
+    game = make_game(network, played)
     ground = CellSearch(cells, game) if holds_anywhere(options) else None
     try:
         return solve_game(game, options.strategy, ground, warm.on(network) if warm else None,
@@ -82,10 +83,10 @@ def _within_max_gap(strategy: Strategy, late: TimeLimit, options: PlanningOption
                     strategy) from late
 
 
-def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
-    """Add the obstacle cells in which an ambusher can hide, if the game includes them."""
-    radius = solved_game(risk_map, options).reach
-    if not options.game.ambush_in_obstacles or radius == 0.0:
+def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions,
+                      played: GameOptions) -> Network:
+    """Add the obstacle cells in which an ambusher can hide, if the ``played`` game has any."""
+    if not played.ambush_in_obstacles or played.reach == 0.0:
         return network
     spacing = node_spacing(risk_map, options.network)
-    return with_hiding_places(network, risk_map, radius, spacing)
+    return with_hiding_places(network, risk_map, played.reach, spacing)

@@ -159,7 +159,8 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     """Build the network again and compare it bit for bit; then compare the game's budgets."""
     recorded = strategy.network
     laid = trip_network(risk_map, trip.start, trip.goal, planning.network, trip.stops, order)
-    network = add_hiding_places(laid, risk_map, planning)
+    played = solved_game(risk_map, planning)
+    network = add_hiding_places(laid, risk_map, planning, played)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
     network = _with_recorded_copies(network, recorded)
     if holds_anywhere(planning):
@@ -172,7 +173,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
         for name in ('points', 'edges', 'alpha', 'places', 'leg')
     ):
         return ['network: it does not follow from the recorded map, trip and parameters']
-    if strategy.game.options != solved_game(risk_map, planning):
+    if strategy.game.options != played:
         return ['strategy: its reach or held ground is not that of the parameters']
     problems = []
     search = CellSearch(cells, strategy.game, np.flatnonzero(strategy.edge_probability > 0.0))

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import time
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -40,6 +41,8 @@ from ..game import Game
 # which it stops: a second or less each. The cost reached by then is still a lower bound.
 SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 5_000_000))
 Searches = Sequence[tuple[float, int]]
+# Labels after which a search looks at the clock.
+CLOCK = 256
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
 # Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
@@ -58,8 +61,11 @@ class BestResponse:
 
 
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
-                  prices: Sequence[float] | FloatArray) -> BestResponse:
+                  prices: Sequence[float] | FloatArray,
+                  deadline: float = math.inf) -> BestResponse:
     """Find the route that costs least against q with each site counted once.
+
+    At ``deadline`` (``time.monotonic``) the bound so far is returned.
 
     q is (N,) by node; or (stops + 1, N) by the leg for which the ambusher waits, and the node.
     """
@@ -69,7 +75,7 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
             base = base + price * budget.excess
             paid += price * budget.margin
     charge = game.loss[game.sites] * [game.at_sites(each) for each in np.atleast_2d(q)]
-    least, edges = Grounds(game, game.hits).least_cost(base, charge, SEARCHES)
+    least, edges = Grounds(game, game.hits).least_cost(base, charge, SEARCHES, deadline)
     return BestResponse(max(least - paid, 0.0), edges)
 
 
@@ -115,19 +121,19 @@ class Grounds:
                           for begin, own in enumerate(begins[:-1]) if leg[own[0]] == number
                           for end in ends]
 
-    def least_cost(self, base: FloatArray, charge: FloatArray,
-                   searches: Searches) -> tuple[float, IndexArray | None]:
+    def least_cost(self, base: FloatArray, charge: FloatArray, searches: Searches,
+                   deadline: float = math.inf) -> tuple[float, IndexArray | None]:
         """A lower bound of the least base cost (M,) plus charges (stops + 1, S), and a route near.
 
         If the ambusher waits for several legs, the bound and the route are those of the legs.
         """
         if np.count_nonzero(charge.any(axis=1)) < 2:
-            return self.whole.least_cost(base, charge.sum(axis=0), searches)
+            return self.whole.least_cost(base, charge.sum(axis=0), searches, deadline)
         ways: dict[int, IndexArray | None] = {}
 
         def cost(k: int) -> float:
             number, _, _, ground = self.legs[k]
-            least, ways[k] = ground.least_cost(base, charge[number], searches)
+            least, ways[k] = ground.least_cost(base, charge[number], searches, deadline)
             return least
 
         least, trip = self.least_trip(cost)
@@ -214,11 +220,11 @@ class Ground:
         step = np.array(nodes[:0:-1]) * self.count + nodes[-2::-1]
         return np.asarray(self.edge[np.searchsorted(self._key, step)])
 
-    def least_cost(self, base: FloatArray, charge: FloatArray,
-                   searches: Searches) -> tuple[float, IndexArray | None]:
+    def least_cost(self, base: FloatArray, charge: FloatArray, searches: Searches,
+                   deadline: float = math.inf) -> tuple[float, IndexArray | None]:
         """A lower bound of the least base cost (M,) plus charges (S,), and a route near it.
 
-        The route is None if all searches were cut short.
+        The route is None if all searches were cut short, the last of them at ``deadline``.
         """
         if self.exact:
             shortest = self.shortest(base, charge)
@@ -226,8 +232,10 @@ class Ground:
         labels, least, best = _Labels(self, base, charge), 0.0, math.inf
         edges: IndexArray | None = None
         for kept, comparisons in searches:
-            bound, route = labels.search(kept, comparisons)
+            bound, route = labels.search(kept, comparisons, deadline)
             least = max(least, bound)
+            if time.monotonic() > deadline:
+                break
             if route is None:
                 continue
             cost = self.cost(route, base, charge)
@@ -260,10 +268,11 @@ class _Labels:
         self._base, self._charge = base[ground.edge].tolist(), charge[rows].tolist()
         self._sources, self._targets = ground.first.tolist(), set(ground.last.tolist())
 
-    def search(self, kept: float, comparisons: int) -> tuple[float, IndexArray | None]:
+    def search(self, kept: float, comparisons: int,
+               deadline: float) -> tuple[float, IndexArray | None]:
         """A lower bound of the least cost, and a route as edges; None after ``comparisons``.
 
-        It keeps at most ``kept`` labels at each node.
+        Or at ``deadline``. It keeps at most ``kept`` labels at each node.
         """
         behind = self._behind
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
@@ -274,7 +283,7 @@ class _Labels:
             least, cost, number, node, met = heapq.heappop(queue)
             if node in self._targets:
                 return cost, self._route(labels, number)
-            if comparisons < 0:
+            if comparisons < 0 or not len(labels) % CLOCK and time.monotonic() > deadline:
                 return least, None
             here = settled.setdefault(node, [])
             comparisons -= len(here)

@@ -17,7 +17,8 @@ prices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ...arrays import ROUNDING, FloatArray, sums
 from ...errors import SolverFailed
 from ..ambusher import Ambusher
 from ..budget import Budget
-from ..faces import make_faces
+from ..faces import Faces, make_faces
 from ..game import Game
 from ..hits import hits_can_differ, worst_loss
 from .best_response import best_response
@@ -74,11 +75,13 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget
     return Certificate(value, max(bound - over, 0.0))
 
 
-def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
+def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
+                faces: Faces | None = None, deadline: float = math.inf) -> float:
     """Value that no strategy within the budgets can beat, as the ambusher proves it.
 
-    By the closed curves of his circulation if he has one, else by the best response. Raises
-    SolverFailed if he is no ambusher of the game.
+    By the closed curves of his circulation if he has one, else by the best response, as far as that
+    is found by ``deadline`` (``time.monotonic``). ``faces`` are the network's, if they are known.
+    Raises SolverFailed if he is no ambusher of the game.
     """
     ambusher.check(game, budgets)
     game = game.without_copies()  # whatever can be driven can be driven on the trip's own nodes
@@ -86,8 +89,9 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> 
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:
         waits = ambusher.q if ambusher.by_leg is None else ambusher.by_leg
-        return best_response(game, waits, budgets, ambusher.prices).bound
-    faces, used = make_faces(game), [k for k, price in enumerate(ambusher.prices) if price > 0.0]
+        return best_response(game, waits, budgets, ambusher.prices, deadline).bound
+    faces = replace(faces, game=game) if faces else make_faces(game)
+    used = [k for k, price in enumerate(ambusher.prices) if price > 0.0]
     if faces is None or len(used) > 1:
         raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
     charge = game.loss * ambusher.q

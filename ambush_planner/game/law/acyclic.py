@@ -24,22 +24,11 @@ from ...network.shortest_paths import edge_matrix
 from ..game import Game
 from .triangular import Recursion
 
-# Largest number of nodes for which the potential is solved; larger networks use the progress.
-POTENTIAL_NODES = 250_000
-
 
 def order_potential(game: Game) -> FloatArray:
-    """A number for each node (N,) that rises from source to target; inf for unused nodes."""
-    driven = np.zeros(game.node_count, dtype=bool)
-    driven[game.network.edges[game.playable]] = True
-    if driven.sum() > POTENTIAL_NODES:
-        return progress(game)
-    return harmonic_potential(game, np.flatnonzero(driven))
-
-
-def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
-    """Voltage (N,) of the nodes ``driven`` (K,), 0 at source and 1 at target; inf elsewhere."""
+    """The voltage (N,) of nodes on playable edges, 0 at source and 1 at target; inf elsewhere."""
     network, edges = game.network, game.network.edges[game.playable]
+    driven = np.unique(edges)
     lengths = network.lengths[game.playable]
     conductance = 1.0 / np.maximum(lengths, 1e-9 * float(lengths.mean()) or 1.0)
     place = np.full(game.node_count, -1)
@@ -62,16 +51,6 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
                       panel_size=4, options={'SymmetricMode': True})
         potential[inner] = factor.solve(pull)
     return potential
-
-
-def progress(game: Game) -> FloatArray:
-    """d(source, j) - d(j, target) by length [m] for each node (N,); inf for unused nodes."""
-    network = game.network
-    ahead, behind = game.distances_ahead(network.lengths), game.distances_behind(network.lengths)
-    off = ~(np.isfinite(ahead) & np.isfinite(behind))
-    risen = np.where(off, np.inf, np.where(off, 0.0, ahead) - np.where(off, 0.0, behind))
-    risen[network.source], risen[network.target] = -np.inf, np.finfo(float).max
-    return risen
 
 
 def rank_by(potential: FloatArray | IndexArray) -> IndexArray:

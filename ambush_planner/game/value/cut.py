@@ -17,7 +17,9 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from ...arrays import BoolArray, FloatArray, sums
 from ...errors import SolverFailed
+from ..ambusher import Ambusher, at_nodes
 from ..budget import Budget
+from ..faces import Faces
 from ..game import Game
 from ..law.acyclic import without_cycles
 from ..route_sampler import shortest_route_strategy
@@ -62,6 +64,9 @@ class Cut:
     infinite if some q exceeds 1.
     """
 
+    apart = 0.0
+    faces: Faces | None = None
+
     def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
         cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
         self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
@@ -74,6 +79,10 @@ class Cut:
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Nothing: all sites are nodes of the network."""
+
+    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
+        """He who proves the bound, in a game with the ``kept`` sites."""
+        return Ambusher(at_nodes(game, self.q[kept]), tuple(self.prices.tolist()))
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:

@@ -152,15 +152,16 @@ class Mixtures:
         cost, each = np.zeros(rows.shape[1]), np.ones((1, rows.shape[1]))
         cost[-1], each[0, -1] = 1.0, 0.0
         result = _solved(highs.Program(cost, csr_matrix(rows), np.zeros(len(excess)),
-                                       csr_matrix(each), np.ones(1)), highs.OPTIMALITY[0])
+                                       csr_matrix(each), np.ones(1)), highs.OPTIMALITY[0], math.inf)
         weights = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
         return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
                        np.zeros((self._groups, len(self.loss))), weights)
 
-    def solve(self, precision: float) -> Mixture:
+    def solve(self, precision: float, deadline: float = math.inf) -> Mixture:
         """The mixture of least value, to a relative gap of ``precision``.
 
-        A site has a row in the program once its losses have come near the value.
+        A site has a row in the program once its losses have come near the value. Raises TimeLimit
+        at ``deadline`` (``time.monotonic``), or SolverFailed.
         """
         group, near, level = np.array(self._group), self._near.ravel(), math.inf
         # In a unit near the value, to which the solver's tolerances are relative.
@@ -172,7 +173,7 @@ class Mixtures:
             largest = np.sort(losses)[-self.ambushers :]
             if level < math.inf or not near.any():
                 near = near | (losses > min(NEAR * largest.min(initial=math.inf), level))
-            result = self._solve_on(hit[near], group, precision)
+            result = self._solve_on(hit[near], group, precision, deadline)
             shares, level = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
             shares /= np.bincount(group, shares)[group]
             losses = hit @ shares
@@ -192,7 +193,8 @@ class Mixtures:
         return csr_matrix((losses, (group[column] * count + sites, column)),
                           (self._groups * count, len(size)))
 
-    def _solve_on(self, hit: csr_matrix, group: IndexArray, precision: float) -> OptimizeResult:
+    def _solve_on(self, hit: csr_matrix, group: IndexArray, precision: float,
+                  deadline: float) -> OptimizeResult:
         """Solve the program with the rows (R, C) of some sites."""
         (rows, count), extra = hit.shape, hit.shape[0] * (self.ambushers > 1)
         limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
@@ -207,14 +209,14 @@ class Mixtures:
         cost = np.repeat([0.0, self.ambushers, 1.0], [count, 1, extra])
         bounds = np.repeat([0.0, self.limit], [rows, excess.shape[0]])
         return _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, flow,
-                                     np.eye(1, stops)[0]), precision)
+                                     np.eye(1, stops)[0]), precision, deadline)
 
 
-def _solved(program: highs.Program, precision: float) -> OptimizeResult:
+def _solved(program: highs.Program, precision: float, deadline: float) -> OptimizeResult:
     try:
-        result = highs.run(program, 'interior_point', math.inf, False, precision)
+        result = highs.run(program, 'interior_point', deadline, False, precision)
     except SolverFailed:
-        result = highs.run(program, 'simplex', math.inf)
+        result = highs.run(program, 'simplex', deadline)
     if result.x is None:
         raise SolverFailed('no mixture of the known routes is within the budgets')
     return result

@@ -13,13 +13,18 @@ exceeds its share, are new columns of the same model.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import ROUNDING, FloatArray, IndexArray
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from ..ambusher import Ambusher, at_nodes, padded
 from ..budget import Budget
 from ..faces import Circulation, Faces
+from ..game import Game
+from ..hits import hits_can_differ
 from ..law.acyclic import conserved_strategy, without_cycles
 from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
@@ -45,6 +50,8 @@ class Potential:
     half the largest loss if that is less.
     """
 
+    apart = 0.0
+
     def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float,
                  first: float = np.inf) -> None:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
@@ -59,7 +66,7 @@ class Potential:
         self._z, self.bound = first, 0.0
         self._potential: FloatArray | None = None
         self._kept: FloatArray | None = None  # the latest potential within the budget
-        self.circulation: Circulation | None = None
+        self.circulation: Circulation | None = None  # its sites are rows, not nodes
         self.q, self.price = np.zeros(0), 0.0
         self._start_with_links()
         self.add_sites(self.game.hits, self.game.loss[self.game.sites])
@@ -107,6 +114,16 @@ class Potential:
             if not (new + self._join(z, height)) and found:
                 self._z = z
                 return
+
+    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
+        """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
+        q, curves = padded(self.q, len(kept))[kept], self.circulation
+        if curves and hits_can_differ(game):
+            node = np.full(len(kept), -1)
+            node[kept] = game.sites
+            curves = replace(curves, site=node[curves.site])
+        return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()),
+                        circulation=curves if hits_can_differ(game) else None)
 
     @property
     def level(self) -> FloatArray:

@@ -20,10 +20,11 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
 from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
-from ...errors import BudgetInfeasible
-from ..ambusher import capped_at_one
+from ...errors import BudgetInfeasible, TimeLimit
+from ..ambusher import Ambusher, at_nodes, capped_at_one, on_nodes, padded
 from ..budget import Budget
 from ..certificate.best_response import Grounds
+from ..faces import Faces
 from ..game import Game
 from ..law.acyclic import conserved_strategy
 from ..slack import within
@@ -42,6 +43,9 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
             (math.inf, 4_000_000, 1e-2))
 # The same for the ways of one leg.
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
+# Least distance of places that join at once, as a share of the reach: places near each other hit
+# nearly the same routes.
+APART = 0.25
 # Rounds before the legs' program runs for the first time, then twice as many and so on.
 FIRST_TURN = 16
 # Rounds of the legs' program, and those in which it is proved although ways still join.
@@ -77,23 +81,27 @@ class Routes:
         His prices of the budgets [loss per unit of cost].
     routes, shares
         The routes, as edges, and their probabilities (C,).
-    late : bool
-        Whether the deadline ended the search.
+    deadline : float
+        When searches end (``time.monotonic``): they raise TimeLimit, what was found by then counts.
 
     Raises BudgetInfeasible if no strategy is within all budgets.
     """
 
+    apart = APART
+    faces: Faces | None = None
+
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
                  progress: Progress = unseen) -> None:
         self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
-        self._progress = progress
+        self._progress, self._end, self._fresh = progress, deadline, True
+        self._newest: Mixture | None = None  # of the legs
         binding = [b for b in budgets if b.binds]
         excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MAX_EXCESS), 0.0)
                   for b in binding]
         self.excess = np.reshape(excess, (len(binding), len(game.playable)))
         legs = int(game.network.stops_before[-1]) + 1
         self.mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
-        self.bound, self.value, self.shares, self.late = 0.0, math.inf, np.zeros(0), False
+        self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
         self.add_sites(game.hits, game.loss[game.sites])
@@ -125,6 +133,12 @@ class Routes:
         """His prices of the budgets that bind [loss per unit of cost]."""
         margins = [b.margin for b in self.budgets if b.binds]
         return np.asarray(self._prices / np.array(margins))
+
+    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
+        """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
+        by_leg = padded(self.by_leg, len(kept))[:, kept]
+        return Ambusher(at_nodes(game, by_leg.sum(axis=0)), tuple(self.prices.tolist()),
+                        on_nodes(game, by_leg) if len(by_leg) > 1 else None)
 
     @property
     def routes(self) -> list[IndexArray]:
@@ -161,11 +175,11 @@ class Routes:
         It also ends when no method finds a route that costs less. The searches over labels are
         left out unless it is to ``prove`` the value.
         """
-        precision, rounds, turn = LOOSE, 0, FIRST_TURN
+        precision, rounds, turn, self._fresh = LOOSE, 0, FIRST_TURN, False
         tight = min(TIGHT, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
-            mixture = self.mixtures.solve(precision)
+            mixture = self.mixtures.solve(precision, self.deadline)
             self.shares = mixture.shares
             self.value = self.mixtures.value(self.shares)
             if self._ended():
@@ -187,8 +201,9 @@ class Routes:
         rounding = ROUNDING * float(self.loss.max(initial=0.0))
         if within(self.value, max(self.bound, rounding), self.gap):
             return True
-        self.late = time.monotonic() > self.deadline
-        return self.late
+        if time.monotonic() > self.deadline:
+            raise TimeLimit('the time limit passed before the value was proved')
+        return False
 
     def _begin(self) -> None:
         """Add the best route for each budget, and others until a mixture is within all budgets."""
@@ -196,6 +211,8 @@ class Routes:
         for cost in self.excess if len(self.excess) else self.game.network.lengths[None]:
             self._add(self._whole.shortest(cost, free))
         if len(self.excess) < 2:
+            self.shares = np.ones(1)
+            self.value = self.mixtures.value(self.shares)
             return
         least = self.mixtures.of_least_excess()
         while least.value > 1.0 and self._add(self._whole.shortest(least.prices @ self.excess,
@@ -205,6 +222,7 @@ class Routes:
             names = ' and '.join(b.option for b in self.budgets if b.binds)
             raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
         self.mixtures.limit = max(least.value, 1.0)
+        self.shares, self.value = least.shares, self.mixtures.value(least.shares)
 
     def _add(self, route: IndexArray) -> bool:
         return self.mixtures.add(route, self._whole.met(route), self.excess[:, route].sum(axis=1))
@@ -217,7 +235,7 @@ class Routes:
         for routes in self._responses(mixture, base, charge, precision, prove):
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, charge) < most)
-            if added or time.monotonic() > self.deadline:
+            if added or self._ended():
                 return added
         return 0
 
@@ -243,7 +261,7 @@ class Routes:
         kept, comparisons, negligible = search
         q, prices = self._ambusher(mixture, negligible)
         least, route = self._whole.least_cost(prices @ self.excess, q[0] * self.loss,
-                                              ((kept, comparisons),))
+                                              ((kept, comparisons),), self.deadline)
         by_leg = np.zeros_like(self.by_leg)
         by_leg[0] = q[0]
         self._note(least, by_leg, prices)
@@ -310,29 +328,38 @@ class Routes:
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
+        try:
+            self._solve_legs()
+        except TimeLimit:
+            if self._newest and self.bound == 0.0:
+                self._proof_by_legs(self._newest)
+            raise
+        if self.game.reach == 0.0 and self._fresh and self._newest:
+            for _ in range(TRIPS):
+                self._add(self._of_legs.drawn(self._newest.shares, self._rng))
+
+    def _solve_legs(self) -> None:
+        """Solve the legs' program in rounds, in which ways join, until its value is proved."""
         precision = LOOSE
         centre: Mixture | None = None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
         for rounds in range(LEG_ROUNDS):
-            mixture, added = self._of_legs.solve(precision), 0
+            mixture, added = self._of_legs.solve(precision, self.deadline), 0
             if not mixture.q.any():  # no site needs to be met
                 return
+            self._newest = mixture
             if precision == LOOSE:
                 added, before, centre = quick(mixture), centre, mixture
                 if before:
                     centre = _between(before, mixture)
                     added += quick(centre)
-            was_tight, late = precision == TIGHT, self._ended()
+            was_tight = precision == TIGHT
             precision = precision if added else TIGHT
-            if not added or rounds in PROOFS or late and self.bound == 0.0:
+            if not added or rounds in PROOFS:
                 added += self._proof_by_legs(mixture)
-            if late:
+            if (self._ended() or within(mixture.value, self.bound, self.gap / 2.0)
+                    or was_tight and not added):
                 return
-            if within(mixture.value, self.bound, self.gap / 2.0) or was_tight and not added:
-                break
-        if self.game.reach == 0.0 and not len(self.shares):
-            for _ in range(TRIPS):
-                self._add(self._of_legs.drawn(mixture.shares, self._rng))
 
     def _add_entering_ways(self, mixture: Mixture) -> int:
         """Add each leg's way of least cost if every entry is charged."""
@@ -349,7 +376,7 @@ class Routes:
         def cost(k: int) -> float:
             nonlocal added
             ground, own = self._legs[k].ground, charge[self._legs[k].number]
-            low, way = ground.least_cost(base, own, LEG_SEARCH)
+            low, way = ground.least_cost(base, own, LEG_SEARCH, self._end)
             added += self._add_way(k, ground.shortest(base, own) if way is None else way)
             return low
 

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a search has: its problem, a program for the value, the sites so far, the best strategy."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+
+from ..arrays import ROUNDING, BoolArray, FloatArray, frozen_array
+from ..errors import SolverFailed, TimeLimit
+from .ambusher import Ambusher, padded
+from .budget import Budget
+from .certificate.certificate import lower_bound
+from .copies import LawOnCopies
+from .faces import Faces
+from .game import Game
+from .hits import worst_loss
+from .law.chain import MarkovChain, chain_of
+from .slack import Reason, ceiling
+from .value.routes import Progress, RouteMixture, unseen
+
+
+class Places(NamedTuple):
+    """Places where an ambusher can wait.
+
+    Positions (K, 2) [m], losses (K,), mean losses (K,), and the edges that enter their discs.
+    """
+
+    points: FloatArray
+    alpha: FloatArray
+    mean_loss: FloatArray
+    entering: csr_matrix
+
+
+class Ground(Protocol):
+    """A map on which an ambusher may wait at other places than the network's nodes."""
+
+    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
+              rough: bool) -> Places:
+        """The places that cost drawn routes more than ``above``, no two within ``apart`` [m].
+
+        The worst comes first. A ``rough`` search can miss it.
+        """
+
+
+class Program(Protocol):
+    """A program for the least value; it goes on from where it is when sites join.
+
+    ``solve`` raises TimeLimit or SolverFailed; what it has found by then counts. Of places that
+    join at once no two are within ``apart`` times the reach.
+    """
+
+    bound: float
+    apart: float
+
+    @property
+    def faces(self) -> Faces | None:
+        """Of the network, if the program knows them."""
+
+    @property
+    def flow(self) -> FloatArray:
+        """An acyclic strategy (M,); within the budgets unless the program is a cut."""
+
+    @property
+    def level(self) -> FloatArray:
+        """Loss (S,) that each site may cause; the k largest add up to the value."""
+
+    @property
+    def q(self) -> FloatArray:
+        """How likely the ambusher who proves the bound waits at each site (S,)."""
+
+    @property
+    def prices(self) -> FloatArray:
+        """His prices of the budgets that bind."""
+
+    def solve(self) -> None:
+        """Find the least value."""
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
+
+    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
+        """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers of the Gibbs law: per hit of each site (N,), per unit of each budget's cost."""
+
+    sites: FloatArray
+    budgets: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A game, its budgets, and how far and how long to search.
+
+    The search ends at ``deadline`` and the judge at ``judged`` (``time.monotonic``). ``progress``
+    is called with the value and the bound so far.
+    """
+
+    game: Game
+    budgets: tuple[Budget, Budget]
+    slack: float
+    deadline: float
+    ground: Ground | None = None
+    warm: Multipliers | None = None
+    progress: Progress = unseen
+    judged: float = math.inf
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() > self.deadline
+
+    def keeps_budgets(self, p: FloatArray) -> bool:
+        """Whether p (M,) is within all budgets."""
+        return all(b.keeps(p) for b in self.budgets)
+
+
+@dataclass(frozen=True, eq=False)
+class Incumbent:
+    """The best strategy so far.
+
+    ``value`` is what it costs at the sites so far, ``worst`` the row of the one that costs most
+    (-1: none). ``weights`` (S,) and ``prices`` are its law's multipliers per hit and per unit of
+    cost, ``entropy_bound`` [nats] the most entropy that a law within the same limits can have; NaN
+    if that is not known. On a trip, its chain may be on ``copies``.
+    """
+
+    chain: MarkovChain
+    value: float
+    worst: int = -1
+    weights: FloatArray = field(default_factory=lambda: np.zeros(0))
+    prices: FloatArray = field(default_factory=lambda: np.zeros(0))
+    entropy_bound: float = np.nan
+    copies: LawOnCopies | None = None
+
+
+class Solution(NamedTuple):
+    """An incumbent as a strategy p (M,) in a game with the sites that matter for it or its bound.
+
+    On a trip the game's network can have copies of the trip's nodes and edges, after these.
+    ``value`` is the strategy's, ``bound`` what the ambusher proves, ``reason`` why the search
+    ended.
+    """
+
+    game: Game
+    budgets: tuple[Budget, Budget]
+    p: FloatArray
+    value: float
+    bound: float
+    ambusher: Ambusher
+    multipliers: Multipliers | None
+    evaluations: int
+    entropy_bound: float
+    reason: Reason
+
+
+class Search:
+    """A problem, a program for its value, and the sites that are known so far.
+
+    ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) are those of the sites. ``reason`` says
+    why the program ended last, ``evaluations`` how many Gibbs laws were computed.
+    """
+
+    def __init__(self, problem: Problem, program: Program, slack: float) -> None:
+        self.problem, self.program, self.slack = problem, program, slack
+        self.game = game = problem.game
+        self.points, self.loss = game.network.points[game.sites], game.loss[game.sites]
+        self.entering, self.evaluations = game.hits, 0
+        self.reason: Reason = 'stalled'
+
+    @contextlib.contextmanager
+    def keep_incumbent(self) -> Iterator[None]:
+        """What a program has found before the deadline, or before it fails, counts."""
+        try:
+            yield
+        except TimeLimit:
+            self.reason = 'time'
+        except SolverFailed:
+            self.reason = 'solver'
+
+    def solve_program(self) -> None:
+        """Let the program go on from where it is."""
+        with self.keep_incumbent():
+            self.program.solve()
+
+    def join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
+                   rough: bool = False) -> Places | None:
+        """Let places that cost more than ``above`` join the sites; return them, None if none does.
+
+        No two of them are within ``apart`` times the reach.
+        """
+        if self.problem.ground is None:
+            return None
+        apart = max(apart, self.program.apart) * self.game.reach
+        found = self.problem.ground.worst(drawn, above, apart, rough)
+        if not len(found.points):
+            return None
+        self._add(found)
+        self.program.add_sites(found.entering, found.alpha)
+        return found
+
+    def _add(self, found: Places) -> None:
+        self.points = np.concatenate((self.points, found.points))
+        self.entering = csr_matrix(vstack((self.entering, found.entering)))
+        self.loss = np.append(self.loss, found.alpha)
+
+    def level(self) -> FloatArray:
+        """What each site (S,) may cause; the k largest add up to the value at a slack of 0."""
+        level, k = self.program.level, min(self.game.ambushers, len(self.loss))
+        if not k or not level.any():
+            return level
+        value = float(np.sort(level)[-k:].sum())
+        most = max(self.program.bound, ceiling(value, self.slack / 2.0) / ceiling(1.0, self.slack))
+        return level * (most / value)
+
+    def solution(self, best: Incumbent | None) -> Solution:
+        """The best strategy, by default the program's, with its value at any place."""
+        if best is None:
+            p = self.program.flow
+            best = Incumbent(chain_of(self.game.network, p), worst_loss(self.game, p))
+        best = self._worst_of(best)
+        own = np.arange(len(self.loss)) < len(self.game.sites)
+        weights = padded(best.weights, len(own))
+        kept = own | (padded(self.program.q, len(own)) > 0.0) | (weights > 0.0)
+        if best.worst >= 0:
+            kept[best.worst] = True
+        added = np.flatnonzero(kept & ~own)
+        points, loss, entering = self.points[added], self.loss[added], self.entering[added]
+        game = self.game.with_sites(points, loss, csr_matrix(entering))
+        ambusher = self._ambusher(game, kept)
+        bound = 0.0
+        if self.program.bound > 0.0:  # else a search for what he proves can take minutes
+            bound = lower_bound(game, ambusher, self.problem.budgets, self.program.faces,
+                                self.problem.judged)
+        if best.copies is None:
+            per_hit = np.zeros(game.node_count)
+            per_hit[game.sites] = weights[kept]
+            multipliers = Multipliers(frozen_array(per_hit, np.float64),
+                                      self._of_all_budgets(best.prices))
+            return Solution(game, self.problem.budgets, best.chain.uses(len(game.playable)),
+                            best.value, bound, ambusher, multipliers, self.evaluations,
+                            best.entropy_bound, self._why())
+        edge = np.append(np.arange(len(self.game.playable)), best.copies.network.edge)
+        game, p = best.copies.unrolled(best.chain)
+        game = game.with_sites(points, loss, csr_matrix(entering[:, edge]))
+        length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.problem.budgets)
+        return Solution(game, (length, exposure), p, best.value, bound, self._ambusher(game, kept),
+                        None, self.evaluations, np.nan, self._why())
+
+    def _worst_of(self, best: Incumbent) -> Incumbent:
+        """The incumbent with its value at any place, also at those that joined for others."""
+        if self.problem.ground is None:
+            return best
+        value, worst, chain = best.value, best.worst, best.chain
+        more = np.flatnonzero(self.loss * chain.meets_at_most(self.entering)
+                              > value * (1.0 + ROUNDING))
+        losses = self.loss[more] * chain.meets(self.entering[more])
+        if losses.max(initial=0.0) > value * (1.0 + ROUNDING):
+            value, worst = float(losses.max()), int(more[losses.argmax()])
+        found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING), 0.0, False)
+        if len(found.points):
+            value, worst = float(found.mean_loss[0]), len(self.loss)
+            self._add(found)
+        return replace(best, value=value, worst=worst)
+
+    def _ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
+        found = self.program.ambusher(game, kept)
+        return replace(found, prices=self._of_all_budgets(np.array(found.prices)))
+
+    def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
+        """Numbers of the budgets that bind, with 0 for the others."""
+        number = iter(binding.tolist())
+        return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.problem.budgets)
+
+    def _why(self) -> Reason:
+        return 'time' if self.problem.late else self.reason

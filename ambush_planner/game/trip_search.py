@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The search on a trip: a mixture of routes and its proof, then a law on labelled copies."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from .copies import law_on_copies
+from .search import Incumbent, Search
+from .slack import ceiling, within
+from .value.routes import APART, Routes
+
+# Shares of the time after which the program ends, as its law takes seconds; its first proof if
+# places join later; and its last one if they joined until then.
+SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
+# Rounds in which places join the program, and those of the law.
+MAX_SWEEPS, ROUNDS = 20, 25
+
+
+def find_trip(search: Search, program: Routes) -> Incumbent | None:
+    """The law of least value on labelled copies; None if there is none."""
+    _solve(search, program)
+    program.deadline = search.problem.deadline
+    return _find_law(search, program)
+
+
+def _solve(search: Search, program: Routes) -> None:
+    """Let places join a mixture of routes, then prove its value: a proof takes seconds."""
+    begin, end = time.monotonic(), search.problem.deadline
+    if search.game.reach > 0.0 and end < math.inf:
+        _prove_until(search, program, begin + FIRST_PROOF * (end - begin))
+    program.deadline = begin + SOLVED * (end - begin)
+    with search.keep_incumbent():
+        if search.game.reach == 0.0:
+            program.prove_by_legs()
+        program.solve(prove=False)
+    apart, before = 1.0, program.value
+    for _ in range(MAX_SWEEPS):
+        above = ceiling(program.value, search.slack / 2.0)
+        if time.monotonic() > program.deadline or (
+                search.join_worst(program.mixture, above, apart) is None and apart == APART):
+            break
+        with search.keep_incumbent():
+            program.solve(prove=False)
+            if within(program.value, before, search.slack / 4.0):  # the bound may be near
+                program.prove_by_legs()
+        apart, before = max(apart / 2.0, APART), program.value
+    if time.monotonic() > program.deadline:
+        _prove_until(search, program, begin + LAST_PROOF * (end - begin))
+        return
+    with search.keep_incumbent():
+        program.prove_by_legs()
+        program.solve()
+
+
+def _prove_until(search: Search, program: Routes, deadline: float) -> None:
+    program.deadline = deadline
+    with search.keep_incumbent():
+        program.prove_by_legs()
+
+
+def _find_law(search: Search, program: Routes) -> Incumbent | None:
+    """Rounds of a law on labelled copies of the ground.
+
+    Places that cost it too much join it; new copies are made if it then has no strategy, or if the
+    program finds a better mixture.
+    """
+    problem, law = search.problem, None
+    best: Incumbent | None = None
+    least = math.inf
+    for _ in range(ROUNDS):
+        if law is None or not law.run(problem.deadline):
+            law = law_on_copies(program, search.slack, problem.deadline)
+        if law is None or best and problem.late:
+            break
+        search.evaluations = law.evaluations
+        chain, value, worst, mixed = law.chain, law.value, law.worst, program.value
+        joined = search.join_worst(chain, law.limit, APART)
+        most = value if joined is None else max(value, float(joined.mean_loss.max()))
+        keeps = problem.keeps_budgets(chain.uses(len(search.game.playable)))
+        if keeps and most < least:
+            best, least = Incumbent(chain, value, worst, copies=law), most
+        if joined:
+            law.add_sites(joined.entering, joined.alpha)
+        if problem.late or not joined and keeps and within(value, program.bound, search.slack):
+            break
+        with search.keep_incumbent():
+            program.solve(prove=not joined)
+        if not joined:
+            if within(mixed, program.value, search.slack / 4.0):
+                break
+            law = None
+    return best
