@@ -4,13 +4,12 @@ FROM ros:jazzy
 SHELL ["/bin/bash", "-o", "pipefail", "-c"]
 WORKDIR /ws
 COPY . src/ambush_planner
-# highspy, for faster plans, has no rosdep key.
+# highspy, for faster plans, and mcap-ros2-support, for recordings, are not in apt.
 # hadolint ignore=DL3008,DL3013
 RUN apt-get update \
     && apt-get install -y --no-install-recommends python3-pip \
-    && export PIP_BREAK_SYSTEM_PACKAGES=1 PIP_NO_CACHE_DIR=1 \
     && rosdep install -y --from-paths src --ignore-src --dependency-types exec \
-    && pip install --no-cache-dir highspy \
+    && pip install --break-system-packages --no-cache-dir highspy mcap-ros2-support \
     && source /opt/ros/jazzy/setup.bash \
     && colcon build \
     && rm -rf /var/lib/apt/lists/* build log

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Array types of the records, read-only copies, sums by index, rounding."""
+"""Array types of the records, read-only copies, arrays of files, sums by index, rounding."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,8 @@ FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
+# Maximum size of an array that is read from a file [bytes].
+MAX_BYTES = 10**9
 # Relative rounding of sums and comparisons.
 ROUNDING = 1e-9
 
@@ -21,6 +26,20 @@ def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
     array = np.array(values, dtype=dtype, order='C')
     array.setflags(write=False)
     return array
+
+
+def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArray[Any]]:
+    """Read those of the named arrays that an npz file has; all others stay compressed.
+
+    ValueError if an array would take more than ``MAX_BYTES``; numpy raises others if the file is
+    malformed.
+    """
+    with np.load(file, allow_pickle=False) as archive:
+        found = [name for name in names if name in archive]
+        for name in found:
+            if (size := archive.zip.getinfo(f'{name}.npy').file_size) > MAX_BYTES:
+                raise ValueError(f'{name} would take {size:.3g} bytes, the limit is {MAX_BYTES}')
+        return {name: archive[name] for name in found}
 
 
 def sums(index: IndexArray, values: FloatArray, count: int) -> FloatArray:

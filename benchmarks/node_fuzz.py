@@ -37,7 +37,7 @@ from rclpy.serialization import serialize_message
 from report import conditions, new_parser, table
 from std_srvs.srv import Trigger
 
-from ambush_planner.planning.parameters import PARAMETERS
+from ambush_planner.parameters.table import PARAMETERS
 
 try:
     from map_msgs.msg import OccupancyGridUpdate

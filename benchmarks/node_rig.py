@@ -34,6 +34,7 @@ from std_srvs.srv import Trigger
 
 from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
+from ambush_planner.ros.topics import REQUESTS
 
 PLANNER = '/ambush_planner'
 # Discovery alone can take more than 3 s.
@@ -126,7 +127,8 @@ class Caller:
     def client(self, kind: type, name: str) -> Any:
         """A connected client of a service of the planner."""
         if name not in self._clients:
-            made = self._clients[name] = self.node.create_client(kind, f'{PLANNER}/{name}')
+            made = self._clients[name] = self.node.create_client(
+                kind, f'{PLANNER}/{name}', qos_profile=REQUESTS)
             self.wait(made.service_is_ready, f'the service {name}')
             # Answers are lost until the server has discovered the client. It discovers clients in
             # the order of their creation, so an answer to a later one shows that it has.

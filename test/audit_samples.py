@@ -14,8 +14,8 @@ from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.parameters.table import PARAMETERS
 from ambush_planner.planning.options import PlanningOptions
-from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.attachments import strategy_file

@@ -9,7 +9,7 @@ from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from ros_harness import header, wait_until
 from scipy.spatial.transform import Rotation
 
-from ambush_planner.planning.node_parameters import RobotOptions
+from ambush_planner.parameters.values import RobotOptions
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.topics import TF
 

@@ -176,7 +176,7 @@ class Client:
 
         def matches():
             for report in reversed(self.received['/diagnostics']):
-                if report.status[0].name == self.name:
+                if report.status[0].hardware_id == self.name:
                     values = {v.key: v.value for v in report.status[0].values}
                     found.update(values, level=report.status[0].level)
                     break

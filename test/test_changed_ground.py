@@ -213,6 +213,7 @@ def test_a_robot_beside_its_path_may_come_back_to_it(y, box, clear):
         points[1:-1, 1] = 0.5
     ground = ClearGround(OccupancyMap(values, 0.2), RISK, CLEARANCE)
     assert ground.drivable_steps(points).all() == clear
+    assert len(ground.drivable_steps(points[:1])) == 0
 
 
 @pytest.mark.parametrize(('x', 'y', 'out'), [

@@ -3,6 +3,7 @@
 
 from contextlib import contextmanager
 from importlib import import_module
+from threading import Event
 from types import SimpleNamespace
 
 import interfaces
@@ -14,8 +15,9 @@ from nav_msgs.msg import Goals as GoalsMessage
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
 from ros_harness import LONG, pose, risk_grid, stage, wait_until
-from waiting import answer_of
+from waiting import TIMEOUT, answer_of
 
+from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import poses_of
 from ambush_planner.ros.requests import validity
 
@@ -194,7 +196,7 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(action
         assert not goals.client.received['path']
 
 
-def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
+def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals, monkeypatch):
     kind = import_module('nav2_msgs.srv').IsPathValid
     client, flat = goals.client, np.full((20, 20), 10)
     client.publish('alpha_map', risk_grid(flat))
@@ -211,8 +213,22 @@ def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
     client.publish('alpha_map', risk_grid(flat))
     wait_until(lambda: not validity(path)[0], 'the new map')
     assert len(path.poses) // 2 in validity(path)[1]
+    blocked, path.poses = path.poses, path.poses[len(path.poses) // 2:][:1]
+    assert validity(path) == (False, [0]), 'one pose, in an obstacle'
+    path.poses = blocked[:1]
+    assert validity(path) == (True, [])
     assert validity(type(path)(header=path.header)) == (False, [])
     client.diagnostics(code='NONE')
+    looks, go_on, look = Event(), Event(), ClearGround.drivable_steps
+    with monkeypatch.context() as patch:
+        patch.setattr(ClearGround, 'drivable_steps', lambda *given: (
+            looks.set(), go_on.wait(TIMEOUT), look(*given))[2])
+        path.poses = blocked
+        asked = service.call_async(kind.Request(path=path))
+        wait_until(looks.is_set, 'the look along the path')
+        assert client.get_plan(START, GOAL).poses and not asked.done(), 'nobody waits for it'
+        go_on.set()
+        wait_until(asked.done, 'the answer')
     path.header.frame_id = 'odom'
     assert validity(path) == (False, [])
     client.diagnostics(code='TF_ERROR')

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from ambush_planner.planning.parameters import PARAMETERS
+from ambush_planner.parameters.table import PARAMETERS
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'config' / 'ambush_planner.yaml'

@@ -54,7 +54,8 @@ def process(element, values):
     def read(tag, name):
         return substituted(tag.get(name), values)
 
-    result = ['--ros-args', '-r', f'__node:={read(element, "name")}']
+    result = ['--ros-args', *read(element, 'ros_args').split(), '-r',
+              f'__node:={read(element, "name")}']
     if namespace := read(element, 'namespace'):
         result += ['-r', f'__ns:=/{namespace}']
     for each in element.findall('param'):
@@ -105,6 +106,7 @@ def test_start_and_goal_are_not_nav2s_and_all_topics_of_rviz_are_remapped():
               for executable in ('ambush_planner', 'rviz2')}
     for name in ('goal_pose', 'start_pose', 'initialpose'):
         assert all(each[name] == f'ambush/{name}' for each in remaps.values())
+    assert remaps['ambush_planner']['via_poses'] == 'ambush/via_poses'
     shown = set(re.findall(r'Value: /([\w/]+)', RVIZ.read_text()))
     assert shown <= remaps['rviz2'].keys()
 
@@ -124,6 +126,15 @@ def test_arguments_reach_the_node(tmp_path):
         said = (tmp_path / 'output').read_text()
         assert f'publish {names}/convoy/ambush_planner/new_route' in said
         assert not node.count_subscribers('/risk')
+
+
+def test_costmap_and_log_level_reach_the_node(tmp_path):
+    (tmp_path / 'costmap.yaml').write_text('/**: {ros__parameters: {map.costmap: true}}')
+    with launched(tmp_path, costmap='/global_costmap/costmap', log_level='error',
+                  params_file=str(tmp_path / 'costmap.yaml')) as (node, _):
+        wait_until(lambda: node.count_subscribers('/global_costmap/costmap'), 'the costmap')
+        wait_until(lambda: node.count_subscribers('/ambush/via_poses'), 'the stops')
+    assert 'publish /alpha_map' not in (tmp_path / 'output').read_text(), 'it is information'
 
 
 # A substitute for nav2_simple_commander, with the names that the document uses.

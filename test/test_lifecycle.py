@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
+from threading import Event
+
 import interfaces
+import pytest
 from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from ros_harness import LATCHED, LONG, pose, risk_grid, stage, threads, wait_until
-from waiting import answer_of
+from waiting import TIMEOUT, answer_of
 
 from ambush_planner.errors import AmbushPlannerError
-from ambush_planner.ros import planner_node
+from ambush_planner.recordings import durable_files
+from ambush_planner.ros import planner_node, recordings
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 WAITING = {'autostart': False}
@@ -127,7 +131,7 @@ def test_cleanup_forgets_everything_except_the_parameters(tmp_path):
         running.planner.set_parameters([Parameter('strategy.max_detour', value=1.4)])
         others = threads()
         manager.go(deactivate='inactive', cleanup='unconfigured')
-        assert not set(threads()) & set(others), 'of the worker, the recordings, TF'
+        wait_until(lambda: not set(threads()) & set(others), 'the end of worker, recordings and TF')
         assert len(list(tmp_path.rglob('*.mcap'))) == 1
         # A late subscriber gets no earlier path; the planner gets the latched map.
         late = []
@@ -165,6 +169,51 @@ def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
         assert threads() == before
         monkeypatch.undo()
         start(running)
+        assert running.give().call('new_route').success
+
+
+def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
+    """The queue of recordings is full, and a departure waits for room in it."""
+    go_on = Event()
+    monkeypatch.setattr(recordings, '_MAX_WAIT', 10 * TIMEOUT)
+    monkeypatch.setattr(planner_node, '_LAST_RECORDINGS_TIME', TIMEOUT)
+    with stage(tmp_path) as running:
+        client, manager = running.give(), Manager(running.client)
+        assert client.call('new_route').success
+        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the recording')
+        monkeypatch.setattr(durable_files.os, 'fsync', lambda _: go_on.wait(10 * TIMEOUT))
+        try:
+            for _ in range(4):
+                assert client.call('new_route').success
+            waits = client.send('new_route')
+            manager.go(deactivate='inactive')
+            wait_until(waits.done, 'an answer')
+            assert 'inactive' in waits.result().message
+            manager.go(cleanup='unconfigured', configure='inactive', activate='active')
+        finally:
+            go_on.set()
+    assert len(list(tmp_path.rglob('*.mcap'))) == 5
+
+
+@pytest.mark.parametrize('method, transition', [
+    ('pause', 'deactivate'), ('stop_solving', 'cleanup')])
+def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):
+    def broken(dispatcher):
+        raise AmbushPlannerError('no good')
+
+    with stage() as running:
+        client, manager = running.give(), Manager(running.client)
+        dispatcher = running.planner._dispatcher
+        if transition == 'cleanup':
+            manager.go(deactivate='inactive')
+        with monkeypatch.context() as patch:
+            patch.setattr(type(dispatcher), method, broken)
+            assert not manager.change(transition)
+        if method == 'stop_solving':
+            dispatcher.close()
+        assert manager.state == 'unconfigured'
+        assert 'no good' in client.diagnostics(state='unconfigured')['message']
+        manager.go(configure='inactive', activate='active')
         assert running.give().call('new_route').success
 
 

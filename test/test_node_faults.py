@@ -99,6 +99,13 @@ def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monk
             assert values['departure_id'] in said.message and values['recording'] == 'on'
 
 
+def test_a_folder_that_cannot_be_written_is_reported_before_the_first_departure(tmp_path):
+    (tmp_path / 'file').write_text('no folder')
+    with stage(tmp_path / 'file' / 'runs') as running:
+        report = running.client.diagnostics(code='RECORDING_FAILED', recording='failed')
+        assert 'check that recording.directory is a folder' in report['message']
+
+
 def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
     with stage(tmp_path) as running:
         departs(running.give())

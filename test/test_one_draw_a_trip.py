@@ -319,6 +319,9 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path):
         assert tuple(path[0, :2]) == (1.5, 5.5)
         assert path[1, 0] > 2.0 and abs(path[1, 1] - 5.5) < 0.5
         assert (np.hypot(*np.diff(path[:2, :2], axis=0).T) <= 1.0).all()
+        client.publish('start_pose', HERE)
+        client.publish('goal_pose', GOAL)
+        client.call_until('replan', lambda answer: answer.success)
         drive.robot.is_at(0.5, 5.5)
         assert not client.get_plan(HERE, GOAL).poses, 'more than a metre from free ground'
         client.diagnostics(code='START_OCCUPIED')

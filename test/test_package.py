@@ -24,10 +24,7 @@ ROSDEP_KEYS = {
     'PIL': 'python3-matplotlib',
     'argcomplete': 'python3-argcomplete',
     'hypothesis': 'python3-hypothesis',
-    'lz4': 'mcap-ros2-support',
     'matplotlib': 'python3-matplotlib',
-    'mcap': 'mcap-ros2-support',
-    'mcap_ros2': 'mcap-ros2-support',
     'networkx': 'python3-networkx',
     'numpy': 'python3-numpy',
     'pytest': 'python3-pytest',
@@ -35,7 +32,6 @@ ROSDEP_KEYS = {
     'setuptools': 'python3-setuptools',
     'tqdm': 'python3-tqdm',
     'yaml': 'python3-yaml',
-    'zstandard': 'mcap-ros2-support',
 }
 # Import name -> name on the package index, if they differ.
 REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas': 'geopandas',
@@ -43,6 +39,7 @@ REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas':
 # Import name -> extra, for packages that only pip has.
 FROM_PIP = dict.fromkeys(
     ('geopandas', 'gpxpy', 'mgrs', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
+FROM_PIP |= dict.fromkeys(('lz4', 'mcap', 'mcap_ros2', 'zstandard'), 'recordings')
 
 
 @cache
@@ -103,6 +100,17 @@ def test_all_imports_are_declared_once_in_the_manifest(folder, walk, kinds):
     declared = dependencies(*kinds)
     assert {ROSDEP_KEYS.get(name, name) for name in names} <= set(declared)
     assert len(declared) == len(set(declared))
+
+
+def test_what_is_used_by_name_is_declared_and_bloom_takes_all_keys():
+    """Interfaces that may be missing, and the nodes of the launch file; bloom takes no pip key."""
+    declared = set(dependencies('exec_depend'))
+    sources = '\n'.join(path.read_text() for path in (ROOT / NAME / 'ros').glob('*.py'))
+    used = set(re.findall(r"installed_type\('(\w+)\.", sources))
+    launch = ElementTree.parse(ROOT / 'launch' / 'ambush_planner.launch.xml').getroot()
+    used |= {node.get('pkg') for node in launch.findall('node')} - {NAME}
+    assert {'bond', 'nav2_msgs', 'rviz2'} <= used <= declared
+    assert not [key for key in declared if '-' in key and not key.startswith('python3-')]
 
 
 def test_all_imports_are_declared_for_pip():

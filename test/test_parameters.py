@@ -16,9 +16,9 @@ from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.node_parameters import parameters_from
+from ambush_planner.parameters.table import PARAMETERS
+from ambush_planner.parameters.values import parameters_from
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
-from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
@@ -153,8 +153,9 @@ def test_a_dump_is_loaded_in_any_order(tmp_path):
         with stage(parameters=fixed) as second:
             answers = {name: second.planner.set_parameters(
                 [Parameter.from_parameter_msg(loaded[name])])[0] for name in names}
-            assert not [(name, each.reason) for name, each in answers.items()
-                        if not each.successful]
+            refused = {name for name, each in answers.items() if not each.successful}
+            assert refused == {name for name, each in PARAMETERS.items() if each.fixed}
+            assert second.planner.describe_parameter('seed').read_only
             assert expected == {name: second.planner.get_parameter(name).value
                                 for name in PARAMETERS}
             second.client.diagnostics(message='waiting for /alpha_map, /start_pose, /goal_pose')

@@ -30,7 +30,7 @@ from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.recordings import Recorder, RecordingFailed
-from ambush_planner.recordings.recorder import remove_abandoned
+from ambush_planner.recordings.recorder import prepare
 
 
 def mode(path):
@@ -174,10 +174,10 @@ def test_named_files_are_whole_whatever_a_kill_interrupts(tmp_path, request):
         if (session / 'metadata.yaml').exists():
             read_with_rosbags(session)
     left = list(tmp_path.rglob('*.tmp'))
-    assert remove_abandoned(tmp_path) == []  # another node might be writing them
+    assert prepare(tmp_path) == []  # another node might be writing them
     for path in left:
         os.utime(path, (0.0, 0.0))
-    assert sorted(remove_abandoned(tmp_path)) == sorted(left)
+    assert sorted(prepare(tmp_path)) == sorted(left)
     assert not list(tmp_path.rglob('*.tmp'))
 
 

@@ -36,7 +36,7 @@ def test_topics_and_name_can_be_remapped():
         client.publish('goal_pose', pose(8.5, 5.5))
         client.diagnostics(state='ready')
         assert client.call('new_route').message.endswith('is published on /plan')
-        assert client.received['/diagnostics'][-1].status[0].name == 'planner_7'
+        assert client.received['/diagnostics'][-1].status[0].name == 'planner_7: planning'
 
 
 def test_several_nodes_side_by_side_in_one_domain():
@@ -48,7 +48,7 @@ def test_several_nodes_side_by_side_in_one_domain():
             namespace = running.planner.get_namespace()
             assert f'published on {namespace}/path' in answer.message
             running.client.diagnostics(departures='1')  # /diagnostics is one topic for all nodes
-            names = {each.status[0].name for each in running.client.received['/diagnostics']}
+            names = {each.status[0].hardware_id for each in running.client.received['/diagnostics']}
             assert f'{namespace}/ambush_planner'[1:] in names
             assert running.client.last('path').poses[-1].pose.position.y == goal
         assert len(north.client.received['path']) == len(south.client.received['path']) == 1

@@ -1,12 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Strategy files: read back whole, their certificates computed from the probabilities."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 from games import terrain_network
 
-from ambush_planner import GameOptions, StrategyOptions, solve
+from ambush_planner import GameOptions, StrategyOptions, arrays, solve
 from ambush_planner.recordings.attachments import NUMBERS, strategy_file, strategy_from_file
+
+
+def test_a_file_that_would_fill_the_memory_is_refused_and_no_other_arrays_are_read(monkeypatch):
+    monkeypatch.setattr(arrays, 'MAX_BYTES', 10**6)
+    stream = BytesIO()
+    np.savez_compressed(stream, points=np.zeros(10**6), other=np.zeros(10**6), alpha=np.ones(3))
+    assert stream.tell() < 10**5
+    with pytest.raises(ValueError, match=r'points would take 8e\+06 bytes'):
+        strategy_from_file(stream.getvalue(), GameOptions())
+    stream.seek(0)
+    assert arrays.arrays_in(stream, ('alpha', 'absent')).keys() == {'alpha'}
 
 
 @pytest.mark.parametrize(('solver', 'radius'), [('max_entropy', 1.0), ('simplex', 0.0)])

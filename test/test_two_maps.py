@@ -9,6 +9,7 @@ from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import OccupancyGrid
+from robots import ROBOT, Robot
 from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
 
 from ambush_planner.maps.occupancy import OccupancyMap
@@ -73,3 +74,34 @@ def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
         assert "the costmap is given in the frame 'odom'" in report['message']
         costs.publish(costmap)
         client.diagnostics(code='NONE')
+
+
+def test_a_costmap_that_comes_once_is_used_when_its_transform_comes(capfd):
+    with stage(parameters={**BOTH, **ROBOT}) as running:
+        client, robot = running.client, Robot(running, 'odom')
+        client.publish('alpha_map', risk_grid(np.full((20, 20), 20, np.int8)))
+        client.publish('start_pose', pose(1.5, 5.5))
+        client.publish('goal_pose', pose(8.5, 5.5))
+        wall = np.zeros((40, 4), np.int8)
+        wall[:36] = 99
+        client.publish('costmap', risk_grid(wall, 0.25, (4.5, 0.0, 0.0), frame='odom'))
+        client.diagnostics(code='TF_ERROR')
+        robot.is_at(0.0, 0.0)
+        client.diagnostics(code='NONE', state='ready')
+        client.call_until('new_route', lambda answer: answer.success)
+        path = client.last('path').poses
+        assert max(each.pose.position.y for each in path) > 9.0, 'around the wall'
+        planned = client.diagnostics(stale='no')['solve_seconds']
+        # The transform moves the wall: the plan is judged, and solved again.
+        robot.is_at(-2.0, 0.0)
+        wait_until(lambda: client.diagnostics()['solve_seconds'] != planned, 'another plan')
+
+
+def test_every_map_without_risk_is_warned_of_as_long_as_it_is_used():
+    flat = np.full((20, 20), 20, np.int8)
+    with stage() as running:
+        client = running.client
+        for values, warned in ((None, False), (flat, True), (None, False), (flat + 1, True)):
+            client.publish('alpha_map', risk_grid(values))
+            wait_until(lambda warned=warned: warned == (
+                'carries no risk' in client.diagnostics()['message']), 'the report')

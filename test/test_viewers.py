@@ -35,7 +35,8 @@ CLICKS = {
     'poseTopic': 'geometry_msgs/msg/PoseStamped',
     'poseEstimateTopic': 'geometry_msgs/msg/PoseWithCovarianceStamped',
 }
-MESSAGE_PATH = re.compile(r'(/\w+)\.status\[:]\{name=="(\w+)"}\.values\[:]\{key=="(\w+)"}\.value')
+MESSAGE_PATH = re.compile(
+    r'(/\w+)\.status\[:]\{name=="([\w: ]+)"}\.values\[:]\{key=="(\w+)"}\.value')
 
 
 @pytest.fixture(scope='module')

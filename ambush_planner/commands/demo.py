@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -134,21 +133,21 @@ def _interrupts_held(check: Callable[[], None]) -> Iterator[Callable[[], None]]:
     Elsewhere, rclpy turns an interrupt into a RuntimeError while it builds a message, and the
     node's shutdown must not be interrupted.
     """
-    came = threading.Event()
+    came: list[int] = []  # an Event's lock would not let one signal interrupt another
 
     def check_both() -> None:
-        if came.is_set():
+        if came:
             raise KeyboardInterrupt
         check()
 
     numbers = signal.SIGINT, signal.SIGTERM
-    before = [signal.signal(number, lambda *_: came.set()) for number in numbers]
+    before = [signal.signal(number, lambda got, _: came.append(got)) for number in numbers]
     try:
         yield check_both
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
-    if came.is_set():
+    if came:
         raise KeyboardInterrupt
 
 

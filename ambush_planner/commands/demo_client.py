@@ -95,5 +95,5 @@ class DemoClient:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.endswith('ambush_planner'):
+            if status.hardware_id.endswith('ambush_planner'):
                 self._status = {value.key: value.value for value in status.values}

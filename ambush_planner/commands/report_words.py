@@ -10,8 +10,8 @@ import numpy as np
 from ..game.bottleneck import DECISIVE_SHARE
 from ..game.spotter import worst_spotter
 from ..game.strategy import Strategy
+from ..parameters.table import PARAMETERS
 from ..planning.evaluation import evaluate
-from ..planning.parameters import PARAMETERS
 from ..recordings.report_data import Section
 from .console import distance, percent, rounded, travel, when
 

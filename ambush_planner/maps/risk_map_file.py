@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ..arrays import arrays_in
 from ..errors import InvalidRiskMap, warn
 from .coordinates import Coordinates, InvalidCoordinates
 from .elevation import HeightArray, InvalidTerrain, square_cells
@@ -89,8 +90,7 @@ def agreed_crs(known: str | None, given: str | None) -> str | None:
 
 def _read_npz(path: Path, crs: str | None) -> RiskMap:
     try:
-        with np.load(path) as file:
-            content = dict(file)
+        content = arrays_in(path, (field.name for field in fields(RiskMap)))
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
         return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
                        (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs),

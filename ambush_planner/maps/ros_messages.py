@@ -13,6 +13,8 @@ from ..arrays import FloatArray
 from ..errors import InvalidPose, InvalidRiskMap
 from .occupancy import check_occupancy
 
+# Maximum number of poses in a path; serialising more would block the node for seconds.
+MAX_POSES = 20_000
 # Tolerance of a quaternion's squared norm, as in Nav2; covers rounding to float32.
 _UNIT_TOLERANCE = 1e-4
 

@@ -59,7 +59,7 @@ class ClearGround:
         along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))[:-1]
         later, at = int(np.searchsorted(along, WAY_OUT)), points[:1]
         near = self.steps(points[:later + 1], 0.0)
-        if not self.segments(at, at, 0.0)[0]:
+        if len(near) and not self.segments(at, at, 0.0)[0]:
             near[:int(near.argmax())] = True
         return np.append(near, self.steps(points[later:]))
 

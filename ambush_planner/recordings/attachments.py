@@ -18,7 +18,7 @@ from typing import Any, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import frozen_array
+from ..arrays import arrays_in, frozen_array
 from ..game.ambusher import Ambusher
 from ..game.budget import Budget
 from ..game.faces import Circulation
@@ -72,8 +72,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations and
     multipliers are not recorded.
     """
-    with np.load(BytesIO(data), allow_pickle=False) as archive:
-        content = {name: archive[name] for name in archive.files}
+    content = arrays_in(BytesIO(data), (*_NETWORK, 'seconds', *_PROBABILITIES, *NUMBERS, *_PLANNED,
+                                        *_CIRCULATION, _BY_LEG, _REASON))
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
                       int(content['target']), content['places'], content['leg'],
                       content.get('seconds'))
@@ -113,8 +113,8 @@ def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) 
 def changed_map(before: npt.NDArray[np.int8], data: bytes) -> npt.NDArray[np.int8]:
     """Return the map (H, W) after the changes in the bytes of a ``map_changes.npz``."""
     after = before.ravel().copy()
-    with np.load(BytesIO(data), allow_pickle=False) as content:
-        after[content['cells']] = content['values']
+    content = arrays_in(BytesIO(data), ('cells', 'values'))
+    after[content['cells']] = content['values']
     return after.reshape(before.shape)
 
 
@@ -131,6 +131,5 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
     """Return the roads in the bytes of a ``roads.npz``; None if there are none."""
     if data is None:
         return None
-    with np.load(BytesIO(data), allow_pickle=False) as archive:
-        return RoadGraph(archive['points'], archive['pairs'], archive['speeds'],
-                         bool(archive['timed']))
+    content = arrays_in(BytesIO(data), ('points', 'pairs', 'speeds', 'timed'))
+    return RoadGraph(content['points'], content['pairs'], content['speeds'], bool(content['timed']))

@@ -19,12 +19,12 @@ from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
+from ..parameters.table import PARAMETERS
+from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
-from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.options import PlanningOptions, node_spacing
-from ..planning.parameters import PARAMETERS
 from ..planning.plan import Plan, plan_corridors
 from ..routes.driven_path import Ends
 from .attachments import (

@@ -7,10 +7,12 @@ have mode 0700, files 0600.
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from threading import Lock
@@ -108,12 +110,17 @@ class Recorder:
         return self._folder
 
 
-def remove_abandoned(directory: Path) -> list[Path]:
-    """Remove temporary files that a kill left in session folders, and return their names.
+def prepare(directory: Path) -> list[Path]:
+    """Make the folder of sessions, and remove and return the temporary files that kills left there.
 
-    Files younger than a minute stay, since another node may be writing them.
+    Files younger than a minute stay, since another node may be writing them. RecordingFailed: it
+    cannot be written to, or the library that writes recordings is not installed.
     """
     with recording_to(directory):
+        import_module('mcap.writer')
+        make_private_folders(directory)
+        if not os.access(directory, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         found = [path for path in directory.glob(f'{SESSION_PREFIX}*/*{TEMPORARY}')
                  if time.time() - path.lstat().st_mtime > _ABANDONED]
         for path in found:

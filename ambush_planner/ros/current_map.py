@@ -17,7 +17,7 @@ from ..errors import InvalidRiskMap
 from ..maps.occupancy import OccupancyMap, check_occupancy
 from ..maps.overlay import with_obstacles_of
 from ..maps.ros_messages import occupancy_from_ros, update_fault
-from ..planning.node_parameters import COSTMAP_OBSTACLE
+from ..parameters.values import COSTMAP_OBSTACLE
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from typing import Any
 from nav_msgs.msg import Path
 
 from ..network.road_network import in_map_frame
+from ..parameters.values import NodeParameters
 from ..planning.changed_ground import Assessment
-from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import (

@@ -94,7 +94,8 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'recording': status.recording,
     }
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    entry = DiagnosticStatus(level=level, name=name, message=message, values=pairs)
+    entry = DiagnosticStatus(level=level, name=f'{name}: planning', hardware_id=name,
+                             message=message, values=pairs)
     return DiagnosticArray(header=Header(stamp=stamp), status=[entry])
 
 
@@ -130,8 +131,8 @@ def _departure_warnings(last: Departure | None) -> list[str]:
         return found
     planned, turns = last.held.plan.strategy.value, last.tight_turns
     if last.worth.value > planned * (1.0 + last.parameters.max_gap):
-        found.append(f'the last departure is worth {last.worth.value:.4g}, its plan {planned:.4g} '
-                     'when it was solved (strategy.max_gap)')
+        found.append(f'the last departure has a value of {last.worth.value:.4g}, its plan had '
+                     f'{planned:.4g} when it was solved (strategy.max_gap)')
     if turns:
         are = '1 turn of the last path is' if turns == 1 else f'{turns} turns of the last path are'
         found.append(f'{are} tighter than route.turning_radius, for lack of room; increase '

@@ -25,9 +25,9 @@ from std_srvs.srv import Trigger
 from ..arrays import FloatArray, IndexArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..maps.ros_messages import path_from_ros, pose_from_ros
+from ..parameters.values import NodeParameters
 from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import other_rest, whole_route
-from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan, Route
 from ..planning.trip_under_way import Destination, Sighting, TripUnderWay, trip_on
 from ..recordings import RecordedMessage
@@ -106,6 +106,8 @@ class Dispatcher:
         self._departures = SerialExecutor('departures', reporter.set,
                                           lambda error: reporter.failed('request', error),
                                           _shutting_down)
+        # For is_path_valid, whose answers must not wait for departures.
+        self._looks = SerialExecutor('looks', lambda: None, lambda error: None, _shutting_down)
         self._displayed = DisplayedPlan(self._plans, inputs, publishers, reporter, clock,
                                         self._departures)
         self._waiting: list[_Pending] = []
@@ -148,6 +150,7 @@ class Dispatcher:
         """Answer waiting requests, and end."""
         self.stop_solving()
         self._departures.close()
+        self._looks.close()
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
@@ -187,7 +190,7 @@ class Dispatcher:
         def begin() -> None:
             self._refuse_unless_active()
             parameters = self._settings.current
-            trip = self._inputs.locate(trip_request, parameters.robot)
+            trip = _out_of_obstacle(self._inputs.locate(trip_request, parameters.robot), parameters)
             self._when_solved(self._plans.solve(trip, parameters), show, result)
 
         def show(cached: CachedPlan) -> None:
@@ -199,12 +202,17 @@ class Dispatcher:
         self._departures.submit(begin, result)
         return result
 
-    def invalid_poses(self, path: Path) -> list[int] | None:
+    def invalid_poses(self, path: Path) -> Future[list[int] | None]:
         """Return which poses of a path, from the robot on, the newest map does not let it reach.
 
-        None if the path has no poses: Nav2's trees ask so before their first path. Raises NoMap,
-        FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        None if the path has no poses: Nav2's trees ask so before their first path. Fails with
+        NoMap, FrameMismatch if the path is not in the map's frame, and InvalidPose.
         """
+        result: Future[list[int] | None] = Future()
+        self._looks.submit(lambda: result.set_result(self._invalid_poses(path)), result)
+        return result
+
+    def _invalid_poses(self, path: Path) -> list[int] | None:
         if not path.poses:
             return None
         newest, parameters = self._inputs.current_map(), self._settings.current
@@ -213,8 +221,10 @@ class Dispatcher:
                                 f'in {newest.frame!r}')
         points, place = path_from_ros(path)[:, :2], self._inputs.robot_place(parameters.robot)
         first = int(np.hypot(*(points - place).T).argmin()) if place else 0
-        clear = _clear_ground(newest, parameters).drivable_steps(points[first:])
-        return (np.flatnonzero(~clear) + first + 1).tolist()
+        rest, ground = points[first:], _clear_ground(newest, parameters)
+        if len(rest) == 1:
+            return [] if ground.segments(rest, rest).all() else [first]
+        return (np.flatnonzero(~ground.drivable_steps(rest)) + first + 1).tolist()
 
     def cancel(self) -> int:
         """Cancel all solves, running and waiting; return their number."""

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 
 from ..errors import InvalidPose, InvalidRiskMap
 from ..maps.ros_messages import pose_from_ros, position_from_ros
-from ..planning.node_parameters import RobotOptions
+from ..parameters.values import RobotOptions
 from ..recordings import type_name
 from .conversions import pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
@@ -108,28 +108,27 @@ class Inputs:
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
-    def accept_map(self, topic: str, received: ReceivedMessage) -> CurrentMap | None:
-        """Take a map, or a map_msgs/OccupancyGridUpdate of one; return the current map, if any.
+    def accept_map(self, topic: str, received: ReceivedMessage) -> None:
+        """Take a map, or a map_msgs/OccupancyGridUpdate of one, for ``join_maps``.
 
-        Raises InvalidRiskMap if it is malformed or does not fit the map, NoMap if there is none to
-        update, and FrameMismatch if a costmap cannot be transformed into the risk map's frame. The
-        current map then stays.
+        Raises InvalidRiskMap if it is malformed or does not fit the map, and NoMap if there is none
+        to update. The current map then stays.
         """
-        present = self._arrived[topic]
         if not isinstance(received.message, OccupancyGrid):
-            self._arrived[topic] = updated_map(present or self._no_map(), received.message)
-            return self.join_maps()
+            present = self._arrived[topic] or self._no_map()
+            self._arrived[topic] = updated_map(present, received.message)
+            return
         try:
             self._arrived[topic] = map_from(received)
         except InvalidRiskMap as error:
             self._refused = error
             raise
-        return self.join_maps()
 
     def join_maps(self) -> CurrentMap | None:
         """Put the costmap's obstacles, if it is wanted, on the risk map; return the current map.
 
-        A map equal to the current one changes nothing. Raises FrameMismatch.
+        A map equal to the current one changes nothing. Raises FrameMismatch if the costmap cannot
+        be transformed into the risk map's frame.
         """
         new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
         if new is None or None in self._arrived.values():

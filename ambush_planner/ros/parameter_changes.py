@@ -21,8 +21,8 @@ from ..errors import InvalidOption
 from ..game.strategy import SOLVERS
 from ..maps.risk_map import MAX_LOSS
 from ..maps.road_file import RoadGraph
-from ..planning.node_parameters import NodeParameters, parameters_from
-from ..planning.parameters import PARAMETERS, Declaration
+from ..parameters.table import PARAMETERS, Declaration
+from ..parameters.values import NodeParameters, parameters_from
 
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
@@ -103,11 +103,10 @@ def _check(node: Node, changes: list[Parameter], locked: bool) -> SetParametersR
     ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
     for change in changes:
         name = change.name
-        fixed = name in PARAMETERS and PARAMETERS[name].fixed
-        if (fixed or locked) and change.value != node.get_parameter(name).value:
-            why = ('it is read at the start' if fixed else
-                   'parameters.locked is true; deactivate the node to change it')
-            return SetParametersResult(successful=False, reason=f'{name} is read-only: {why}')
+        if locked and change.value != node.get_parameter(name).value:
+            return SetParametersResult(
+                successful=False, reason=f'{name} is read-only while the node is active: '
+                'parameters.locked is true')
     try:
         _check_possible(ours)
     except InvalidOption as error:
@@ -137,6 +136,7 @@ def _descriptor(declaration: Declaration) -> ParameterDescriptor:
     result = ParameterDescriptor(
         description=declaration.description,
         additional_constraints='read at the start only' if declaration.fixed else constraint,
+        read_only=declaration.fixed,
     )
     low, high = declaration.low, declaration.high
     if isinstance(declaration.default, float):

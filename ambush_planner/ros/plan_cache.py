@@ -14,10 +14,10 @@ import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..arrays import FloatArray
+from ..parameters.values import NodeParameters
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
 from ..planning.moved_start import REGION, JoinedPlan, joined_plan
-from ..planning.node_parameters import NodeParameters
 from ..planning.options import start_tolerance
 from ..planning.plan import Plan, PlanRequest, Route, depart, departure_path
 from ..planning.solving import WarmStart

@@ -10,8 +10,9 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from threading import Event
+from functools import partial
 from typing import Any, TypeVar
 
 import rclpy
@@ -86,7 +87,7 @@ class PlannerNode(LifecycleNode):
         self._recordings: list[Recordings] = []  # those of earlier configurations may still write
         self._inputs: Inputs | None = None
         self._topic_subscriptions: Subscriptions | None = None
-        self._configure_error: Exception | None = None
+        self._transition_error: Exception | None = None
         self._settings = NodeSettings(self, self._parameters_changed)
         self._bond = Bond(self)
         if self._settings.current.seed >= 0:
@@ -104,8 +105,8 @@ class PlannerNode(LifecycleNode):
         self._closing.callback(self._error_boundary.log_repeated)
         self._reporter.recording(self._settings.current.recording.enabled)
         if not HAS_HIGHSPY:
-            self._reporter.warn('solver', 'the Python package highspy is not installed, so plans '
-                                'take longer: pip install highspy')
+            self.get_logger().info('plans are solved sooner with the Python package highspy: '
+                                   'pip install highspy')
         requests = Requests(self, self._error_boundary, lambda: _configured(self._dispatcher),
                             lambda: _configured(self._inputs), self._settings)
         for name in ACTIONS:
@@ -123,47 +124,62 @@ class PlannerNode(LifecycleNode):
     def _autostart(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
-                raise self._configure_error or RuntimeError('the node does not start')
+                raise self._transition_error or RuntimeError('the node failed to start')
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen, and get ready to plan."""
-        _, self._configure_error = self._error_boundary.attempt(
-            'configure', 'request', self._configure
-        )
-        if self._configure_error is not None:
-            return TransitionCallbackReturn.FAILURE
-        self._reporter.set(lifecycle='inactive')
-        self._report_missing()
-        return TransitionCallbackReturn.SUCCESS
+        return self._changed('configure', self._configure, TransitionCallbackReturn.FAILURE)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer requests."""
-        _configured(self._dispatcher).resume()
-        self._settings.active = True
-        self._bond.set_active(True)
-        self._reporter.set(lifecycle='active')
-        return TransitionCallbackReturn.SUCCESS
+        return self._changed('activate', partial(self._set_active, True))
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests and cancel solves; plans and inputs are kept."""
-        _configured(self._dispatcher).pause()
-        self._settings.active = False
-        self._bond.set_active(False)
-        self._reporter.set(lifecycle='inactive')
-        return TransitionCallbackReturn.SUCCESS
+        return self._changed('deactivate', partial(self._set_active, False))
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything except the parameters."""
-        self._configured.close()
-        self._reporter.unconfigured()
-        return TransitionCallbackReturn.SUCCESS
+        return self._changed('cleanup', self._unconfigure)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests for good."""
+        return self._changed('shutdown', partial(self._unconfigure, 'finalized'))
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Be unconfigured after a transition that failed, whose error stays reported."""
+        error, result = self._transition_error, self._changed('error', self._unconfigure)
+        if error is not None:
+            self._reporter.failed('request', error)
+        return result
+
+    def _changed(self, name: str, change: Callable[[], None],
+                 failed: TransitionCallbackReturn = TransitionCallbackReturn.ERROR,
+                 ) -> TransitionCallbackReturn:
+        """Make a transition, which never waits for a disk or a solve; errors are reported.
+
+        rclpy would swallow them.
+        """
+        _, self._transition_error = self._error_boundary.attempt(name, 'request', change)
+        return failed if self._transition_error else TransitionCallbackReturn.SUCCESS
+
+    def _set_active(self, active: bool) -> None:
+        dispatcher = _configured(self._dispatcher)
+        if active:
+            dispatcher.resume()
+        else:
+            dispatcher.pause()
+        self._settings.active = active
+        self._bond.set_active(active)
+        self._reporter.set(lifecycle='active' if active else 'inactive')
+
+    def _unconfigure(self, state: str = 'unconfigured') -> None:
+        self._settings.active = False
         self._bond.set_active(False)
-        self._configured.close()
-        self._reporter.set(lifecycle='finalized')
-        return TransitionCallbackReturn.SUCCESS
+        try:
+            self._configured.close()
+        finally:
+            self._reporter.unconfigured(state)
 
     def _configure(self) -> None:
         with ExitStack() as made:
@@ -182,9 +198,12 @@ class PlannerNode(LifecycleNode):
             made.callback(self._dispatcher.close)
             self._topic_subscriptions = Subscriptions(
                 self, self._inputs, self._error_boundary, self._pose_accepted, self._map_accepted,
+                self._reporter.warn,
             )
             made.callback(self._topic_subscriptions.close)
             self._configured = made.pop_all()
+        self._reporter.set(lifecycle='inactive')
+        self._report_missing()
 
     def _unset_parts(self) -> None:
         self._dispatcher = self._inputs = self._topic_subscriptions = None
@@ -288,15 +307,24 @@ def check_arguments(arguments: list[str] | None) -> None:
         parser.parse_args(remove_ros_args(given)[1:])
 
 
+def noted_signals() -> list[int]:
+    """Have SIGINT and SIGTERM do nothing but append their numbers to the returned list.
+
+    rclpy's handlers end the context at once, whatever its threads are doing, which crashes a
+    starting node; and an Event's lock would not let one signal interrupt another. A second Ctrl-C
+    does not interrupt the clean-up.
+    """
+    came: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda got, _: came.append(got))
+    return came
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
     os.umask(0o077)  # for logs, and whatever else libraries write
-    # Handlers that only set a flag: rclpy's end the context at once, whatever its threads are
-    # doing, which crashes a starting node. A second Ctrl-C does not interrupt the clean-up.
-    stop = Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    came = noted_signals()
     executor, node = None, None
     try:
         try:
@@ -315,7 +343,7 @@ def main(args: list[str] | None = None) -> int:
         gc.collect()
         gc.freeze()
         _keep_freed_memory()
-        while rclpy.ok() and not stop.is_set():
+        while rclpy.ok() and not came:
             executor.spin_once(timeout_sec=_SPIN_PERIOD)
     except ExternalShutdownException:
         pass

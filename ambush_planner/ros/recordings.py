@@ -15,11 +15,11 @@ from weakref import WeakKeyDictionary
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..errors import AmbushPlannerError
-from ..planning.node_parameters import RecordingOptions
+from ..parameters.values import RecordingOptions
 from ..planning.plan import Plan
 from ..recordings import Recorder, RecordingFailed
 from ..recordings.attachments import strategy_file
-from ..recordings.recorder import remove_abandoned
+from ..recordings.recorder import prepare
 from ..worker.solve_errors import for_the_log, forget_frames, unexpected
 from .departure_record import Departure, attachments, metadata_of, recorded_messages
 from .reporter import Reporter
@@ -133,9 +133,11 @@ class Recordings:
 
     def _work(self) -> None:
         if self._options.enabled:
-            with suppress(RecordingFailed):  # the first departure will report it
-                for path in remove_abandoned(Path(self._options.directory).expanduser()):
+            try:
+                for path in prepare(Path(self._options.directory).expanduser()):
                     self._logger.warning(f'recording: removed the unfinished file {path}')
+            except RecordingFailed as error:
+                self._report(error)
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._unwritten or self._closing)
@@ -173,12 +175,15 @@ class Recordings:
 
     def _finish(self, queued: _Queued, error: AmbushPlannerError | None) -> None:
         forget_frames(error)
+        self._report(error)
+        if error is not None and self._options.required:
+            queued.left.set_exception(error)
+
+    def _report(self, error: AmbushPlannerError | None) -> None:
         with suppress(Exception):  # during shutdown the node may be unable to report
             if error is not None:
                 self._logger.error(f'recording: {for_the_log(error)}')
             self._reporter.recording(True, error)
-        if error is not None and self._options.required:
-            queued.left.set_exception(error)
 
     def _record(self, departure: Departure) -> tuple[Path, str]:
         """Write a departure; return its file and recording_id."""

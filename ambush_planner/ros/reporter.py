@@ -46,12 +46,11 @@ class Reporter:
         """Set fields of the status; without any, publish it if a solve has begun or ended."""
         self._change(lambda status: replace(status, **fields))
 
-    def unconfigured(self) -> None:
-        """Clear everything except warnings about parameters and the solver."""
+    def unconfigured(self, lifecycle: str) -> None:
+        """Clear everything except the warning about parameters."""
         def change(status: Status) -> Status:
-            kept = {key: text for key, text in status.warnings.items()
-                    if key in ('parameters', 'solver')}
-            return Status(lifecycle='unconfigured', recording=status.recording, warnings=kept)
+            kept = {key: text for key, text in status.warnings.items() if key == 'parameters'}
+            return Status(lifecycle=lifecycle, recording=status.recording, warnings=kept)
 
         self._change(change)
 
@@ -67,7 +66,7 @@ class Reporter:
         self._change(lambda status: status.without_problem(concern))
 
     def warn(self, concern: str, text: str) -> None:
-        """Set the warning of 'parameters', 'solver' or 'alpha_map'; '' clears it."""
+        """Set the warning of 'parameters', 'alpha_map', 'costmap' or 'risk'; '' clears it."""
         def change(status: Status) -> Status:
             rest = {key: value for key, value in status.warnings.items() if key != concern}
             return replace(status, warnings=rest | ({concern: text} if text else {}))

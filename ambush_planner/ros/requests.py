@@ -56,7 +56,7 @@ class Requests:
 
         if valid := installed_type('nav2_msgs.srv', 'IsPathValid'):
             self._serve(valid, '~/is_path_valid',
-                        lambda request: completed(self._dispatcher().invalid_poses(request.path)),
+                        lambda request: self._dispatcher().invalid_poses(request.path),
                         partial(validity, valid.Response), planning)
 
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,

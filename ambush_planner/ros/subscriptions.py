@@ -35,11 +35,14 @@ class Subscriptions:
 
     ``pose_accepted`` is called after each start, goal and array of stops; ``map_accepted`` after
     each map and each update of one, in the thread that receives maps: nothing else waits for them.
+    ``warn`` sets a warning by what it concerns.
     """
 
     def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
-                 pose_accepted: Callable[[], None], map_accepted: Callable[[], None]) -> None:
+                 pose_accepted: Callable[[], None], map_accepted: Callable[[], None],
+                 warn: Callable[[str, str], None]) -> None:
         self._node, self._inputs, self._error_boundary = node, inputs, error_boundary
+        self._warn = warn
         self._subscriptions: list[Subscription] = []
         self._maps = Listener(node, 'map')
         self._arrived: dict[str, float] = {}
@@ -48,7 +51,11 @@ class Subscriptions:
 
         def accept_map(topic: str, received: ReceivedMessage) -> None:
             self._arrived[topic] = time.monotonic()
-            self._log_map(inputs.accept_map(topic, received))
+            inputs.accept_map(topic, received)
+            use_maps()
+
+        def use_maps() -> None:
+            self._map_is_used(inputs.join_maps())
             map_accepted()
 
         def accept(role: str, received: ReceivedMessage | None) -> None:
@@ -63,7 +70,7 @@ class Subscriptions:
                 self._subscribe(update_type, f'{topic}_updates', UPDATES, use)
         if inputs.with_costmap:  # its transform may come later, or change
             self._maps.every(_JOIN_PERIOD,
-                             lambda: error_boundary.attempt('costmap', 'map', inputs.join_maps))
+                             lambda: error_boundary.attempt('costmap', 'map', use_maps))
         self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
         self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
         self._subscribe(
@@ -100,17 +107,18 @@ class Subscriptions:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _log_map(self, new: CurrentMap | None) -> None:
-        """Log a map, unless it is the last one with other values, as a costmap every second."""
-        before, self._logged_map = self._logged_map, new or self._logged_map
-        if new is None or (before is not None and new.same_ground(before)):
+    def _map_is_used(self, new: CurrentMap | None) -> None:
+        """Log a map of other ground, and warn of one without risk as long as it is used."""
+        before, self._logged_map = self._logged_map, new
+        if new is None or new is before:
             return
+        flat = not carries_risk(new.values, self._inputs.settings.current.occupancy)
+        self._warn('risk', NO_RISK if flat else '')
         height, width = new.values.shape
         logger = self._node.get_logger()
-        logger.info(f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the '
-                    f'frame {new.frame[:80]!r}')
-        if not carries_risk(new.values, self._inputs.settings.current.occupancy):
-            logger.warning(NO_RISK)
+        if before is None or not new.same_ground(before):  # else a costmap, every second
+            logger.info(f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the '
+                        f'frame {new.frame[:80]!r}')
 
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..maps.risk_map import to_world
+from ..maps.ros_messages import MAX_POSES
 from .corridors import Corridors
 from .cut_corners import cross, free_depth, padded
 from .taut_string import Portals, portals_along, taut_strings

@@ -38,7 +38,7 @@ def main() -> None:
             _, descriptors, _, _ = socket.recv_fds(requests, 1, 1)
             if not descriptors:
                 return  # the node has closed the socket
-            with socket.socket(fileno=descriptors[0]) as connection, suppress(BlockingIOError):
+            with socket.socket(fileno=descriptors[0]) as connection, suppress(OSError):
                 if os.fork() == 0:
                     requests.close()
                     return serve(connection)

@@ -28,6 +28,8 @@ _GRACE, _MARGIN = 1.2, 2.0
 _ONE_THREAD = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL')}
 _KILLED = ('the worker process was killed; a new one is started. If memory ran out, choose a '
            'larger network.spacing')
+_NOT_STARTED = ('the worker process could not be started; check the limits of processes and of '
+                'memory of this user (ulimit -u, -v)')
 
 
 class WorkerParent:
@@ -115,7 +117,7 @@ class WorkerProcess:
         late = no_plan_in(limit)
         if self._pidfd is None:
             self._begin()
-        with self._killed_after(_GRACE * limit + _MARGIN, late):
+        with self._killed_after(_GRACE * limit + _MARGIN, late, _KILLED):
             pickle.dump(request, self._stream, PICKLE_PROTOCOL)
             self._stream.flush()
             answer: Plan | AmbushPlannerError = pickle.load(self._stream)
@@ -127,7 +129,7 @@ class WorkerProcess:
         """Wait until the process has started; a parent that takes too long is replaced."""
         slow = WorkerFailed(f'the worker process did not start in {_MAX_START:g} s')
         try:
-            with self._killed_after(_MAX_START, slow):
+            with self._killed_after(_MAX_START, slow, _NOT_STARTED):
                 _, descriptors, _, _ = socket.recv_fds(self._socket, 1, 1)
                 if not descriptors:
                     raise EOFError
@@ -157,8 +159,12 @@ class WorkerProcess:
                 self._pidfd = None
 
     @contextmanager
-    def _killed_after(self, seconds: float, late: AmbushPlannerError) -> Iterator[None]:
-        """Kill the process and raise ``late`` if the exchange takes longer than ``seconds``."""
+    def _killed_after(self, seconds: float, late: AmbushPlannerError,
+                      died: str) -> Iterator[None]:
+        """Kill the process and raise ``late`` if the exchange takes longer than ``seconds``.
+
+        WorkerFailed says ``died`` if the process ends before.
+        """
         expired = False
 
         def expire() -> None:
@@ -172,7 +178,7 @@ class WorkerProcess:
             yield
         except (OSError, EOFError, pickle.UnpicklingError) as error:
             self.kill()
-            raise (late if expired else WorkerFailed(_KILLED)) from error
+            raise (late if expired else WorkerFailed(died)) from error
         finally:
             timer.cancel()
             timer.join()  # an expiring timer must not kill the next solve

@@ -17,8 +17,8 @@ from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..maps.road_file import RoadGraph
 from ..network.construction import NetworkOptions
-from .options import DriveOptions, PlanningOptions
-from .parameters import PARAMETERS
+from ..planning.options import DriveOptions, PlanningOptions
+from .table import PARAMETERS
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 COSTMAP_OBSTACLE = 99

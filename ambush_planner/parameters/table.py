@@ -12,8 +12,8 @@ from ..game.game import GameOptions
 from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import METHODS, NetworkOptions
-from .options import DriveOptions
-from .trip import ORDERS
+from ..planning.options import DriveOptions
+from ..planning.trip import ORDERS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),
                                     StrategyOptions())
@@ -25,8 +25,7 @@ AUTOMATIC = -1.0
 class Declaration:
     """One parameter; its type is that of the default, its range ``low`` to ``high``.
 
-    A ``fixed`` parameter keeps its initial value. It is not read-only to ROS, so that ``ros2 param
-    load`` can set it to the value that ``dump`` has written.
+    A ``fixed`` parameter is read at the start, and read-only to ROS.
     """
 
     default: bool | int | float | str | list[str]
