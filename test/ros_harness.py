@@ -192,9 +192,10 @@ class Client:
 def interface_of(planner):
     """Return what a planner publishes, subscribes to and serves: types by name.
 
-    Maps arrive at a hidden node; the one for transforms is left out.
+    Maps and paths to look along arrive at hidden nodes; the one for transforms is left out.
     """
-    nodes = planner, planner._topic_subscriptions._maps._node
+    nodes = (planner, planner._topic_subscriptions._maps._node,
+             *([planner._requests._looks._node] if planner._requests._looks else []))
 
     def made(kind, name, type_):
         return {getattr(each, name): type_name(getattr(each, type_))

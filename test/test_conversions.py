@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
 from games import examples
-from geometry_msgs.msg import PoseStamped, Quaternion
+from geometry_msgs.msg import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
@@ -25,7 +25,6 @@ from ambush_planner.ros.conversions import (
     occupancy_to_ros,
     path_to_ros,
     pose_to_ros,
-    stamped_poses,
 )
 
 NAN, INF = math.nan, math.inf
@@ -101,11 +100,3 @@ def test_bad_pose_is_refused_by_name_and_number(name):
     message, words = BAD_POSES[name]
     with pytest.raises(InvalidPose, match=words):
         position_from_ros(message, 'goal')
-
-
-def test_poses_are_those_of_the_constructors():
-    rows, of_all = np.random.default_rng(50).normal(size=(50, 3)), header()
-    fast = stamped_poses(rows, of_all)
-    assert fast == [PoseStamped(header=of_all, pose=pose_to_ros(*row)) for row in rows.tolist()]
-    fast[0].pose.position.x = 9.0
-    assert fast[1].pose.position.x != 9.0

@@ -121,7 +121,7 @@ def test_a_withdrawn_request_leaves_the_background_solve(queue):
     assert not kept.done()
     asked = submit(queue, 'asked', request())
     queue.withdraw(asked)
-    with pytest.raises(SolveCancelled, match='no caller waits'):
+    with pytest.raises(SolveCancelled, match='all callers'):
         asked.result(0.0)
     queue.withdraw_background()
     with pytest.raises(SolveCancelled, match='a newer map'):

@@ -86,7 +86,7 @@ class Console:
 
     @contextmanager
     def waiting(self, what: str) -> Iterator[Callable[[float, float], None]]:
-        """Print what takes so long after two seconds, then at doubling intervals.
+        """After two seconds, print what is still running; repeat at doubling intervals.
 
         Yields a function that takes the value and the bound so far.
         """

@@ -127,8 +127,10 @@ def carries_risk(values: npt.NDArray[np.number[Any]], options: OccupancyOptions)
 
     True also if the options give all of them the same loss.
     """
+    if options.alpha_min == options.alpha_max:
+        return True
     free = values[(values >= 0) & (values < options.obstacle_threshold)]
-    return options.alpha_min == options.alpha_max or free.size == 0 or bool(np.ptp(free) > 0)
+    return free.size == 0 or bool(np.ptp(free) > 0)
 
 
 def check_occupancy(values: npt.NDArray[np.number[Any]], resolution: float,

@@ -29,7 +29,7 @@ SESSION_PREFIX = 'ambush_planner_'
 # Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with
 # each.
 MAX_FILES = 500
-# Age [s] from which a temporary file was left by a kill: another node's write takes less.
+# Temporary files older than this [s] are leftovers of a killed process.
 _ABANDONED = 60.0
 
 

@@ -114,8 +114,8 @@ def read_recording(path: Path | str) -> RecordingFile:
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
-            f'it is damaged or not an MCAP file ({type(error).__name__}); `mcap recover` of the '
-            'mcap command line saves intact messages',
+            f'it is damaged or not an MCAP file ({type(error).__name__}); try `mcap recover` to '
+            'salvage intact messages',
         ) from error
     texts: Mapping[str, str] | None = next(
         (each.metadata for each in found

@@ -17,8 +17,8 @@ _PERIOD, _TIMEOUT = 0.1, 4.0
 class Bond:
     """Sends bond/Status on ``bond`` while it is ``active``, if the package bond is installed.
 
-    This is the half of a bond that a managed node needs: the manager listens, and ends its half
-    when ours says that it ends. The executor sends the heartbeat, so a node that hangs has none.
+    Only the sending side; the lifecycle manager needs no more. The executor sends the heartbeat, so
+    a node that hangs has none.
     """
 
     def __init__(self, node: Node) -> None:

@@ -21,8 +21,6 @@ from std_msgs.msg import Header
 
 from ..arrays import FloatArray
 
-_new: Any = object.__new__
-
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
     """Return the pose at (x, y) [m] with heading yaw [rad]."""
@@ -49,33 +47,12 @@ def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> P
     It ends at the position of the last pose with the goal's height and orientation: a blocked goal
     has been moved there.
     """
-    result = stamped_poses(poses, header)
+    result = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
     end = result[-1].pose.position
     position = Point(x=end.x, y=end.y, z=goal.position.z)
     result[0].pose = start
     result[-1].pose = Pose(position=position, orientation=goal.orientation)
     return PathMessage(header=header, poses=result)
-
-
-def stamped_poses(poses: FloatArray, header: Header) -> list[PoseStamped]:
-    """Return the poses (L, 3) = (x, y, yaw) as messages that share one header.
-
-    The constructors are bypassed: 500 poses take 0.4 ms instead of 5.3 ms of an answer.
-    """
-    check = header._check_fields
-    return [_stamped_pose(x, y, 0.5 * yaw, header, check) for x, y, yaw in poses.tolist()]
-
-
-def _stamped_pose(x: float, y: float, half: float, header: Header, check: bool) -> PoseStamped:
-    position = _new(Point)
-    position._x, position._y, position._z, position._check_fields = x, y, 0.0, check
-    q = _new(Quaternion)
-    q._x, q._y, q._z, q._w, q._check_fields = 0.0, 0.0, math.sin(half), math.cos(half), check
-    pose = _new(Pose)
-    pose._position, pose._orientation, pose._check_fields = position, q, check
-    stamped = _new(PoseStamped)
-    stamped._header, stamped._pose, stamped._check_fields = header, pose, check
-    return stamped
 
 
 def installed_type(module: str, name: str) -> Any:

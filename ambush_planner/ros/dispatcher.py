@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers requests for a path: the rest of the trip under way, or a departure on a fresh route."""
+"""Serves path requests: the rest of the current trip, or a departure on a newly drawn route."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from .topics import Publishers
 
 # Maximum number of solves for one departure while the map changes.
 _MAX_SOLVES = 4
-# Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
+# How far the robot may drive during a solve before the request is refused [m].
 _MAX_BEHIND = 1.0
 # Maximum number of trips of one robot that are kept: another goal that is looked up ends none.
 _MAX_TRIPS = 4
@@ -106,8 +106,6 @@ class Dispatcher:
         self._departures = SerialExecutor('departures', reporter.set,
                                           lambda error: reporter.failed('request', error),
                                           _shutting_down)
-        # For is_path_valid, whose answers must not wait for departures.
-        self._looks = SerialExecutor('looks', lambda: None, lambda error: None, _shutting_down)
         self._displayed = DisplayedPlan(self._plans, inputs, publishers, reporter, clock,
                                         self._departures)
         self._waiting: list[_Pending] = []
@@ -150,7 +148,6 @@ class Dispatcher:
         """Answer waiting requests, and end."""
         self.stop_solving()
         self._departures.close()
-        self._looks.close()
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
@@ -202,17 +199,12 @@ class Dispatcher:
         self._departures.submit(begin, result)
         return result
 
-    def invalid_poses(self, path: Path) -> Future[list[int] | None]:
+    def invalid_poses(self, path: Path) -> list[int] | None:
         """Return which poses of a path, from the robot on, the newest map does not let it reach.
 
-        None if the path has no poses: Nav2's trees ask so before their first path. Fails with
-        NoMap, FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        None if the path has no poses: Nav2's trees ask so before their first path. Raises NoMap,
+        FrameMismatch if the path is not in the map's frame, and InvalidPose.
         """
-        result: Future[list[int] | None] = Future()
-        self._looks.submit(lambda: result.set_result(self._invalid_poses(path)), result)
-        return result
-
-    def _invalid_poses(self, path: Path) -> list[int] | None:
         if not path.poses:
             return None
         newest, parameters = self._inputs.current_map(), self._settings.current
@@ -298,6 +290,7 @@ class Dispatcher:
         before, way, held = under_way.departure, under_way.trip, under_way.departure.held
         if not trip.map.same_ground(held.trip.map):
             return False
+        self._recordings.wait_for_room()
         number = before.diversion.number + 1 if before.diversion else 1
         source = _entropy_source(before.parameters.seed, before.number, number)
         x, y = way.path[-1, :2].tolist()

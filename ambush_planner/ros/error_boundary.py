@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keep exceptions inside callbacks: one that leaves a callback ends the executor."""
+"""Contain exceptions in callbacks; an uncaught one stops the executor."""
 
 from __future__ import annotations
 

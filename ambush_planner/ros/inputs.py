@@ -90,7 +90,7 @@ class Inputs:
     with_costmap
         Whether a costmap is waited for, too.
     asked_directly
-        Whether requests bring their own start and goal, so that those on the topics are not missed.
+        Whether a request brought its own start and goal; missing topics are then not reported.
     """
 
     def __init__(self, transforms: FrameTransforms, full_name: Callable[[str], str],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node, an executor and a thread of their own for messages that the planner does not wait for."""
+"""A node, an executor and a thread for large or frequent messages, apart from the planner's."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SPIN_PERIOD = 0.25
 
 
 class Listener:
-    """Receives messages in a thread, as tf2_ros does; ``start`` it after the last ``subscribe``.
+    """Receives messages in a thread, as tf2_ros does; ``start`` it when all is subscribed to.
 
     Large or frequent messages then do not keep the planner's executor from answering. Its node,
     ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's context and enclave.
@@ -32,7 +32,7 @@ class Listener:
             f'_{node.get_name()}_{purpose}', context=node.context, namespace=node.get_namespace(),
             # Command line arguments belong to the planner's node, which resolves the names.
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
-            # The SROS2 policy grants this node no services.
+            # The SROS2 policy does not grant it these services.
             parameter_overrides=[Parameter('start_type_description_service', value=False),
                                  Parameter('use_sim_time', value=False)],
         )
@@ -46,6 +46,10 @@ class Listener:
         """Subscribe to a topic by the name that the planner's node gives it."""
         name = self._planner.resolve_topic_name(topic)
         self._node.create_subscription(kind, name, receive, qos, raw=raw)
+
+    def serve(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
+        """Serve by the name that the planner's node gives it."""
+        self._node.create_service(kind, self._planner.resolve_service_name(name), answer)
 
     def every(self, seconds: float, act: Callable[[], object]) -> None:
         """Act regularly."""

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import ctypes
-import gc
 import os
 import signal
 import sys
@@ -48,8 +46,6 @@ _REPORT_PERIOD = 1.0  # of the diagnostics [s]
 _SPIN_PERIOD = 0.25  # time until a signal is noticed if nothing else happens [s]
 _LAST_ANSWERS_TIME = 0.5  # for which the node stays to send its last answers [s]
 _LAST_RECORDINGS_TIME = 0.5  # for which it then stays to write its last recordings [s]
-_KEPT_MEMORY = 256 * 2**20  # free memory that is not given back to the system at once [bytes]
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # from glibc's malloc.h
 _HELP_EPILOG = """topics, services, actions and parameters: docs/ros_interface.md, or
   ros2 node info /ambush_planner; ros2 param describe /ambush_planner NAME"""
 
@@ -107,10 +103,13 @@ class PlannerNode(LifecycleNode):
         if not HAS_HIGHSPY:
             self.get_logger().info('plans are solved sooner with the Python package highspy: '
                                    'pip install highspy')
-        requests = Requests(self, self._error_boundary, lambda: _configured(self._dispatcher),
-                            lambda: _configured(self._inputs), self._settings)
+        self._requests = Requests(self, self._error_boundary,
+                                  lambda: _configured(self._dispatcher),
+                                  lambda: _configured(self._inputs), self._settings)
+        self._closing.callback(self._requests.close)
         for name in ACTIONS:
-            action = ComputePath(self, self._error_boundary, requests, self._settings, name)
+            action = ComputePath(self, self._error_boundary, self._requests, self._settings,
+                                 name)
             self._closing.callback(action.close)
         self._closing.callback(self._wait_for_recordings)
         self._closing.callback(lambda: self._configured.close())
@@ -256,10 +255,11 @@ class PlannerNode(LifecycleNode):
         self._report_missing()
         _configured(self._dispatcher).prepare()
 
-    def _map_accepted(self) -> None:
+    def _map_accepted(self, is_new: bool) -> None:
         self._reporter.succeeded('map')
         self._report_missing()
-        _configured(self._dispatcher).map_changed()
+        if is_new:
+            _configured(self._dispatcher).map_changed()
 
     def _report(self) -> None:
         listening = self._topic_subscriptions
@@ -280,19 +280,6 @@ def _configured(part: _Part | None) -> _Part:
             'after a cleanup, publish start and goal again (a latched map arrives by itself)'
         )
     return part
-
-
-def _keep_freed_memory() -> None:
-    """Have maps copied into memory that was used before.
-
-    rclpy copies them under the interpreter's lock. While 2000 x 2000 cells arrive every second, an
-    answer takes 61 ms of processor time so, and 72 ms without (a median of 137 and 176 ms on two
-    cores with a load of 15).
-    """
-    with suppress(AttributeError):  # not glibc
-        mallopt = ctypes.CDLL(None).mallopt
-        for option in _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD:
-            mallopt(option, _KEPT_MEMORY)
 
 
 def check_arguments(arguments: list[str] | None) -> None:
@@ -339,10 +326,6 @@ def main(args: list[str] | None = None) -> int:
         )
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        # The objects made so far live as long as the node: scanning them takes 50 ms each time.
-        gc.collect()
-        gc.freeze()
-        _keep_freed_memory()
         while rclpy.ok() and not came:
             executor.spin_once(timeout_sec=_SPIN_PERIOD)
     except ExternalShutdownException:

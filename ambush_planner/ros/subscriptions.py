@@ -34,12 +34,12 @@ class Subscriptions:
     """The subscriptions of ``node``.
 
     ``pose_accepted`` is called after each start, goal and array of stops; ``map_accepted`` after
-    each map and each update of one, in the thread that receives maps: nothing else waits for them.
-    ``warn`` sets a warning by what it concerns.
+    each map and each update of one, with whether the map that is used is another one, in the thread
+    that receives maps: nothing else waits for them. ``warn`` sets a warning by what it concerns.
     """
 
     def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
-                 pose_accepted: Callable[[], None], map_accepted: Callable[[], None],
+                 pose_accepted: Callable[[], None], map_accepted: Callable[[bool], None],
                  warn: Callable[[str, str], None]) -> None:
         self._node, self._inputs, self._error_boundary = node, inputs, error_boundary
         self._warn = warn
@@ -47,7 +47,7 @@ class Subscriptions:
         self._maps = Listener(node, 'map')
         self._arrived: dict[str, float] = {}
         self._map_topic = node.resolve_topic_name('alpha_map')
-        self._logged_map: CurrentMap | None = None
+        self._used_map: CurrentMap | None = None
 
         def accept_map(topic: str, received: ReceivedMessage) -> None:
             self._arrived[topic] = time.monotonic()
@@ -55,8 +55,7 @@ class Subscriptions:
             use_maps()
 
         def use_maps() -> None:
-            self._map_is_used(inputs.join_maps())
-            map_accepted()
+            map_accepted(self._is_new(inputs.join_maps()))
 
         def accept(role: str, received: ReceivedMessage | None) -> None:
             setattr(inputs, role, received)
@@ -107,11 +106,11 @@ class Subscriptions:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _map_is_used(self, new: CurrentMap | None) -> None:
-        """Log a map of other ground, and warn of one without risk as long as it is used."""
-        before, self._logged_map = self._logged_map, new
+    def _is_new(self, new: CurrentMap | None) -> bool:
+        """Whether a map is another one; log it, and warn of one without risk while it is used."""
+        before, self._used_map = self._used_map, new
         if new is None or new is before:
-            return
+            return False
         flat = not carries_risk(new.values, self._inputs.settings.current.occupancy)
         self._warn('risk', NO_RISK if flat else '')
         height, width = new.values.shape
@@ -119,6 +118,7 @@ class Subscriptions:
         if before is None or not new.same_ground(before):  # else a costmap, every second
             logger.info(f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the '
                         f'frame {new.frame[:80]!r}')
+        return True
 
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:

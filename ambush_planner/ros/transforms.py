@@ -39,13 +39,24 @@ class FrameTransforms:
 
     def __init__(self, node: Node) -> None:
         self._clock, self._buffer = node.get_clock(), TransformBuffer()
-        tf_message = installed_type('tf2_msgs.msg', 'TFMessage')
-        self._listener = _TfListener(node, self._buffer, tf_message) if tf_message else None
+        # When a simulation or a bag restarts, old transforms would stay the latest ones.
+        self._jumps = self._clock.create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1),
+                          on_clock_change=True),
+            post_callback=lambda _: self._buffer.clear(),
+        )
+        self._listener: Listener | None = None
+        if tf_message := installed_type('tf2_msgs.msg', 'TFMessage'):
+            self._listener = Listener(node, 'tf')
+            for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
+                self._listener.subscribe(tf_message, topic, partial(self._receive, static), qos)
+            self._listener.start()
 
     def close(self) -> None:
         """Stop listening."""
         if self._listener is not None:
             self._listener.close()
+        self._jumps.unregister()
 
     def to_frame(self, pose: PoseStamped, name: str, frame: str, max_age: float) -> PoseStamped:
         """Return the pose called ``name`` in ``frame``; unchanged if that is its frame.
@@ -93,28 +104,6 @@ class FrameTransforms:
             f'transform.max_age, {max_age:g} s; check that /tf {check}, with stamps of this '
             "node's clock"
         )
-
-
-class _TfListener:
-    """Fills a buffer in a thread of its own."""
-
-    def __init__(self, node: Node, buffer: TransformBuffer, tf_message: type) -> None:
-        self._buffer = buffer
-        # When a simulation or a bag restarts, old transforms would stay the latest ones.
-        self._jumps = node.get_clock().create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1),
-                          on_clock_change=True),
-            post_callback=lambda _: buffer.clear(),
-        )
-        self._listener = Listener(node, 'tf')
-        for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
-            self._listener.subscribe(tf_message, topic, partial(self._receive, static), qos)
-        self._listener.start()
-
-    def close(self) -> None:
-        """End the thread; a second call does nothing."""
-        self._listener.close()
-        self._jumps.unregister()
 
     def _receive(self, static: bool, message: Any) -> None:
         for each in message.transforms:

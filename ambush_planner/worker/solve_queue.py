@@ -19,7 +19,7 @@ from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
 _SUPERSEDED = 'a newer map replaced this one'
-_WITHDRAWN = 'no caller waits for this solve any more'
+_WITHDRAWN = 'all callers have withdrawn'
 
 _Result = TypeVar('_Result')
 
