@@ -23,8 +23,6 @@ from .corridors import Corridors
 from .cut_corners import cross, free_depth, padded
 from .taut_string import Portals, portals_along, taut_strings
 
-# Largest number of poses in a path; serialising more would block the node for seconds.
-MAX_POSES = 20_000
 # Initial and largest margin [portal widths].
 MARGIN, MAX_MARGIN = 0.03, 0.49
 # Factor by which the margin grows at tight turns in each pass, and the number of passes.
