@@ -51,8 +51,8 @@ from .topics import Publishers
 _MAX_SOLVES = 4
 # How far the robot may drive during a solve before the request is refused [m].
 _MAX_BEHIND = 1.0
-# Maximum number of trips of one robot that are kept: another goal that is looked up ends none.
-_MAX_TRIPS = 4
+# Maximum number of trips that are kept: another goal that is looked up ends none.
+_MAX_TRIPS = 64
 
 INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
 
@@ -301,6 +301,7 @@ class Dispatcher:
             return False
         if not pending.answer.set_running_or_notify_cancel():
             return True
+        self._record(under_way)
         leaving = max(pending.begin_ns, self._now())
         route, path = drawn[0], self._path(drawn[1], trip, leaving)
         departure = self._reporter.departing(replace(
@@ -381,12 +382,11 @@ class Dispatcher:
             pending.answer.set_result(answer)
 
         trip = departure.trip
-        ends_here = bool(trip.moves and trip.stops_xy and not before
-                         and math.dist(trip.start_xy, trip.goal_xy) <= way.tolerance)
-        if before:
-            self._record(before)
-        left = self._recordings.depart(departure, leave, not ends_here)
-        under_way = _UnderWay(way, departure, pending.trip_request, route, left, not ends_here)
+        sets_out = (before is not None or not (trip.moves and trip.stops_xy)
+                    or departure.parameters.recording.required
+                    or math.dist(trip.start_xy, trip.goal_xy) > way.tolerance)
+        left = self._recordings.depart(departure, leave, sets_out)
+        under_way = _UnderWay(way, departure, pending.trip_request, route, left, sets_out)
         if trip.moves:
             self._take_up(under_way, before)
 
@@ -404,17 +404,12 @@ class Dispatcher:
         left.add_done_callback(stay_unless_left)
 
     def _take_up(self, new: _UnderWay, before: _UnderWay | None) -> None:
-        """Keep a trip, and the last ones of its robot that it does not divert or come after."""
+        """Keep a trip, instead of the one that it diverts and, after an arrival, the robot's."""
         frames = new.trip.destination.frames
         own = [each for each in self._under_way if each.trip.destination.frames == frames]
-        ended = any(each.trip.arrived for each in own)
-        dropped = [*own[0 if ended else _MAX_TRIPS - 1:], before]
-        self._under_way = [new, *(each for each in self._under_way if each not in dropped)]
-
-    def _record(self, under_way: _UnderWay) -> None:
-        if not under_way.recorded:
-            under_way.recorded = True
-            self._recordings.record(under_way.departure)
+        dropped = [before, *(own if any(each.trip.arrived for each in own) else ())]
+        kept = [each for each in self._under_way if each not in dropped]
+        self._under_way = [new, *kept][:_MAX_TRIPS]
 
     def _departure(self, fit: Fit, route: Route, rows: FloatArray, source: list[int],
                    pending: _Pending) -> Departure:
@@ -466,6 +461,11 @@ class Dispatcher:
                 if each.trip.progress > each.trip.tolerance:
                     self._record(each)
         self._retry()
+
+    def _record(self, under_way: _UnderWay) -> None:
+        if not under_way.recorded:
+            under_way.recorded = True
+            self._recordings.depart(under_way.departure, lambda: None)
 
     def _retry(self) -> None:
         """Try the undecided requests again."""

@@ -72,25 +72,14 @@ class Recordings:
 
         If recordings are required, it leaves once it is on the disk, in the recordings' thread. The
         future is done when it has left; it has an exception if ``leave`` raised it or if a required
-        recording failed. What has not left has no file. Without ``record`` one that is not required
-        is left to ``record``.
+        recording failed. What has not left has no file. Without ``record`` only a required one is
+        recorded.
         """
         queued = _Queued(departure, leave)
         if not self._options.required:
             self._leave(queued)
-            if queued.left.exception() or not record:
+            if not (self._options.enabled and record) or queued.left.exception():
                 return queued.left
-        return self._queue(queued)
-
-    def record(self, departure: Departure) -> None:
-        """Queue the recording of a departure that has left without one."""
-        if not self._options.required:
-            self._queue(_Queued(departure, lambda: None))
-
-    def _queue(self, queued: _Queued) -> Future[None]:
-        if not self._options.enabled:
-            return queued.left
-        departure = queued.departure
         with self._condition:
             if not (self._full and self._stuck):
                 self._unwritten.append(queued)
