@@ -57,6 +57,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/ground.py
 	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/random_games.py --count 200
+	$(BIN)/python benchmarks/limits.py
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_motion.py
 

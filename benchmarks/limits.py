@@ -22,6 +22,7 @@ from ambush_planner.planning.trip import trip_network
 LIMITS = (3.0, 20.0)  # s
 NODES = 2500
 ALLOWED, SHARE = 1.0, 0.05  # s, of the limit
+NONE = {'seconds': 0.0, 'name': '-'}
 
 
 def solved(name: str, time_limit: float) -> Answer:
@@ -50,9 +51,10 @@ def main() -> None:
     parser = problem_parser(__doc__)
     parser.add_argument('--kinds', nargs='+', default=[k for k in KINDS if k != 'nodes'],
                         choices=KINDS)
+    parser.add_argument('--limits', type=float, nargs='+', default=LIMITS, metavar='SECONDS')
     options = parser.parse_args()
     rows = []
-    for limit in LIMITS:
+    for limit in options.limits:
         allowed = max(ALLOWED, SHARE * limit)
         for kind in options.kinds:
             answers = [run('limits.solved', f'{kind}:{family}:{NODES}:{seed}', options.limit,
@@ -60,7 +62,7 @@ def main() -> None:
                        for family in options.families if family in TRIP_FAMILIES
                        for seed in range(options.seed, options.seed + options.each)]
             answers = [each for each in answers if 'failed' not in each]
-            worst = max(answers, key=lambda each: each['seconds'])
+            worst = max(answers, key=lambda each: float(each['seconds']), default=NONE)
             rows.append([f'{limit:g} s', kind, str(len(answers)),
                          str(sum(each['seconds'] > 0.0 for each in answers)),
                          str(sum(each['seconds'] > allowed for each in answers)),
