@@ -21,7 +21,7 @@ from scipy.spatial import Delaunay
 from ambush_planner import GameOptions, Network, SolverFailed
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate.best_response import best_response
+from ambush_planner.game.certificate.best_response import SEARCHES, Grounds
 from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.certificate.curves import Circulation
 from ambush_planner.game.faces import make_faces
@@ -183,7 +183,9 @@ def test_a_curve_does_not_lead_through_held_ground_that_cuts_a_disc_in_two():
     discs = faces.discs(game.hits)
     assert len(np.unique(discs.part)) > len(np.unique(discs.disc))
     ambusher, (budget,), bound = proof(game, detour)
-    route = best_response(game, ambusher.q, (budget,), ambusher.prices).edges
+    charge = (game.loss * ambusher.q)[None, game.sites]
+    base = ambusher.prices[0] * budget.excess
+    _, route = Grounds(game, game.hits).least_cost(base, charge, SEARCHES)
     met = game.hits[:, route].getnnz(axis=1) > 0
     cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
     cost += ambusher.prices[0] * (budget.cost[route].sum() - budget.limit)

@@ -85,7 +85,7 @@ def test_the_bound_is_below_every_mixture_and_the_value_is_one(seed, stops, reac
     check(found, budgets, least)
     # The judge reproduces the bound.
     binding = tuple(b for b in budgets if b.binds)
-    judged = best_response(game, on_nodes(game, found.by_leg), binding, found.prices).bound
+    judged = best_response(game, on_nodes(game, found.by_leg), binding, found.prices)
     assert judged >= found.bound * (1.0 - 1e-9) - 1e-12
     if reach == 0.0 and stops == 0:
         assert found.value <= found.bound * (1.0 + GAP) + 1e-9

@@ -26,7 +26,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -49,23 +48,12 @@ _ROUNDING = 1e-12
 _NEGLIGIBLE = 1e-7
 
 
-@dataclass(frozen=True, eq=False)
-class BestResponse:
-    """``bound`` on the value; the ``edges`` (K,) of a route that comes near it.
-
-    ``edges`` is None if the search was cut short.
-    """
-
-    bound: float
-    edges: IndexArray | None
-
-
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
                   prices: Sequence[float] | FloatArray,
-                  deadline: float = math.inf) -> BestResponse:
-    """Find the route that costs least against q with each site counted once.
+                  deadline: float = math.inf) -> float:
+    """A lower bound of what any strategy costs against q with each site counted once.
 
-    At ``deadline`` (``time.monotonic``) the bound so far is returned.
+    It is as great as the searches prove until ``deadline`` (``time.monotonic``).
 
     q is (N,) by node; or (stops + 1, N) by the leg for which the ambusher waits, and the node.
     """
@@ -75,8 +63,8 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
             base = base + price * budget.excess
             paid += price * budget.margin
     charge = game.loss[game.sites] * [game.at_sites(each) for each in np.atleast_2d(q)]
-    least, edges = Grounds(game, game.hits).least_cost(base, charge, SEARCHES, deadline)
-    return BestResponse(max(least - paid, 0.0), edges)
+    least, _ = Grounds(game, game.hits).least_cost(base, charge, SEARCHES, deadline)
+    return max(least - paid, 0.0)
 
 
 class Leg(NamedTuple):

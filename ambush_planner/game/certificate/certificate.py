@@ -89,7 +89,7 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:
         waits = ambusher.q if ambusher.by_leg is None else ambusher.by_leg
-        return best_response(game, waits, budgets, ambusher.prices, deadline).bound
+        return best_response(game, waits, budgets, ambusher.prices, deadline)
     faces = replace(faces, game=game) if faces else make_faces(game)
     used = [k for k, price in enumerate(ambusher.prices) if price > 0.0]
     if faces is None or len(used) > 1:

@@ -76,7 +76,7 @@ class Routes:
         That of the mixture found.
     by_leg : (stops + 1, S)
         The ambusher who proves the bound: how likely he waits at each site for each leg. What he
-        proves is ``best_response(game, by_leg, budgets, prices).bound``.
+        proves is ``best_response(game, by_leg, budgets, prices)``.
     prices : (binding budgets,)
         His prices of the budgets [loss per unit of cost].
     routes, shares
