@@ -67,6 +67,7 @@ endurance: $(VENV)/.test
 	HUNT=25 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_timeout=7200 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py
+	$(BIN)/python benchmarks/node_two_askers.py
 	$(BIN)/python benchmarks/node_soak.py
 
 package:

@@ -29,6 +29,7 @@ NODE_SCRIPTS = {
 }
 if not interfaces._missing():
     NODE_SCRIPTS['node_motion'] = '--trips 1 --speeds 2 --hurry 3 --ask 1Hz'
+    NODE_SCRIPTS['node_two_askers'] = '--seconds 2'
     NODE_SCRIPTS['node_soak'] = '--seconds 0.5 --period 0.1 --spacing 5'
 
 

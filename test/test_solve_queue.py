@@ -20,7 +20,8 @@ from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.solve_errors import SolveCancelled, Unexpected
+from ambush_planner.worker.process import WorkerParent, WorkerProcess
+from ambush_planner.worker.solve_errors import SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.solve_queue import SolveQueue
 
 
@@ -47,6 +48,15 @@ def slow_request(time_limit=600.0):
 def submit(queue, key, asked, size=8, background=False):
     """Queue a solve whose outcome is the plan."""
     return queue.submit(key, asked, lambda plan: plan, size, background)
+
+
+def test_a_worker_that_cannot_be_forked_is_not_said_to_have_been_killed():
+    class NoRoom(WorkerParent):
+        def fork(self, connection):
+            """As when the system allows no more processes."""
+
+    with pytest.raises(WorkerFailed, match='could not be started; check the limits'):
+        WorkerProcess(NoRoom()).solve(request())
 
 
 @pytest.fixture

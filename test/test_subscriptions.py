@@ -8,6 +8,8 @@ from rclpy.qos import QoSProfile
 from ros_harness import risk_grid, stage, wait_until
 from waiting import stderr_in
 
+from ambush_planner.ros import planner_node
+
 
 def test_warns_of_a_volatile_map_as_long_as_it_is_published():
     with stage() as running:
@@ -24,6 +26,13 @@ def test_warns_of_a_volatile_map_as_long_as_it_is_published():
         assert client.diagnostics(state='waiting')['level'] == b'\1'
         other.destroy_node()
         wait_until(lambda: 'volatile' not in message(), 'no warning')
+
+
+def test_a_missing_highspy_is_information_and_no_warning(tmp_path, monkeypatch):
+    monkeypatch.setattr(planner_node, 'HAS_HIGHSPY', False)
+    with stderr_in(tmp_path / 'log') as said, stage() as running:
+        assert 'highspy' not in running.client.diagnostics(state='waiting')['message']
+    assert said().count('pip install highspy') == 1 and '[INFO]' in said()
 
 
 def test_a_map_is_logged_when_it_is_the_first_or_of_another_size_or_frame(tmp_path):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -21,7 +22,7 @@ from ..recordings import type_name
 from .conversions import installed_type
 from .current_map import CurrentMap, ReceivedMessage
 from .error_boundary import ErrorBoundary
-from .error_codes import UnreadableMessage
+from .error_codes import FrameMismatch, UnreadableMessage
 from .inputs import Inputs
 from .listener import Listener
 from .topics import LATCHED, LATEST, UPDATES
@@ -57,6 +58,10 @@ class Subscriptions:
         def use_maps() -> None:
             map_accepted(self._is_new(inputs.join_maps()))
 
+        def join_again() -> None:
+            with suppress(FrameMismatch):  # reported since the costmap came
+                use_maps()
+
         def accept(role: str, received: ReceivedMessage | None) -> None:
             setattr(inputs, role, received)
             pose_accepted()
@@ -69,7 +74,7 @@ class Subscriptions:
                 self._subscribe(update_type, f'{topic}_updates', UPDATES, use)
         if inputs.with_costmap:  # its transform may come later, or change
             self._maps.every(_JOIN_PERIOD,
-                             lambda: error_boundary.attempt('costmap', 'map', use_maps))
+                             lambda: error_boundary.attempt('costmap', 'map', join_again))
         self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
         self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
         self._subscribe(
