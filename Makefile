@@ -30,7 +30,7 @@ help:
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
 demo: $(VENV)/.demo
-	$(BIN)/ambush demo
+	$(BIN)/python -m examples.demo
 
 paper: $(VENV)/.demo
 	$(BIN)/python -m paper

@@ -10,17 +10,15 @@ from tempfile import TemporaryDirectory
 from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
-commands = ('audit', 'card', 'demo', 'draw', 'export', 'frontier', 'hold', 'judge', 'plan',
-            'replay', 'report', 'risk', 'slots', 'table', 'terrain', 'verify', 'views')
 # mcap with its compressions.
 recordings = ['mcap>=1.2.2', 'mcap-ros2-support>=0.5.3', 'lz4>=4.0', 'zstandard>=0.19']
-gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'mgrs>=1.4.6', 'pyogrio>=0.7', 'pyproj>=3.4',
-       'rasterio>=1.3', 'shapely>=2.0']
+gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'mgrs>=1.4.6', 'networkx>=2.8', 'pyogrio>=0.7',
+       'pyproj>=3.4', 'rasterio>=1.3', 'shapely>=2.0']
 
 # A package index has neither the pictures nor the pages that README.md links to.
 introduction = Path('README.md').read_text(encoding='utf-8').split('\n## ')[0]
 introduction = '\n'.join(line for line in introduction.splitlines() if not line.startswith('!['))
-introduction += "\n\n`pip install 'ambush_planner[figures]'`, then `ambush plan --help`.\n"
+introduction += '\n\nBegin with `ambush plan --help`.\n'
 
 # pip builds in the checkout; its build results go to a temporary folder.
 options = {}
@@ -48,9 +46,8 @@ setup(
         'Typing :: Typed',
     ],
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['py.typed', *(f'commands/*.{kind}' for kind in (
-        'css', 'html', 'js', 'json', 'rviz',
-    ))]},
+    package_data={package_name: ['py.typed', 'recordings/definitions.json', *(
+        f'commands/*.{kind}' for kind in ('css', 'html', 'js', 'qml'))]},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -90,7 +87,6 @@ setup(
             'pytest-xdist',
             'hypothesis',
             'latex2mathml',  # parses the formulas of the documents
-            'networkx',
             'clarabel',
             'distributed>=2024.1',  # an executor for solve_many
             'rosbags',
@@ -103,7 +99,6 @@ setup(
         'console_scripts': [
             'ambush_planner = ambush_planner.ros.planner_node:main',
             'ambush = ambush_planner.commands.cli:main',
-            *(f'ambush_{name} = ambush_planner.commands.cli:main' for name in commands),
         ],
     },
 )

@@ -24,7 +24,7 @@ from .errors import (
 )
 from .game.game import GameOptions
 from .game.strategy import Strategy, StrategyOptions, solve
-from .maps.coordinates import InvalidCoordinates
+from .maps.coordinates import Coordinates, InvalidCoordinates
 from .maps.elevation import InvalidTerrain
 from .maps.occupancy import OccupancyOptions, risk_from_occupancy
 from .maps.risk_layers import InvalidLayers
@@ -35,7 +35,7 @@ from .maps.vector_file import InvalidFeatures
 from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .planning.evaluation import evaluate
-from .planning.frontier import FrontierRow, frontier, trip_frontier
+from .planning.frontier import FrontierRow, frontier
 from .planning.holding import Held, Holding, places_to_hold
 from .planning.many import Problem, Solved, solve_many
 from .planning.options import DriveOptions, PlanningOptions
@@ -51,6 +51,7 @@ __all__ = [
     'AmbushPlannerError',
     'AmbushPlannerWarning',
     'BudgetInfeasible',
+    'Coordinates',
     'DriveOptions',
     'FrontierRow',
     'GameOptions',
@@ -93,5 +94,4 @@ __all__ = [
     'risk_from_terrain',
     'solve',
     'solve_many',
-    'trip_frontier',
 ]

@@ -24,10 +24,12 @@ from .maps.coordinates import WGS84, InvalidCoordinates
 from .maps.risk_map import RiskMap
 from .planning.plan import Plan
 from .planning.route_layers import line_table, lines_in_system, route_columns, strategy_tables
-from .recordings.durable_files import make_private_folders, write_durably
+from .recordings.durable_files import write_all_durably
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from .recordings.plan_file import SavedPlan
 
 _DEGREES_ONLY = ('.gpx', '.kml')
 # The libraries that each format needs.
@@ -35,6 +37,8 @@ NEEDS: dict[str, tuple[str, ...]] = {
     '.gpkg': ('geopandas', 'rasterio'), '.geojson': ('geopandas', 'rasterio'),
     '.gpx': ('geopandas', 'gpxpy'), '.kml': ('geopandas',), '.csv': (), '.png': ('matplotlib',)}
 SUFFIXES = tuple(NEEDS)
+PLAN = '.plan'
+NEEDS[PLAN] = ('mcap', 'mcap_ros2', 'zstandard')
 # Points of a GPX route that are nearer to the line through the others are left out [m].
 _STRAIGHT = 0.5
 
@@ -94,19 +98,26 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | int | None = None) -> Dr
     return Drawn(plan.strategy, plan.risk_map, plan.paths(n, rng), times)
 
 
-def write_routes(paths: Sequence[Path], drawn: Drawn) -> None:
+def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | None = None) -> None:
     """Write files with mode 0600; the suffix of each, one of ``SUFFIXES``, is its format.
 
-    Raises InvalidOption if a suffix is none of these, and InvalidCoordinates if a format needs a
-    coordinate system and the map has none; nothing is written then.
+    With a ``plan``, the suffix can also be ``PLAN``. Raises InvalidOption if a suffix is none of
+    these, InvalidCoordinates if a format needs a coordinate system and the map has none, and
+    OSError; nothing is written then.
     """
-    contents = {path: _content(path, drawn) for path in paths}
-    for path, data in contents.items():
-        make_private_folders(path.absolute().parent)
-        write_durably(path, data)
+    write_all_durably({path: plan_content(plan) if plan and path.suffix.lower() == PLAN
+                       else content_of(path, drawn) for path in paths})
 
 
-def _content(path: Path, drawn: Drawn) -> bytes:
+def plan_content(plan: Plan | SavedPlan) -> bytes:
+    """The content of a plan file."""
+    from .recordings.plan_file import SavedPlan, plan_bytes, saved_plan
+
+    return plan_bytes(plan if isinstance(plan, SavedPlan) else saved_plan(plan))
+
+
+def content_of(path: Path, drawn: Drawn) -> bytes:
+    """The content of a file of routes; raises as ``write_routes`` does."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InvalidOption(f'{path}: its suffix must be one of {", ".join(SUFFIXES)}')

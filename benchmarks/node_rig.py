@@ -32,9 +32,11 @@ from report import RESULTS, publish
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.topics import REQUESTS
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 PLANNER = '/ambush_planner'
 # Discovery alone can take more than 3 s.

@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from ambush_planner import Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.arrays import BoolArray
-from ambush_planner.commands import demo_ground
 from ambush_planner.maps.occupancy import risk_from_occupancy
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from examples.demo import ground as demo_ground  # noqa: E402
 
 # Side length of the map ``block`` [m].
 SIDE = 100.0

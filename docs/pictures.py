@@ -25,7 +25,6 @@ from PIL import Image
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, figures, plan_trip
 from ambush_planner.arrays import IndexArray
 from ambush_planner.colours import AMBUSHER, PROBABILITY
-from ambush_planner.commands import demo_figures, demo_ground
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.maps.risk_map import RiskMap
@@ -34,6 +33,10 @@ from ambush_planner.planning.plan import departure_paths
 from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.recorded_departures import read_departures
 from ambush_planner.recordings.report_data import Section, sections_of
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from examples.demo import figures as demo_figures
+from examples.demo import ground as demo_ground
 
 DOCS = Path(__file__).resolve().parent
 # The trip of docs/python.md [m].

@@ -26,13 +26,13 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.commands.node_process import lock_domain
 from ambush_planner.recordings import type_name
 from ambush_planner.ros import planner_node
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.ros.topics import REQUESTS
 from ambush_planner.worker import solve_queue
+from examples.demo.node_process import lock_domain
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A client that is slow for a moment keeps each message all the same.
@@ -43,8 +43,8 @@ MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'networ
 SMALL = {'network.spacing': 1.0}
 # A solve of minutes, which the tests cancel.
 LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
-# Higher ones are the demo's (commands/node_process.py). The graph shows the node of an earlier test
-# until Python has freed it, so tests do not use the same domain one after the other.
+# Higher ones are the demo's (examples/demo/node_process.py). The graph shows the node of an earlier
+# test until Python has freed it, so tests do not use the same domain one after the other.
 DOMAINS = itertools.cycle(random.sample(range(1, 51), 50))
 
 

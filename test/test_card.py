@@ -9,16 +9,15 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the map on a card needs matplotlib')
 
-from audit_samples import departure, drawn, parameters, record, sample_plan
+from audit_samples import departure, drawn, occupancy, parameters, record, sample_plan
 from commands import run_here
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card
 from ambush_planner.maps.coordinates import Coordinates
-from ambush_planner.maps.map_file import write_map
-from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
+from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.routes.legs import (
     MAX_LEGS,
     bearings,
@@ -115,22 +114,26 @@ def test_grid_references_agree_with_pyproj(runs, tmp_path):
     assert np.ptp(turned) < 1.5 and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
 
 
-def test_one_of_few_routes(runs, tmp_path):
-    write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((60, 80), np.int8), 5.0))
-    routes = [sheet_route(k, share, path, None) for k, share, path in zip(
-        (1, 2, 3), (0.5, 0.3, 0.2), runs[1], strict=True)]
-    stop = tuple(runs[1][1][4])
-    sheet = RouteSheet(tmp_path / 'map.yaml', None, (12.5, 147.5), (387.5, 152.5), (stop,), 0.0,
-                       5.0, 1.5, 1.4, tuple(routes))
-    (tmp_path / 'few.json').write_bytes(sheet_bytes(sheet, tmp_path))
-    page, rows = written(tmp_path / 'few.json', tmp_path, '--route', 2)
+def test_one_of_few_routes(tmp_path):
+    """Without a speed there are no times."""
+    start, stop, goal = (12.5, 147.5), (180.0, 260.0), (387.5, 152.5)
+    ground = risk_from_occupancy(occupancy(), 5.0)
+    options = PlanningOptions(network=NetworkOptions(spacing=20.0), game=GameOptions(
+        ambush_radius=25.0, secured_radius=0.0))
+    plan = plan_trip(ground, start, goal, options, stops=[stop], routes=3, rng=1)
+    plan.save(tmp_path / 'few.plan', n=0)
+    done = run_here(card, tmp_path / 'few.plan', '--route', 1, '-o', tmp_path / 'card.html')
+    assert done.code == 0, done.err
+    page = (tmp_path / 'card.html').read_text()
+    rows = [re.findall('<td>(.*?)</td>', row) for row in re.findall(r'<tr>(<td>.*?)</tr>', page)]
     places = np.array([row[1].split(', ') for row in rows], float)
-    assert all(np.hypot(*(runs[1][1] - place).T).min() < 0.1 for place in places)
+    assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
     assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
-    assert 'No ground is held' in page and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
-    for options, words in (('', '--route NUMBER'), ('--route 4', 'has routes 1 to 3, not 4')):
-        done = run_here(card, tmp_path / 'few.json', '-o', tmp_path / 'c.html', '--speed', 36,
-                        *options.split())
+    assert 'No ground is held' in page and len(rows[0]) == 5 and 'km/h' not in page
+    count = len(plan.few.paths)
+    for options, words in (('', '--route NUMBER'),
+                           ('--route 9', f'has routes 1 to {count}, not 9')):
+        done = run_here(card, tmp_path / 'few.plan', '-o', tmp_path / 'c.html', *options.split())
         assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
 
 

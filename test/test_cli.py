@@ -41,16 +41,18 @@ def test_missing_input_exits_3_even_if_quiet(tmp_path, capsys):
         assert out == '' and err.startswith(f'ambush {name}: ') and err.count('\n') == 1
 
 
-@pytest.mark.parametrize('missing', ['rclpy', 'matplotlib'])
-def test_missing_package_is_named(missing, tmp_path):
+@pytest.mark.parametrize(('missing', 'line'), [
+    ('rclpy', 'replay runs'), ('matplotlib', 'risk layers.yaml -o map.yaml')])
+def test_missing_package_is_named(missing, line):
     code = (
         f'import sys\nsys.modules["{missing}"] = None\n'
-        f'from ambush_planner.commands import cli\nsys.exit(cli.main(["demo", "-o", "{tmp_path}"]))'
+        f'from ambush_planner.commands import cli\nsys.exit(cli.main({line.split()}))'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
     extra = {'rclpy': 'jazzy', 'matplotlib': 'figures'}[missing]
     assert done.returncode == 2 and done.stderr.endswith(
-        f"{missing} is not installed: pip install 'ambush_planner[{extra}]'\n")
+        f"{missing} is not installed: in a checkout of ambush_planner, run "
+        f"pip install '.[{extra}]'\n")
 
 
 def test_a_table_of_routes_needs_no_extra_and_other_files_name_all(tmp_path):
@@ -63,7 +65,7 @@ def test_a_table_of_routes_needs_no_extra_and_other_files_name_all(tmp_path):
             f'from ambush_planner.commands import cli\nsys.exit({run})')
     for files, returned, words in (
         (['r.csv'], 0, ''),
-        (['r.png', 'r.gpx'], 2, "pip install 'ambush_planner[figures,gis]'\n"),
+        (['r.png', 'r.gpx'], 2, "pip install '.[figures,gis]'\n"),
     ):
         done = subprocess.run([sys.executable, '-c', code, *files], capture_output=True, text=True,
                               timeout=60, cwd=tmp_path)
@@ -72,9 +74,9 @@ def test_a_table_of_routes_needs_no_extra_and_other_files_name_all(tmp_path):
 
 
 def test_broken_pipe_is_silent(tmp_path):
-    write_map(tmp_path / 'map.yaml', OccupancyMap(np.eye(20, 30, dtype=np.int8), 10.0))
+    np.savez(tmp_path / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
     process = subprocess.Popen(
-        [*ENTRY, 'views', 'map.yaml'], cwd=tmp_path,
+        [*ENTRY, 'risk', 'dem.npz', '-o', 'made.yaml'], cwd=tmp_path,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )
     process.stdout.close()
@@ -92,7 +94,7 @@ def test_solvers_print_nothing_between_our_lines(tmp_path):
 
 
 def test_shell_completion(tmp_path):
-    line, word = 'ambush demo --ou', '--output'
+    line, word = 'ambush audit --ou', '--output'
     pytest.importorskip('argcomplete', reason='optional')
     answer = tmp_path / 'answer'
     done = subprocess.run(ENTRY, capture_output=True, text=True, timeout=60, env={
@@ -114,8 +116,8 @@ def inputs(tmp_path_factory):
     write_map(folder / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
     np.savez(folder / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
     (folder / 'layers.yaml').write_text('layers: [{terrain: dem.npz}]')
-    (folder / 'from.csv').write_text('name,x,y\na,15,15\n')
     (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
+    plan.save(folder / 'week.plan', n=0)
     (folder / 'trips.csv').write_text('x,y\n15,15\n150,90\n285,185\n')
     return folder
 
@@ -123,17 +125,16 @@ def inputs(tmp_path_factory):
 LINES = {
     'audit': 'runs', 'card': 'runs/run_0.mcap -o card.html --speed 20',
     'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported',
-    'verify': 'runs', 'terrain': 'dem.npz -o made.yaml', 'views': 'map.yaml -o viewed',
+    'verify': 'runs',
     'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
                 '--set network.spacing=40',
-    'slots': 'map.yaml --start 15 15 --goal 285 185 --slots 8:00 9:00 --set network.spacing=40 '
-             '-o slots.csv',
     'judge': 'map.yaml trips.csv --start 15 15 --goal 285 185 -o judged.png --reach 20 '
              '--set network.spacing=40',
     'hold': 'map.yaml --start 15 15 --goal 285 185 -o hold.csv --radius 40 -k 1 '
             '--candidates to.csv --set network.spacing=40',
-    'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',
+    'plan': 'map.yaml --start 15 15 --goal 285 185 -o made.plan --set network.spacing=40',
+    'draw': 'week.plan', 'export': 'runs -o exported.csv',
 }
 
 

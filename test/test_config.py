@@ -29,9 +29,10 @@ def exact(values):
 def documented_table():
     """Each parameter of the documented table with the text of its default."""
     table = (ROOT / 'docs/ros_interface.md').read_text()
-    table = table.split('| parameter | default |')[1].split('\n\n')[0]
+    tables = [part.split('\n\n')[0] for part in table.split('| parameter | default |')[1:]]
+    assert len(tables) == 3
     found = {}
-    for row in table.splitlines()[2:]:
+    for row in (row for each in tables for row in each.splitlines()[2:]):
         names, defaults = (cell.strip() for cell in row.split('|')[1:3])
         pairs = zip(names.split(', '), defaults.split(', '), strict=True)
         for name, default in pairs:

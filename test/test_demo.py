@@ -18,12 +18,13 @@ from commands import documented_keys
 from matplotlib.image import imread
 
 from ambush_planner import StrategyOptions
-from ambush_planner.commands import cli, demo
-from ambush_planner.commands.demo_client import DemoClient
-from ambush_planner.commands.demo_ground import GOAL, START
-from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
+from ambush_planner.commands import cli
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import risk_from_occupancy
+from examples.demo import __main__ as demo
+from examples.demo.client import DemoClient
+from examples.demo.ground import GOAL, START
+from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3

@@ -64,15 +64,12 @@ def test_the_commands_of_the_python_page_work(tmp_path):
     for name, values in (('dem', 150.0 * np.sin(u) * np.cos(v)), ('roads', np.abs(v - 5.0) < 0.04)):
         with rasterio.open(tmp_path / f'{name}.tif', 'w', dtype='float32', **grid) as file:
             file.write(values.astype('float32'), 1)
-    (tmp_path / 'depots.csv').write_text('name,x,y\na,2025,12015\n')
-    (tmp_path / 'customers.csv').write_text('name,x,y\nb,26055,27945\nc,20000,3000\n')
-    terrain, table, frontier = blocks('python.md')
-    # On coarser networks, and for one budget, the commands take a tenth of the time.
-    table = table.replace('--set ', '--set network.spacing=900 ')
+    terrain, frontier = blocks('python.md')
+    # On a coarser network, and for one budget, the commands take a tenth of the time.
     frontier = frontier.replace('spacing=360', 'spacing=900').rstrip()
-    done = run_script(f'{terrain}{table}{frontier} --detours 1.1 --slacks 0.01', tmp_path)
+    done = run_script(f'{terrain}{frontier} --detours 1.1 --slacks 0.01', tmp_path)
     assert done.returncode == 0, done.stderr
-    for name in ('map.yaml', 'map.pgm', 'map.png', 'map.tif', 'table.csv', 'frontier.csv',
+    for name in ('map.yaml', 'map.pgm', 'map.png', 'map.tif', 'map.qml', 'frontier.csv',
                  'frontier.png'):
         assert (tmp_path / name).stat().st_size, name
 

@@ -42,7 +42,7 @@ def sources(kind):
 def coarse(text):
     """The same on terrain and networks of twice the spacing."""
     text = re.sub(r'(resolution[ =])90', r'\g<1>180', text)
-    text = re.sub(r'-o (quick|robot)\.g\w+', r'\g<0> --set network.spacing=1200', text)
+    text = re.sub(r'-o robot\.g\w+', r'\g<0> --set network.spacing=1200', text)
     return re.sub(r'(spacing=)600', r'\g<1>1200', text)
 
 
@@ -74,13 +74,14 @@ def test_every_command_of_the_page_works(tmp_path):
             value = numbers(its_rest)[1]
             assert 0.98 * value < float(its_bound) < 1.02 * float(bound)
     assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
-    shown = next(text for kind, text in BLOCKS if kind == 'text' and 'routes' in text)
-    assert set(words(shown).split()) <= set(words(done.stdout).split())
-    told = re.search(r'(?m)^card.html: .*$', PAGES)[0]
-    assert re.search(re.sub(r'[\d.]*\d', r'[\\d.]+', told), done.stdout), done.stdout
-    names = r'\b(?:routes|quick|robot|driven|map|six|card|today|hold)\.\w+'
+    for shown in (text for kind, text in BLOCKS if kind == 'text'):
+        if 'pip install' not in shown and 'ros2' not in shown:
+            assert set(words(shown).split()) <= set(words(done.stdout).split()), shown
+    names = r'\b(?:routes|route|route_2|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
     files = set(re.findall(names, ' '.join(text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 17 and all((tmp_path / file).stat().st_size for file in files)
+    assert len(files) == 17 and all((tmp_path / file).stat().st_size for file in files), files
+    assert len(list((tmp_path / 'week.departures').iterdir())) == 5
+    assert (tmp_path / 'report/report.html').stat().st_size and (tmp_path / 'audit/audit.png')
 
 
 @pytest.mark.slow

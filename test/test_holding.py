@@ -23,6 +23,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.commands import hold
+from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
@@ -158,7 +159,7 @@ def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
     pytest.importorskip('matplotlib', reason='pictures need matplotlib')
     done = run(inputs, '--radius', 5, '-k', 1, '--candidates', inputs / 'places.csv')
     assert done.code == 0, done.err
-    assert ' gate' in done.out and 'no other of 5 candidates can do better than' in done.out
+    assert ' gate' in done.out and 'none of the other 4 candidates gets below' in done.out
     with (inputs / 'hold.csv').open() as file:
         (row,) = csv.DictReader(file)
     assert row['name'].endswith(' gate') and float(row['value']) >= float(row['lower_bound'])
@@ -183,3 +184,29 @@ def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, option
     done = run(inputs, *options)
     assert done.code == code and words in done.err
     assert not list(inputs.glob('hold.*'))
+
+
+@pytest.mark.parametrize(('text', 'reason'), [
+    ('name,x\na,1\n', "no column 'y'"),
+    ('name,x,y\n', 'no places'),
+    ('name,x,y\na,1,nan\n', 'line 2: x and y'),
+    ('name,x,y\na,1,2\na,3,4\n', 'line 3: each place needs its own name'),
+    ('name,x,y\na,1\n', 'line 2'),
+])
+def test_unusable_places_are_refused(tmp_path, text, reason):
+    (tmp_path / 'p.csv').write_text(text)
+    with pytest.raises(hold.InvalidPlaces, match=reason):
+        hold.read_places(tmp_path / 'p.csv')
+
+
+def test_options_have_the_names_of_parameters():
+    options = options_of(['map.alpha_max=5', 'strategy.max_detour=.inf', 'network.spacing=1e1',
+                          'network.method=uniform_grid8', 'network.target_nodes=99'])
+    assert options.map.alpha_max == 5.0 and options.strategy.max_detour == np.inf
+    assert options.network == NetworkOptions(method='uniform_grid8', spacing=10.0, target_nodes=99)
+    for assignment, reason in (('network.spacing', 'network.spacing=VALUE'),
+                               ('spacing=3', 'did you mean'),
+                               ('network.target_nodes=2.5', 'a whole number'),
+                               ('strategy.max_detour=0.5', 'strategy.max_detour must')):
+        with pytest.raises(InvalidOption, match=reason):
+            options_of([assignment])

@@ -5,19 +5,21 @@ import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ambush_planner import (
     InvalidOption,
+    InvalidRiskMap,
     NetworkOptions,
     NoRoute,
+    Plan,
     PlanningOptions,
     Problem,
     RiskMap,
     StartBlocked,
-    Strategy,
     StrategyOptions,
     plan_trip,
     solve_many,
@@ -42,12 +44,12 @@ def problem(risk_map, k, **options):
     return Problem(risk_map, start, (185.0, 95.0), planning)
 
 
-def numbers(strategy):
-    return strategy.value, strategy.route_entropy
+def numbers(plan):
+    return plan.value, plan.strategy.route_entropy
 
 
 def expected(each):
-    return numbers(plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options).strategy)
+    return numbers(plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options))
 
 
 @pytest.fixture(scope='module')
@@ -76,12 +78,17 @@ def test_results_are_those_of_solve_in_the_problems_order(executor):
     assert [result.answer for result in results] == [expected(each) for each in problems]
 
 
-def test_the_default_answer_is_the_strategy(executor):
+def test_the_default_answer_is_the_plan(executor, tmp_path):
+    """With its map, also of a trip with stops."""
     assert solve_many([], executor) == []
-    (result,) = solve_many([problem(field(), 3)], executor)
-    assert isinstance(result.answer, Strategy) and result.error is None
-    route = result.answer.sample_route(np.random.default_rng(0))
-    assert route[0] == result.answer.network.source
+    each = replace(problem(field(), 3), stops=[(105.0, 155.0), (155.0, 55.0)], order='best')
+    (result,) = solve_many([each], executor)
+    assert isinstance(result.answer, Plan) and result.error is None
+    plan = plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options, stops=each.stops,
+                     order='best')
+    assert numbers(result.answer) == numbers(plan) and result.answer.order == plan.order
+    (path,) = result.answer.save(tmp_path / 'r.csv')
+    assert path[0, :2].tolist() == list(each.start_xy)
 
 
 def test_an_error_replaces_only_its_own_result(executor):
@@ -91,7 +98,7 @@ def test_an_error_replaces_only_its_own_result(executor):
                 problem(wall, 1), problem(None, 1), problem(risk_map, 2)]
     results = solve_many(problems, executor, answer=numbers)
     kinds = [type(result.error) for result in results]
-    assert kinds == [type(None), StartBlocked, NoRoute, AttributeError, type(None)]
+    assert kinds == [type(None), StartBlocked, NoRoute, InvalidRiskMap, type(None)]
     assert [result.answer is None for result in results] == [False, True, True, True, False]
 
 

@@ -31,10 +31,11 @@ from ambush_planner import (
     read_risk_map,
     risk_from_terrain,
 )
-from ambush_planner.commands import card, draw, export, plan, terrain
+from ambush_planner.commands import draw, export, plan, risk
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.planning.route_sheet import read_route_sheet
+from ambush_planner.maps.risk_map_file import npz_bytes
+from ambush_planner.recordings.plan_file import read_plan
 
 GEOD = Geod(ellps='WGS84')
 FILES = ('r.gpx', 'r.gpkg', 'r.geojson', 'r.kml', 'r.csv', 'r.png')
@@ -82,21 +83,21 @@ def degrees_in(folder, layer='routes'):
 
 
 @pytest.mark.parametrize(('latitude', 'longitude', 'zone', 'way'), [
-    (36.5, -84.3, 32616, 'terrain'), (-33.95, 18.5, 32734, 'yaml'), (-22.9, -43.4, 32723, 'tif'),
+    (36.5, -84.3, 32616, 'npz'), (-33.95, 18.5, 32734, 'yaml'), (-22.9, -43.4, 32723, 'tif'),
 ])
 def test_the_whole_chain_is_exact_to_a_centimetre(tmp_path, latitude, longitude, zone, way):
     """From heights in degrees to files of all kinds: routes begin and end where they should."""
     dem = write_dem(tmp_path / 'dem.tif', latitude, longitude)
     ends = [(latitude + dy, longitude + dx) for dy, dx in ((0.02, 0.012), (0.033, 0.038))]
-    options = ['--terrain', '--weapon-range', 300]
-    if way != 'terrain':
-        done = run_here(terrain, dem, '-o', tmp_path / 'map.yaml', *options[1:])
-        assert done.code == 0 and f'EPSG:{zone}' in done.err, done.err
-        dem, options = tmp_path / f'map.{way}', []
-        relief = read_risk_map(dem).heights
-        assert (relief is None) == (way == 'yaml')
-        assert relief is None or 65.0 < np.nanmin(relief) < 75.0 < 130.0 < np.nanmax(relief) < 135.0
-    done = run_here(plan, dem, *options, '-n', 3, '--json', '-o', *(tmp_path / f for f in FILES),
+    done = run_here(risk, dem, '-o', tmp_path / 'map.yaml', '--weapon-range', 300)
+    assert done.code == 0 and f'EPSG:{zone}' in done.err, done.err
+    ground = tmp_path / f'map.{way}'
+    if way == 'npz':
+        ground.write_bytes(npz_bytes(risk_from_terrain(dem)))
+    relief = read_risk_map(ground).heights
+    assert (relief is None) == (way == 'yaml')
+    assert relief is None or 65.0 < np.nanmin(relief) < 75.0 < 130.0 < np.nanmax(relief) < 135.0
+    done = run_here(plan, ground, '-n', 3, '--json', '-o', *(tmp_path / f for f in FILES),
                     '--set', 'network.spacing=400',
                     '--start', '{:.9f},{:.9f}'.format(*ends[0]),
                     '--goal', '{:.9f},{:.9f}'.format(*ends[1]))
@@ -134,7 +135,7 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     options = ('--set', 'game.secured_radius=40', 'game.ambush_radius=30', 'network.spacing=30')
     done = run_here(plan, plain, *ENDS, '--via', -50, 95, '-n', 5, '-o', *files, *options)
     assert done.code == 0, done.err
-    assert all(word in done.out for word in ('value', 'lower bound', 'mean length', 'would cost'))
+    assert all(word in done.out for word in ('value', 'shortest', 'mean length', 'assumption'))
     document = json.loads(files[0].read_text())
     assert 'crs' not in document
     lines = {}
@@ -146,7 +147,8 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
         assert (along[0], along[-1]) == ([-195.0, -50.0], [190.0, 105.0])  # exactly
         assert [-50.0, 95.0] in along
     layers = dict(pyogrio.list_layers(files[1]))
-    assert set(layers) == set(lines) == {'routes', 'edges', 'sites', 'held_ground', 'forbidden'}
+    assert set(layers) == set(lines) == {'routes', 'edges', 'sites', 'places', 'held_ground',
+                                        'forbidden'}
     tables = {name: geopandas.read_file(files[1], layer=name) for name in layers}
     assert tables['sites']['probability'].sum() == pytest.approx(1.0, abs=1e-3)
     assert tables['forbidden'].area.sum() == 60 * 100.0
@@ -162,7 +164,7 @@ FEW = ('--reach', 30, '--set', 'network.spacing=25', '--crs', 'EPSG:32616', '--r
 
 
 def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
-    files = [tmp_path / name for name in (*FILES, 'r.json')]
+    files = [tmp_path / name for name in (*FILES, 'r.plan')]
     done = run_here(plan, plain, *ENDS, *FEW, 3, '--json', '-o', *files)
     assert done.code == 0, done.err
     result = json.loads(done.out)
@@ -174,7 +176,8 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     assert set(few['draws']) == {'die', 'two dice', 'cards'} and 'path' not in done.out
     assert all(stat.S_IMODE(file.stat().st_mode) == 0o600 for file in files)
     layers = dict(pyogrio.list_layers(tmp_path / 'r.gpkg'))
-    assert set(layers) == {*(f'route_{k + 1}' for k in range(count)), 'held_ground', 'forbidden'}
+    assert set(layers) == {*(f'route_{k + 1}' for k in range(count)), 'places',
+                           'held_ground', 'forbidden'}
     for k, share in enumerate(few['shares'], start=1):
         row, = geopandas.read_file(tmp_path / 'r.gpkg', layer=f'route_{k}').itertuples()
         assert (row.route, row.share) == (k, share) and row.length == pytest.approx(
@@ -184,17 +187,9 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
         f'Route {k + 1}' for k in range(count)]
     assert all(len(lines) == count for name, lines in degrees_in(tmp_path, layer='route_1').items()
                if name not in ('geojson', 'gpkg'))
-    sheet = read_route_sheet(tmp_path / 'r.json')
-    assert sheet.map.samefile(plain) and (sheet.reach, sheet.crs) == (30.0, 'EPSG:32616')
-    assert [route.share for route in sheet.routes] == few['shares']
-    numbers = set()
-    for _ in range(60):
-        done = run_here(draw, tmp_path / 'r.json', '--json')
-        result = json.loads(done.out)
-        assert done.code == 0 and set(result) == documented_keys(draw)
-        numbers.add(result['route'])
-    assert 1 < len(numbers) and numbers <= set(range(1, count + 1))
-    assert re.fullmatch(r'route \d\n', run_here(draw, tmp_path / 'r.json').out)
+    saved = read_plan(tmp_path / 'r.plan')
+    assert saved.plan.few.shares.tolist() == few['shares']
+    assert saved.plan.risk_map.crs == 'EPSG:32616' and not saved.map_has_changed
 
 
 SLOTS = ('--slots', '8:00', '09:30', '11:00', '--window', 2)
@@ -219,33 +214,14 @@ def test_departures_have_slots_and_files_name_them(plain, tmp_path):
     assert [track.name for track in gpx.tracks] == names
 
 
-def test_a_sheet_draws_a_slot_too(plain, tmp_path):
-    done = run_here(plan, plain, *ENDS, *FEW, 2, *SLOTS, '-o', tmp_path / 'r.json')
-    assert done.code == 0 and 'slots           08:00 50 %, 09:30 0 %, 11:00 50 %' in done.out
-    sheet, joint = read_route_sheet(tmp_path / 'r.json'), re.search(
-        'joint value ([.0-9]+), lower bound ([.0-9]+)', done.out)
-    assert [slot for slot, _ in sheet.slots] == ['08:00', '09:30', '11:00']
-    assert (sheet.value, sheet.lower_bound) == pytest.approx([*map(float, joint.groups())],
-                                                             rel=1e-3)
-    assert re.fullmatch(r'route \d, (08:00|11:00)\n', run_here(draw, tmp_path / 'r.json').out)
-
-
-def test_a_sheet_from_an_elevation_model_has_its_risk_map_beside(tmp_path):
-    dem, sheet = write_dem(tmp_path / 'dem.tif', 36.5, -84.3), tmp_path / 'r.json'
-    done = run_here(plan, dem, '--terrain', '--resolution', 90, '--start', '36.52,-84.288',
-                    '--goal', '36.533,-84.262', '--reach', 300, '--set', 'network.spacing=400',
-                    '--routes', 2, '-o', sheet, '--json')
-    assert done.code == 0, done.err
-    assert [name.rpartition('/')[2] for name in json.loads(done.out)['files']] == [
-        'r.json', 'r_map.npz']
-    made = read_risk_map(read_route_sheet(sheet).map)
-    expected = risk_from_terrain(dem, resolution=90.0)
-    for name in ('alpha', 'obstacles', 'unknown', 'heights'):
-        np.testing.assert_array_equal(getattr(made, name), getattr(expected, name))
-    assert (made.resolution, made.origin, made.crs) == (
-        expected.resolution, expected.origin, expected.crs)
-    done = run_here(card, sheet, '--route', 1, '--speed', 20, '-o', tmp_path / 'card.html')
-    assert done.code == 0, done.err
+def test_a_plan_file_of_few_routes_draws_a_slot_too(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, *FEW, 2, *SLOTS, '-o', tmp_path / 'r.plan')
+    assert done.code == 0 and re.search(r'slots +08:00 50 %, 09:30 0 %, 11:00 50 %', done.out)
+    saved = read_plan(tmp_path / 'r.plan')
+    assert saved.slots.times == ('08:00', '09:30', '11:00') and saved.slots.window == 2
+    assert f'value           {saved.value:.4g}:' in done.out
+    assert f'ambush draw {tmp_path}/r.plan' in done.out
+    assert re.search(r', (08:00|11:00): route \d, ', run_here(draw, tmp_path / 'r.plan').out)
 
 
 def test_equal_shares_are_a_die(plain, tmp_path):
@@ -287,9 +263,9 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--crs', 'EPSG:99'), 2, "not a coordinate system: 'EPSG:99'"),
     (('--start', 0, 50), 2, r'start .* lies in an obstacle; move it to \(-?\d'),
     (('--set', 'max_planning_time=5'), 2, 'strategy.time_limit'),
-    (('--set', 'game.ambush_radius=far'), 2, "game.ambush_radius must be a number, got 'far'"),
+    (('--set', 'game.ambush_radius=far'), 2, "--reach must be a number, got 'far'"),
     (('-o', 'r.gpx'), 2, 'GPX holds latitude and longitude, but'),
-    (('-o', 'r.shp'), 2, 'suffix must be one of .gpkg'),
+    (('-o', 'r.shp'), 2, 'suffix must be one of .plan, .gpkg'),
     (('--start', 'here'), 2, r"--start: must be X Y .*LAT,LON .*MGRS.* got 'here'"),
     (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
@@ -302,7 +278,10 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--window', 2), 2, '--window needs --slots HH:MM'),
     (('--slots', '8:00', '7:00'), 2, 'slots must go forwards in time, but 07:00 follows 08:00'),
     (('--slots', 'noon'), 2, "slots must be times HH:MM, got 'noon'"),
-    (('-o', 'r.json'), 2, 'r.json: only --routes K writes such a file'),
+    (('-o', 'r.json'), 2, 'suffix must be one of .plan'),
+    (('--reach', '0.3furlongs'), 2, "--reach must be a number, got '0.3furlongs'"),
+    (('--reach', -3), 2, '--reach must be'),
+    (('--set', 'network.spacing=-1'), 2, '--set network.spacing must be'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
                                                    reason):

@@ -27,15 +27,18 @@ def named_value():
 @pytest.mark.slow
 def test_the_commands_and_the_python_plan_with_the_values_that_are_named(tmp_path):
     (tmp_path / 'docs').symlink_to(ROOT / 'docs')
-    _, plan, few = COMMANDS.splitlines()  # after the installation
+    *_, plan, draw = COMMANDS.splitlines()  # after the installation
     ambush = [sys.executable, '-m', 'ambush_planner.commands.cli']
-    programs = ([*ambush, *plan.split()[1:]], [*ambush, *few.split()[1:]],
+    programs = ([*ambush, *plan.split()[1:]], [*ambush, *draw.split()[1:]],
                 [sys.executable, '-c', PYTHON])
-    planned, _, printed = (subprocess.run(program, cwd=tmp_path, capture_output=True, text=True,
+    planned, drawn, printed = (subprocess.run(program, cwd=tmp_path, capture_output=True, text=True,
                                           check=True, timeout=240).stdout for program in programs)
     assert (tmp_path / 'out/routes.png').stat().st_size > 50_000
-    assert (tmp_path / 'out/six.json').stat().st_mode & 0o777 == 0o600
-    for pattern in (r'(?m)^value +([\d.]+):', r'would cost ([\d.]+) once'):
+    for name in ('week.plan', 'card.html', 'week.departures/0001_*.mcap'):
+        (file,) = (tmp_path / 'out').glob(name)
+        assert file.stat().st_mode & 0o777 == 0o600
+    assert re.search(r'(?m)^\d{4}-\d\d-\d\d: [\d.]+ m$', drawn)
+    for pattern in (r'(?m)^value +([\d.]+):', r'(?m)^shortest route +([\d.]+),'):
         named, found = (float(re.search(pattern, text)[1]) for text in (TEXT, planned))
         assert named == pytest.approx(found, abs=0.02)
     assert float(printed.split()[0]) == pytest.approx(named_value(), abs=0.005)

@@ -32,7 +32,7 @@ from ambush_planner.recordings.recording_file import FORMAT, decode
 
 VERIFY = NO_ROS + """
 from ambush_planner.commands import cli
-sys.argv[0] = 'ambush_verify'
+sys.argv[0] = 'ambush'
 sys.exit(cli.main())
 """
 
@@ -82,7 +82,7 @@ def test_map_and_path_are_those_that_rclpy_reads(files):
 
 def test_commands_read_recordings_without_ros(files):
     done = subprocess.run(
-        [sys.executable, '-c', VERIFY, str(files[0].parent), '--quiet'],
+        [sys.executable, '-c', VERIFY, 'verify', str(files[0].parent), '--quiet'],
         capture_output=True, text=True, timeout=60, check=False,
     )
     assert (done.returncode, done.stderr) == (0, '')

@@ -26,7 +26,6 @@ from ambush_planner import (
     plan_trip,
     solve,
     solve_many,
-    trip_frontier,
 )
 from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.game.bottleneck import find_bottleneck, secured_bound
@@ -114,13 +113,13 @@ def test_records_of_plans(seed, reach, stops):
     check(ChangedGround(plans[0], on, OccupancyOptions()).assess(replace(on, values=newer)))
     if stops:
         return
-    for row in trip_frontier(risk_map, start, goal, options, (1.3,), ()):
+    for row in plans[0].frontier((1.3,), ()):
         check(row)
     for each in places_to_hold(risk_map, start, goal, 2.0, 1, options).strategies:
         check_strategy(each)
     with ThreadPoolExecutor(2) as pool:
         for solved in solve_many([Problem(risk_map, start, goal, options)] * 2, pool):
-            check_strategy(solved.answer)
+            check_strategy(solved.answer.strategy)
 
 
 def test_a_certificate_never_has_a_bound_above_its_value():

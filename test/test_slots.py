@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from ambush_planner import InvalidOption
-from ambush_planner.commands import cli
 from ambush_planner.planning.slots import mix_slots
 
 
@@ -58,26 +57,3 @@ def test_a_safe_slot_takes_all():
 def test_bad_slots_are_refused(values, window, name):
     with pytest.raises(InvalidOption, match=name):
         mix_slots(values, values, window)
-
-
-@pytest.mark.parametrize(('times', 'reason'), [
-    ('8:00 25:00', '25:00'), ('9:00 08:30', 'forwards'), ('8:00 08:00', 'forwards'),
-])
-def test_bad_times_are_refused_and_nothing_is_written(tmp_path, capsys, times, reason):
-    table = tmp_path / 'slots.csv'
-    line = f'slots docs/yard.yaml --start 4 20 --goal 56 20 -o {table} --slots {times}'
-    assert cli.main(line.split()) == cli.Exit.USAGE
-    assert reason in capsys.readouterr().err and not table.exists()
-
-
-def test_a_slot_in_which_no_ambush_costs_anything_is_a_finding(tmp_path, capsys):
-    """And it takes all departures."""
-    for name, losses in (('day', 1.0), ('night', 0.0)):
-        np.savez(tmp_path / f'{name}.npz', alpha=np.full((20, 30), losses),
-                 obstacles=np.zeros((20, 30), bool), resolution=10.0)
-    line = (f'slots {tmp_path}/day.npz {tmp_path}/night.npz --start 15 95 --goal 285 95 --reach 20 '
-            '--set network.spacing=30 --slots 8:00 20:00')
-    assert cli.main(line.split()) == cli.Exit.FINDING
-    printed = capsys.readouterr()
-    assert '20:00     100.0%' in printed.out and 'joint value 0,' in printed.out
-    assert 'night.npz: the value is 0' in printed.err

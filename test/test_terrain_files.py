@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elevation models read, maps written and read back, and ``ambush terrain`` as a user starts it."""
+"""Elevation models read, maps written and read back, and ``ambush risk`` as a user starts it."""
 
 
 import numpy as np
@@ -8,7 +8,7 @@ import yaml
 from commands import run_here
 
 from ambush_planner import AmbushPlannerWarning, InvalidRiskMap
-from ambush_planner.commands import terrain
+from ambush_planner.commands import risk
 from ambush_planner.maps import InvalidTerrain
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.map_file import read_map, write_map
@@ -173,7 +173,7 @@ def test_the_command_leaves_map_picture_and_preview(tmp_path):
     dem = save(tmp_path / 'dem.npz', elevation=heights, resolution=10.0)
     roads = save(tmp_path / 'roads.npz', roads=row == 40, resolution=10.0)
     done = run_here(
-        terrain, dem, '-o', tmp_path / 'm.yaml', '--roads', roads, '--weapon-range', 100)
+        risk, dem, '-o', tmp_path / 'm.yaml', '--roads', roads, '--weapon-range', 100)
     assert done.code == 0, done.err
     result = read_map(tmp_path / 'm.yaml')
     assert result.values.shape == (80, 120) and result.resolution == 10.0
@@ -191,6 +191,6 @@ def test_the_command_says_what_is_wrong(tmp_path):
         ((dem, '-o', tmp_path / 'm.yaml'), 3, 'weapon range'),
         ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), 2, '.yaml'),
     ):
-        done = run_here(terrain, *arguments)
+        done = run_here(risk, *arguments)
         assert done.code == code and reason in done.err and 'Traceback' not in done.err
     assert not (tmp_path / 'm.yaml').exists()

@@ -62,8 +62,8 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
     notes = [
         SENSITIVITY,
         'An observer who always waits at the place that was worst for the earlier departures would '
-        f'have caused a mean loss of {result.observer_loss:.3g}. Over {result.departures} '
-        f'departures drawn as published it is {low:.3g} to {high:.3g} in 9 of 10 cases: the '
+        f'have caused a mean loss of {result.observer_loss:.3g}. With honest draws, '
+        f'{result.departures} departures give {low:.3g} to {high:.3g} nine times out of ten: the '
         'narrower that range, the more it says about the guarantee, which is a mean over many '
         f'departures ({result.value:.3g}).',
     ]

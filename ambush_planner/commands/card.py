@@ -8,19 +8,18 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
-from ..maps.occupancy import OccupancyOptions
-from ..maps.risk_map_file import read_risk_map
-from ..planning.route_sheet import read_route_sheet
+from ..planning.plan import path_lengths
 from ..recordings import read_departure
+from ..recordings.plan_file import read_plan
+from ..route_files import PLAN
 from . import cli
-from .card_page import Card, card_page
+from .card_page import Card, add_speed, card_of, card_page, mean_speed
 from .console import distance
 from .inputs import add_crs, crs_text
 
 EPILOG = """\
-FILE is a recorded departure (.mcap), or a file of ambush plan --routes (.json) with --route.
+FILE is a recorded departure (.mcap), of the node or of ambush draw, or with --route a plan of few
+routes (.plan).
 The page is for printing (A4): the map with this route, and its way points with grid references
 (MGRS, UTM, latitude and longitude, or the map's metres), true bearings (from the map's y axis if
 its coordinate system is unknown), distances along the path, times, and the held ground on the way.
@@ -33,14 +32,13 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('card', 'Write the map, legs and times of one departure for its driver.',
                           EPILOG)
-    made.add_argument('departure', type=Path, metavar='FILE', help='a recording, or few routes')
-    made.add_argument('--route', type=int, metavar='NUMBER', help='the route in a .json FILE')
+    made.add_argument('departure', type=Path, metavar='FILE', help='a recording, or a plan')
+    made.add_argument('--route', type=int, metavar='NUMBER', help='the route in a plan of few')
     made.add_argument('-o', '--output', type=cli.file_of('.html'), required=True,
                       metavar='CARD.html', help='the page to write')
-    made.add_argument('--speed', type=cli.number(0.01, 1000.0), required=True, metavar='KM/H',
-                      help='mean speed')
-    made.add_argument('--start-time', type=_time, metavar='HH:MM',
-                      help='when the convoy leaves (default: times are minutes from departure)')
+    add_speed(made)
+    made.add_argument('--start-time', type=_time, metavar='HH:MM', help='when the convoy leaves '
+                      '(default: the slot that was drawn, else times are minutes from departure)')
     add_crs(made)
     return made
 
@@ -53,10 +51,13 @@ def _time(text: str) -> datetime:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    of_few = arguments.departure.suffix.lower() == '.json'
-    if of_few == (arguments.route is None):
-        raise cli.UsageError('--route NUMBER goes with a .json file of few routes, and only there')
-    card = _chosen(arguments) if of_few else _recorded(arguments)
+    of_plan = arguments.departure.suffix.lower() == PLAN
+    if of_plan == (arguments.route is None):
+        raise cli.UsageError('--route NUMBER goes with a plan of few routes (ambush plan --routes '
+                             'K -o FILE.plan), and only there')
+    card = _chosen(arguments) if of_plan else _recorded(arguments)
+    if crs := crs_text(arguments):
+        card = replace(card, risk_map=replace(card.risk_map, crs=crs))
     file, length = arguments.output, float(card.distances[-1])
     cli.write_private(file.parent, {file.name: card_page(card, console).encode()})
     console.result = {'file': cli.place(file), 'legs': len(card.points) - 1, 'length': length}
@@ -70,23 +71,28 @@ def _recorded(arguments: argparse.Namespace) -> Card:
         raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
                              'departure, so name its recording (.mcap)')
     departure = read_departure(arguments.departure)
-    network = departure.strategy.network
-    risk_map = replace(departure.risk_map, crs=crs_text(arguments) or departure.risk_map.crs)
-    return Card(departure.path_poses[:, :2], risk_map,
-                network.points[[network.source, *network.stops, network.target]],
-                departure.strategy.game.options.held_radius, arguments.speed, arguments.start_time)
+    day, path = departure.metadata.day, departure.path_poses
+    slot = day.slot if day else ''
+    start = arguments.start_time or (datetime.strptime(slot, '%H:%M') if slot else None)
+    speed = arguments.speed or mean_speed(departure.drawn_from.network, departure.route,
+                                          float(path_lengths([path])[0]))
+    return card_of(path, departure.risk_map, departure.strategy, speed, start,
+                   day.date if day else '')
 
 
 def _chosen(arguments: argparse.Namespace) -> Card:
-    sheet = read_route_sheet(arguments.departure)
-    found = [route for route in sheet.routes if route.number == arguments.route]
-    if not found:
-        raise cli.UsageError(f'{cli.place(arguments.departure)} has routes 1 to '
-                             f'{len(sheet.routes)}, not {arguments.route}')
-    crs = crs_text(arguments) or sheet.crs
-    return Card(found[0].path, read_risk_map(sheet.map, OccupancyOptions(crs=crs)),
-                np.array([sheet.start, *sheet.stops, sheet.goal]), sheet.held_radius,
-                arguments.speed, arguments.start_time)
+    plan = read_plan(arguments.departure).plan
+    count = len(plan.few.paths) if plan.few else 0
+    if plan.few is None or not 1 <= arguments.route <= count:
+        raise cli.UsageError(f'{cli.place(arguments.departure)} has ' + (
+            f'routes 1 to {count}, not {arguments.route}' if count else
+            'no few routes: plan with --routes K, or draw a departure'))
+    assert plan.risk_map is not None
+    k = arguments.route - 1
+    path = plan.few.paths[k]
+    speed = arguments.speed or mean_speed(plan.network, plan.few.routes[k],
+                                          float(path_lengths([path])[0]))
+    return card_of(path, plan.risk_map, plan.strategy, speed, arguments.start_time)
 
 
 main = cli.command(parser, _work)

@@ -6,6 +6,7 @@ Nothing on it tells of other routes: no probabilities, ambush sites or values.
 
 from __future__ import annotations
 
+import argparse
 from base64 import b64encode
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -18,12 +19,15 @@ from matplotlib.figure import Figure
 from .. import figures
 from ..arrays import FloatArray, IndexArray
 from ..colours import PROBABILITY
+from ..game.route_sampler import route_edges
+from ..game.strategy import Strategy
 from ..maps.coordinates import Coordinates
 from ..maps.grid_references import mgrs_references, true_bearings, utm_references
 from ..maps.risk_map import RiskMap
+from ..network.network import Network
 from ..routes.legs import bearings, distances_along, held_stretches, way_points
-from .cli import Console, resource
-from .console import distance, rounded
+from .cli import Console, number, resource
+from .console import distance, duration, rounded
 
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
@@ -38,16 +42,17 @@ _MIN_SIDE = 0.7
 class Card:
     """A path (L, 2) [m], and what its driver may know.
 
-    ``places`` (P, 2) are start, stops and goal, around which ground is held. ``speed`` is in km/h;
-    ``start`` is when he leaves, None if that is unknown.
+    ``places`` (P, 2) are start, stops and goal, around which ground is held. ``speed`` is in km/h,
+    None if that is unknown; ``start`` is when he leaves, on which ``day``.
     """
 
     path: FloatArray
     risk_map: RiskMap
     places: FloatArray
     held_radius: float
-    speed: float
+    speed: float | None
     start: datetime | None
+    day: str = ''
 
     @cached_property
     def at(self) -> IndexArray:
@@ -73,18 +78,45 @@ class Card:
 
     def time(self, metres: float) -> str:
         """When the convoy has gone so far: time of day, or minutes from departure."""
-        minutes = 0.06 * metres / self.speed
+        minutes = 0.06 * metres / (self.speed or 1.0)
         return (f'{self.start + timedelta(minutes=minutes):%H:%M}' if self.start
                 else f'{minutes:.1f}')
+
+
+def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy, speed: float | None,
+            start: datetime | None, day: str = '') -> Card:
+    """The card of a path (L, 2 or 3) of a strategy's network."""
+    network = strategy.network
+    ends = [network.source, *network.stops, network.target]
+    return Card(path[:, :2], risk_map, network.points[ends], strategy.game.options.held_radius,
+                speed, start, day)
+
+
+def mean_speed(network: Network, nodes: IndexArray, length: float) -> float | None:
+    """The mean speed [km/h] over a route (K,), None if the network has no speeds."""
+    if network.seconds is None:
+        return None
+    return 3.6 * length / float(network.seconds[route_edges(network, nodes)].sum())
+
+
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """Add the argument ``--speed``."""
+    parser.add_argument('--speed', type=number(0.01, 1000.0), metavar='KM/H',
+                        help='mean speed, for the times on the card (default: as the roads allow, '
+                        'if the plan has their speeds)')
 
 
 def card_page(card: Card, console: Console) -> str:
     """Return the page; the console says if MGRS is missing."""
     columns, end = _columns(card, console), card.distances[-1]
-    hours = f', {card.time(0.0)} to {card.time(end)}' if card.start else ''
+    times = ''
+    if card.speed:
+        hours = f', {card.time(0.0)} to {card.time(end)}' if card.start else ''
+        times = f' at {rounded(card.speed)} km/h: {duration(3.6 * end / card.speed)}{hours}'
+    elif card.start:
+        times = f', departure {card.time(0.0)}'
     return Template(resource('card_page.html')).substitute(
-        summary=f'{distance(end)} at {card.speed:g} km/h: {rounded(0.06 * end / card.speed)} '
-                f'minutes{hours}',
+        summary=f'{card.day}{card.day and ": "}{distance(end)}{times}',
         map=b64encode(_picture(card)).decode(),
         head=''.join(f'<th scope="col">{name}</th>' for name in columns),
         rows='\n'.join('<tr>' + ''.join(f'<td>{cell}</td>' for cell in row) + '</tr>'
@@ -107,7 +139,7 @@ def _columns(card: Card, console: Console) -> dict[str, list[str]]:
         try:
             columns['MGRS'] = mgrs_references(lat_lon)
         except ModuleNotFoundError:
-            console.say("Without MGRS, which needs mgrs: pip install 'ambush_planner[gis]'")
+            console.say("Without MGRS: in a checkout of ambush_planner, run pip install '.[gis]'")
         columns['UTM zone, east, north'] = utm_references(lat_lon)
         columns['latitude, longitude'] = [f'{lat:.5f}, {lon:.5f}' for lat, lon in lat_lon]
     else:
@@ -117,14 +149,16 @@ def _columns(card: Card, console: Console) -> dict[str, list[str]]:
         'bearing to next': [*(f'{round(turn) % 360:03d}°' for turn in turns), ''],
         f'to next [{unit}]': [*(f'{leg:.{digits}f}' for leg in np.diff(total)), ''],
         f'from start [{unit}]': [f'{each:.{digits}f}' for each in total],
-        'time' if card.start else 'minutes': [card.time(each) for each in card.distances],
+        **({'time' if card.start else 'minutes': [card.time(each) for each in card.distances]}
+           if card.speed else {}),
     }
 
 
 def _notes(card: Card) -> list[str]:
-    stretches = [f'{distance(first)} to {distance(last)} ({card.time(first)} to {card.time(last)}'
-                 f'{"" if card.start else " min"})' for first, last in held_stretches(
-                     card.path, card.places, card.held_radius)]
+    unit = '' if card.start else ' min'
+    stretches = [f'{distance(first)} to {distance(last)}' + (
+                     f' ({card.time(first)} to {card.time(last)}{unit})' if card.speed else '')
+                 for first, last in held_stretches(card.path, card.places, card.held_radius)]
     names = 'start, stops and goal' if len(card.places) > 2 else 'start and goal'
     held = (f'Held ground (circles), {distance(card.held_radius)} around {names}: '
             f'{"; ".join(stretches)}.'

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The program ``ambush`` and what its commands share: options, exit codes, private files.
 
-Each command is a module of this package with ``parser()`` and ``main(arguments)``. The program's
-name (``ambush_verify``) or its first argument (``ambush verify``) selects the command.
+Each command is a module of this package with ``parser()`` and ``main(arguments)``.
 """
 
 from __future__ import annotations
@@ -46,23 +45,18 @@ if TYPE_CHECKING:
     from ..recordings import RecordedDeparture, UnreadableRecording
 
 COMMANDS = {
-    'audit': 'test whether departures follow their strategies',
-    'card': 'write the map, legs and times of one departure for its driver',
-    'demo': 'run a node on real terrain, with recordings and a report',
-    'draw': 'draw one of a few routes, for a departure',
-    'export': 'write recorded routes to files for a GPS or a GIS',
-    'frontier': 'compare length budgets and slacks on a map',
+    'plan': 'plan on a map: save the plan, or draw routes for a quick look',
+    'draw': "draw a departure from a plan, with its driver's card, and record it",
+    'card': 'write the map, legs and times of a departure for its driver',
+    'judge': 'judge trips that were driven: your tracks, or recorded departures',
     'hold': 'find the places whose holding lowers the value most',
-    'judge': 'judge trips that were driven: tracks, or recordings',
-    'plan': 'plan on a map and draw routes for a GPS or a GIS',
-    'replay': 'publish recorded departures again',
-    'report': 'show recorded departures on one page for any browser',
-    'risk': 'make a risk map from terrain, polygons, roads and incidents',
-    'slots': 'choose how likely each time of departure is',
-    'table': 'compute value and length for all pairs of depots and customers',
-    'terrain': 'make a risk map from an elevation model',
+    'risk': 'make a risk map from an elevation model, or from layers of risk',
+    'export': 'write recorded departures to files for a GPS or a GIS',
+    'frontier': 'compare length budgets and slacks on a map',
     'verify': 'check that recorded departures follow from their inputs',
-    'views': 'make RViz and Foxglove layouts for a map or a recording',
+    'audit': 'test whether departures follow their strategies',
+    'report': 'show recorded departures on one page for any browser',
+    'replay': 'publish recorded departures again (needs ROS)',
 }
 EXIT_CODES = (
     'Exit codes: 0 success; 1 a finding; 2 wrong usage; 3 a file cannot be read or written;\n'
@@ -106,11 +100,8 @@ Work = Callable[[argparse.Namespace, Console], Exit]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command that the program's name or the first argument selects."""
+    """Run the command that the first argument names."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    alias = Path(sys.argv[0]).stem.removeprefix('ambush_')
-    if arguments is None and alias in COMMANDS:
-        return _run_command(alias, given)
     parser = _entry_parser()
     _complete(parser)
     if given and given[0] not in COMMANDS and (near := get_close_matches(given[0], COMMANDS, 1)):
@@ -118,9 +109,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return _run_command(parser.parse_args(given[:1]).command, given[1:])
 
 
-def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """Return a parser with the options that all commands have."""
+def new_parser(command: str, description: str, epilog: str, common: Sequence[str] = (),
+               brief: str = '', usage: str = '') -> argparse.ArgumentParser:
+    """Return a parser with the options that all commands have.
+
+    If there are ``common`` options, ``--help`` shows only these, ``usage`` and ``brief`` as the
+    epilog; ``--help-all`` shows everything.
+    """
     parser = _parser(f'ambush {command}', description, epilog)
+    if common:
+        parser.common, parser.brief, parser.usage = ('-h', '--help-all', *common), brief, usage
+        parser.add_argument('--help-all', action=_HelpAll, help='show all options')
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
     parser.add_argument('-q', '--quiet', action='store_true', help='print errors only')
     return parser
@@ -148,12 +147,6 @@ def add_output(parser: argparse.ArgumentParser, what: str, required: bool = Fals
     parser.add_argument('-o', '--output', type=Path, metavar='DIR', required=required,
                         help=f'folder for {what}; made if missing')
     parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
-
-
-def add_table(parser: argparse.ArgumentParser) -> None:
-    """Add the option of a command that writes a table."""
-    parser.add_argument('-o', '--output', type=file_of('.csv'), required=True, metavar='TABLE.csv',
-                        help='the table to write')
 
 
 def file_of(*suffixes: str) -> Callable[[str], Path]:
@@ -200,6 +193,10 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     given = sys.argv[1:] if arguments is None else arguments
     options = parser.parse_args([f' {each}' if _SOUTHERN.match(each) else each for each in given])
     console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
+    if 'reach' in options:  # messages name what can be typed
+        from .inputs import as_typed
+
+        console.words = as_typed
     try:
         with showing_warnings(console):
             code = work(options, console)
@@ -279,22 +276,71 @@ def resource(name: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
+    """A parser whose errors are one line, and whose help has the ``common`` options only."""
+
+    common: Sequence[str] = ()
+    brief = ''
+
+    def format_help(self) -> str:
+        if not self.common:
+            return super().format_help()
+        texts, epilog = [each.help for each in self._actions], self.epilog
+        for each in self._actions:
+            if each.option_strings and not set(each.option_strings) & set(self.common):
+                each.help = argparse.SUPPRESS
+        self.epilog = self.brief
+        try:
+            return super().format_help()
+        finally:
+            self.epilog = epilog
+            for each, text in zip(self._actions, texts, strict=True):
+                each.help = text
 
     def error(self, message: str) -> NoReturn:
         self.exit(Exit.USAGE, f'{self.prog}: {message} (see {self.prog} --help)\n')
 
 
-def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """Help with each argument of an option named once."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26)
+
+    def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
+        text = super()._format_args(action, default_metavar)
+        return text.partition(' [')[0] if action.nargs == '+' else text
+
+    def _format_action_invocation(self, action: argparse.Action) -> str:
+        if not action.option_strings or action.nargs == 0:
+            return super()._format_action_invocation(action)
+        names = ', '.join(name for name in action.option_strings if len(name) == 2)
+        name = names or action.option_strings[-1]
+        return f'{name} {self._format_args(action, self._get_default_metavar_for_optional(action))}'
+
+
+class _HelpAll(argparse.Action):
+    """Show all options and exit."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        parser.common, parser.usage = (), None  # type: ignore[attr-defined]
+        parser.print_help()
+        parser.exit()
+
+
+def _parser(program: str, description: str, epilog: str) -> _Parser:
     parser = _Parser(prog=program, description=description, epilog=epilog,
-                     formatter_class=argparse.RawDescriptionHelpFormatter)
+                     formatter_class=_Formatter)
     parser.add_argument('--version', action='version', version=f'ambush_planner {__version__}')
     return parser
 
 
 def _entry_parser() -> argparse.ArgumentParser:
     parser = _parser('ambush', 'Random routes that an ambusher cannot predict.',
-                     'Begin with ambush plan. ambush COMMAND --help explains a command.\n'
+                     'A week: ambush plan MAP ... -o week.plan, then ambush draw week.plan '
+                     'each morning.\nambush COMMAND --help explains a command.\n'
                      + EXIT_CODES)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, summary in COMMANDS.items():
@@ -326,8 +372,8 @@ def _missing(packages: Sequence[str]) -> str:
     extras = {next((extra for extra, names in _EXTRAS.items() if name in names), 'jazzy')
               for name in packages}
     verb = 'are' if len(packages) > 1 else 'is'
-    return (f'{", ".join(packages)} {verb} not installed: '
-            f"pip install 'ambush_planner[{','.join(sorted(extras))}]'")
+    return (f'{", ".join(packages)} {verb} not installed: in a checkout of ambush_planner, run '
+            f"pip install '.[{','.join(sorted(extras))}]'")
 
 
 def _module(name: str) -> Any:

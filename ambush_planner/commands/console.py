@@ -16,7 +16,13 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from .. import words
 from ..errors import shown
+from ..words import count as count
+from ..words import distance as distance
+from ..words import duration as duration
+from ..words import percent as percent
+from ..words import rounded as rounded
 
 if TYPE_CHECKING:
     from ..game.strategy import Strategy
@@ -32,6 +38,7 @@ class Console:
         self._program, self._json, self._quiet = program, as_json, quiet
         self._begin = time.monotonic()
         self.result: dict[str, Any] = {}
+        self.words: Callable[[str], str] = str
 
     @property
     def seconds(self) -> float:
@@ -51,7 +58,15 @@ class Console:
     def say(self, text: str) -> None:
         """Print a progress message."""
         if not self._quiet:
-            print(_printable(text), file=sys.stderr, flush=True)
+            print(_printable(self.words(text)), file=sys.stderr, flush=True)
+
+    def warn(self, text: str) -> None:
+        """Print a warning, a sentence without its full stop."""
+        self.say(f'Warning: {text}.')
+
+    def fact(self, name: str, text: str) -> None:
+        """Print a named fact of the result."""
+        self.item(f'{name:<15} {text}', indent=0, hang=16)
 
     def step(self, text: str) -> None:
         """Print the time so far and the next step."""
@@ -59,7 +74,8 @@ class Console:
 
     def error(self, text: object) -> None:
         """Print an error, even if quiet."""
-        print(_printable(f'{self._program}: {text}'), file=sys.stderr, flush=True)
+        print(_printable(f'{self._program}: {self.words(str(text))}'), file=sys.stderr,
+              flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
         """Yield the items with a progress bar."""
@@ -129,31 +145,11 @@ def place(path: Path) -> str:
     return shown(absolute.relative_to(here) if absolute.is_relative_to(here) else absolute)
 
 
-def count(number: int, what: str) -> str:
-    """Return a number and its noun, such as ``3 recordings``."""
-    return f'{number} {what}{"s" * (number != 1)}'
-
-
 def when(stamp_ns: int) -> str:
     """Return a time as date and second, UTC."""
     return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M:%S UTC}'
 
 
-def rounded(number: float, digits: int = 3) -> str:
-    """Return a number with the given significant digits and no exponent."""
-    return f'{float(f"{number:.{digits}g}"):.12g}'
-
-
-def distance(metres: float) -> str:
-    """Return a length in m, from 1000 m in km."""
-    return f'{rounded(metres / 1000.0)} km' if metres >= 1000.0 else f'{rounded(metres)} m'
-
-
-def percent(share: float) -> str:
-    """Return a share, 0..1, with two significant digits."""
-    return f'{rounded(100.0 * share, 2)} %'
-
-
 def travel(strategy: Strategy, value: float) -> str:
-    """A length, or a time where budgets are of time."""
-    return distance(value) if strategy.network.travel_unit == 'm' else f'{rounded(value)} s'
+    """A length, or a time if budgets are of time."""
+    return words.travel(value, strategy.network.travel_unit)

@@ -1,42 +1,202 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush draw``: draw one of a few routes, and perhaps a slot, for a departure."""
+"""``ambush draw``: departures from a plan file, recorded, with the driver's card and route."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 
-import numpy as np
-
-from ..planning.route_sheet import read_route_sheet
+from ..recordings.durable_files import write_all_durably
+from ..recordings.plan_departures import (
+    DrawnDeparture,
+    Earlier,
+    departure_bytes,
+    departures_folder,
+    draw_departure,
+    earlier_departures,
+    file_name,
+    last_id,
+    locked,
+    names_in,
+)
+from ..recordings.plan_file import SavedPlan, read_plan
+from ..route_files import Drawn, content_of
 from . import cli
+from .card_page import add_speed, card_of, card_page, mean_speed
+from .console import distance, when
+from .plan import checked_slots
 
+SUFFIXES = ('.html', '.gpx', '.kml')
+DESCRIPTION = """\
+Draw a departure from a plan, and record it. The operating system's entropy draws.
+
+  ambush draw week.plan -o card.html route.gpx
+  ambush draw week.plan --days 5 -o card.html      five days at once, a sealed card for each"""
 EPILOG = """\
-FILE holds a few routes and their shares; ambush plan MAP ... --routes K -o FILE.json writes it. The
-draw takes the operating system's entropy and is not recorded. The file is one JSON object:
-{"format": "ambush routes 1", "map", "crs", "start": [x, y], "goal": [x, y], "stops": [[x, y]],
-"held_radius", "reach", "value", "lower_bound", "routes": [{"number", "share", "length",
-"path": [[x, y]], "lat_lon": [[latitude, longitude]]}], "slots": [["HH:MM", share]]}
-Positions are the map's [m]; crs and lat_lon are null if its coordinate system is unknown.
-map is relative to FILE's folder; slots is empty without --slots. Routes are secret: the file has
-mode 0600.
---json: {"verdict", "route", "share", "length", "slot"}
+PLAN is a file of ambush plan -o PLAN. The recording is in the folder PLAN.departures next to it,
+which verify, audit, report, judge, export and card read. FILE is the driver's card (.html) or the
+route for his receiver (.gpx, .kml); nothing in it tells of other routes. With --days, the day is in
+the name of each file, as in card_2026-11-30.html, and the console does not tell the routes.
+If a departure for the same day and slot was drawn before, say with --earlier whether it was driven;
+on a terminal, the command asks. One that was not driven does not count in audit and report.
+If a file cannot be written, nothing is, and nothing has been drawn.
+--json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
+"recording"}]}
 """ + cli.EXIT_CODES
+
+
+@dataclass(frozen=True, eq=False)
+class _OneDrawn(Drawn):
+    """The route of one departure, named by its day."""
+
+    name: str
+
+    @property
+    def names(self) -> list[str]:
+        """The name of the only route."""
+        return [self.name]
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('draw', 'Draw one of a few routes, for a departure.', EPILOG)
-    made.add_argument('file', type=Path, metavar='FILE', help='the routes, FILE.json')
+    made = cli.new_parser('draw', DESCRIPTION, EPILOG)
+    made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
+    made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
+                      metavar='FILE', help='card.html, route.gpx or route.kml')
+    made.add_argument('--date', type=_date, metavar='YYYY-MM-DD',
+                      help='day of the departure, or of the first one (default: today)')
+    made.add_argument('--days', type=cli.number(1, 366, int), metavar='COUNT',
+                      help='one departure for each of so many days')
+    made.add_argument('--slot', metavar='HH:MM', help='time of departure (default: drawn, if the '
+                      'plan has slots)')
+    add_speed(made)
+    made.add_argument('--earlier', choices=('driven', 'unused'), help='whether the departure that '
+                      'was drawn before for the same day was driven')
+    made.add_argument('--dry-run', action='store_true',
+                      help='record nothing: for training, as such draws do not count')
     return made
 
 
-def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    route, slot = read_route_sheet(options.file).draw(np.random.default_rng())
-    console.line(f'route {route.number}' + (f', {slot}' if slot else ''))
-    console.result = {'route': route.number, 'share': route.share, 'length': route.length,
-                      'slot': slot}
+def _date(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'must be YYYY-MM-DD, got {text!r}') from None
+
+
+def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    if any(path.suffix.lower() in ('.gpx', '.kml') for path in arguments.output):
+        cli.require(('geopandas', 'gpxpy'))
+    saved = read_plan(arguments.plan)
+    slot = checked_slots([arguments.slot])[0] if arguments.slot else ''
+    if saved.source and saved.map_has_changed:
+        console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '
+                     'if the ground has changed, plan again')
+    first = arguments.date or date.today()
+    dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
+    folder = departures_folder(arguments.plan)
+    if arguments.dry_run:
+        return _finish(arguments, console, saved, folder, dates, slot, {})
+    with locked(folder):
+        replaced = _replaced(arguments, console, folder, dates, slot)
+        return _finish(arguments, console, saved, folder, dates, slot, replaced)
+
+
+def _replaced(arguments: argparse.Namespace, console: cli.Console, folder: Path, dates: list[str],
+              slot: str) -> dict[str, Earlier]:
+    """The departures by date that were drawn before, but not driven; raises UsageError."""
+    _check_clock(folder, arguments.date)
+    again = [each for each in earlier_departures(folder, dates)
+             if not (slot and each.slot) or slot == each.slot]
+    if not again:
+        return {}
+    answer = arguments.earlier or _asked(again, console)
+    return {each.date: each for each in again} if answer == 'unused' else {}
+
+
+def _check_clock(folder: Path, named: date | None) -> None:
+    """Raise UsageError if the clock is behind the last departure, unless the day is named."""
+    if (names := names_in(folder)) and not named:
+        last = max(path.stat().st_mtime_ns for _, _, path in names)
+        if last > time.time_ns():
+            raise cli.UsageError(f'the clock says {when(time.time_ns())}, but the last departure '
+                                 f'was drawn at {when(last)}: set the clock, or name the day '
+                                 'with --date')
+
+
+def _asked(again: list[Earlier], console: cli.Console) -> str:
+    first = again[-1]
+    told = (f'A departure for {first.date}{first.slot and f", {first.slot}"} was drawn at '
+            f'{when(first.stamp_ns)}')
+    if not sys.stdin.isatty():
+        raise cli.UsageError(f'{told}. Was it driven? Add --earlier driven, or --earlier unused')
+    print(f'{told}. Was it driven? [y/n] ', end='', file=sys.stderr, flush=True)
+    answer = sys.stdin.readline().strip().lower()
+    if answer[:1] not in ('y', 'n'):
+        raise cli.UsageError('nothing was drawn: answer y or n')
+    return 'driven' if answer[:1] == 'y' else 'unused'
+
+
+def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan, folder: Path,
+            dates: list[str], slot: str, replaced: dict[str, Earlier]) -> cli.Exit:
+    """Draw, write everything or nothing, and tell."""
+    names = [] if arguments.dry_run else names_in(folder)
+    number = max((each for each, *_ in names), default=0)
+    files: dict[Path, bytes] = {}
+    rows, last = [], last_id(folder) if names else ''
+    for k, day in enumerate(dates, start=1):
+        drawn = draw_departure(saved, slot)
+        row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
+               'route': None if drawn.few_route is None else drawn.few_route + 1,
+               'length': drawn.length, 'recording': None}
+        for path, data in _outputs(arguments, console, saved, drawn, day):
+            files[path] = data
+        if not arguments.dry_run:
+            path = folder / file_name(number + k, day)
+            before = replaced.get(day)
+            last, files[path] = departure_bytes(saved, drawn, number + k, day, time.time_ns(), last,
+                                                before.id if before else '')
+            row['recording'] = cli.place(path)
+        rows.append(row)
+    write_all_durably(files)
+    if arguments.days is None:
+        _tell(rows[0], console)
+    if files:
+        console.line(f'{", ".join(map(cli.place, files))}: secret, so only this user can read '
+                     f'{"it" if len(files) == 1 else "them"}.')
+    if arguments.dry_run:
+        console.say('Nothing was recorded: do not drive this.')
+    console.result = {'files': [cli.place(path) for path in files], 'departures': rows}
     return cli.Exit.HOLDS
+
+
+def _tell(row: dict[str, object], console: cli.Console) -> None:
+    slot = f', {row["slot"]}' if row['slot'] else ''
+    route = f'route {row["route"]}, ' if row['route'] else ''
+    console.line(f'{row["date"]}{slot}: {route}{distance(float(str(row["length"])))}')
+
+
+def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
+             drawn: DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
+    """The files that were asked for, with the day in their names if there are several days."""
+    plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
+    assert plan.risk_map is not None
+    for asked in arguments.output:
+        path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
+        if path.suffix.lower() == '.html':
+            start = datetime.strptime(drawn.slot, '%H:%M') if drawn.slot else None
+            speed = arguments.speed or mean_speed(plan.network, drawn.nodes, drawn.length)
+            card = card_of(drawn.poses, plan.risk_map, plan.strategy, speed, start, day)
+            yield path, card_page(card, console).encode()
+        else:
+            times = [datetime.now(timezone.utc)]
+            yield path, content_of(path, _OneDrawn(plan.strategy, plan.risk_map, [drawn.poses],
+                                                   times, name))
 
 
 main = cli.command(parser, _work)

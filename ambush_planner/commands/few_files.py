@@ -3,30 +3,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..maps.risk_map_file import npz_bytes
 from ..planning.few_routes import FewRoutes
-from ..planning.plan import Plan
+from ..planning.plan import Plan, path_lengths
 from ..planning.random_draws import RandomDraw, random_draws
-from ..planning.route_layers import lengths, strategy_tables
-from ..planning.route_sheet import RouteSheet, sheet_bytes, sheet_route
-from ..planning.slots import SlotMixture
+from ..planning.route_layers import strategy_tables
 from ..route_files import Drawn
-from .cli import Console, count, write_private
+from .cli import Console
 from .console import percent, travel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SHEET = '.json'
 # Tables of a plan that also hold for few of its routes.
-_GROUND = ('held_ground', 'forbidden')
+_GROUND = ('places', 'held_ground', 'forbidden')
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +33,7 @@ class FewDrawn(Drawn):
     def columns(self) -> dict[str, Any]:
         """Number, share and length [m] of each route."""
         return {'route': range(1, len(self.paths) + 1), 'share': self.few.shares,
-                'length': lengths(self.paths)}
+                'length': path_lengths(self.paths)}
 
     @property
     def names(self) -> list[str]:
@@ -60,40 +54,11 @@ class FewDrawn(Drawn):
         return few_figure(self)
 
 
-def write_sheets(paths: Sequence[Path], drawn: FewDrawn, map_file: Path | None,
-                 slots: Sequence[str], day: SlotMixture | None) -> None:
-    """Write route sheets with mode 0600; ``day`` is the mixture of the slots, if there are any.
-
-    Without a ``map_file``, the map is written next to each sheet, to ``map_of(sheet)``.
-    """
-    few, crs, network = drawn.few, drawn.risk_map.crs, drawn.strategy.network
-    start, *stops, goal = network.points[[network.source, *network.stops, network.target]].tolist()
-    routes = tuple(sheet_route(k, float(share), path, crs)
-                   for k, (share, path) in enumerate(zip(few.shares, few.paths, strict=True), 1))
-    game = drawn.strategy.game.options
-    sheet = RouteSheet((map_file or Path()).absolute(), crs, start, goal, tuple(stops),
-                       game.held_radius, game.ambush_radius, few.value, few.lower_bound, routes)
-    if day:
-        sheet = replace(sheet, value=day.value, lower_bound=day.lower_bound,
-                        slots=tuple(zip(slots, day.shares.tolist(), strict=True)))
-    for path in paths:
-        if map_file is None:
-            sheet = replace(sheet, map=map_of(path).absolute())
-            write_private(path.parent, {sheet.map.name: npz_bytes(drawn.risk_map)})
-        write_private(path.parent, {path.name: sheet_bytes(sheet, path.parent.absolute())})
-
-
-def map_of(sheet: Path) -> Path:
-    """The map of a sheet that was planned on an elevation model."""
-    return sheet.with_name(f'{sheet.stem}_map.npz')
-
-
-def tell_few(plan: Plan, few: FewRoutes, console: Console) -> None:
+def tell_few(plan: Plan, few: FewRoutes, asked: int, console: Console) -> None:
     """Print the value and how to draw, and put all but the paths into the result."""
-    draws = random_draws(plan)
-    price = few.value / few.lower_bound if few.lower_bound else math.inf
-    console.line(f'\n{count(len(few.paths), "route")}: value {few.value:.4g}, {price:.2f} times '
-                 f'that of all {few.candidates} paths tried, mixed at best and driven as they are')
+    draws, count = random_draws(plan), len(few.paths)
+    if count < asked:
+        console.say(f'{count} routes suffice: more do not lower the value.')
     console.line('value by routes ' + ', '.join(f'{k}: {value:.4g}' for k, value in few.curve))
     console.line(_as_text(plan, few, draws))
     console.result['few'] = {

@@ -15,11 +15,14 @@ from matplotlib.figure import Figure
 from ..colours import AMBUSHER
 from ..figures import HALO, PROBABILITY, WIDTH, as_png
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
+from ..recordings.durable_files import write_all_durably
 from . import cli
+from .geo_files import add_outputs, check_outputs, tell_overwritten
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
     POSITION_HELP,
+    add_crs,
     add_options,
     add_places,
     options_from,
@@ -35,9 +38,9 @@ Solves a strategy for each of --detours, all with --slack, and for each of --sla
 --detour.
 The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
-finding. TABLE.png shows the same as curves.
+finding. The picture (.png) shows the same as curves.
 {OPTIONS_HELP}
---json: {{"verdict", "table", "rows": [{{...}}]}}
+--json: {{"verdict", "files", "rows": [{{...}}]}}
 """ + cli.EXIT_CODES
 
 
@@ -48,39 +51,41 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     add_places(made, stops=False)
-    cli.add_table(made)
+    add_outputs(made, 'table and picture to write', ('.csv', '.png'))
     made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
                       help="length budgets, as multiples of the shortest route's length "
                       '(default: 1.02 to 1.5)')
     made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
                       'of the value to give up for less predictable routes (default: 0 to 0.3)')
+    add_crs(made)
     add_options(made)
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options, output = options_from(arguments), arguments.output
+    options = options_from(arguments)
+    check_outputs(arguments.output)
     risk_map = risk_map_from(arguments.map, options.map, console)
     (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)
     rows = trip_frontier(risk_map, (x, y), (to_x, to_y), options.planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
-    write_frontier(output, rows, options.strategy.max_detour, options.strategy.risk_slack)
+    tell_overwritten(arguments.output, console)
+    write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     console.line(_as_text(rows))
-    console.line(f'\n{cli.place(output)}, {output.with_suffix(".png").name}')
-    console.result = {'table': cli.place(output), 'rows': [asdict(row) for row in rows]}
+    files = [cli.place(path) for path in arguments.output]
+    console.line('\n' + ', '.join(files))
+    console.result = {'files': files, 'rows': [asdict(row) for row in rows]}
     return cli.Exit.FINDING if any(row.error for row in rows) else cli.Exit.HOLDS
 
 
-def write_frontier(path: Path, rows: Sequence[FrontierRow], max_detour: float,
+def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detour: float,
                    risk_slack: float) -> None:
-    """Write the table (CSV) and the picture (.png) next to it, both with mode 0600."""
-    picture = path.with_suffix('.png').name
-    cli.write_private(path.parent, {
-        path.name: cli.as_csv(COLUMNS, map(asdict, rows)),
-        picture: as_png(frontier_figure(rows, max_detour, risk_slack)),
-    })
+    """Write tables (.csv) and pictures (.png) with mode 0600."""
+    write_all_durably({
+        path: cli.as_csv(COLUMNS, map(asdict, rows)) if path.suffix == '.csv' else
+        as_png(frontier_figure(rows, max_detour, risk_slack)) for path in paths})
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:

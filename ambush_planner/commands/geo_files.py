@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..route_files import NEEDS, SUFFIXES, Drawn
+from ..route_files import NEEDS, PLAN, SUFFIXES, Drawn
 from .cli import Console, count, file_of, place, require
 
 FORMATS_HELP = """\
@@ -20,10 +20,14 @@ map's coordinates (WKT); .png is a picture. Routes are secret: files have mode 0
 
 
 def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the routes',
-                suffixes: Sequence[str] = SUFFIXES) -> None:
-    """Add the argument ``--output``, a list of files with one of the suffixes each."""
+                suffixes: Sequence[str] = SUFFIXES, tell: bool = True) -> None:
+    """Add the argument ``--output``, a list of files with one of the suffixes each.
+
+    The help names these if they are to be told.
+    """
     parser.add_argument('-o', '--output', type=file_of(*suffixes), nargs='+', required=True,
-                        metavar='FILE', help=f'{what}: ' + ', '.join(suffixes))
+                        metavar='FILE',
+                        help=what + (': ' + ', '.join(suffixes)) * tell)
 
 
 def check_outputs(paths: Sequence[Path]) -> None:
@@ -40,7 +44,11 @@ def tell_overwritten(paths: Sequence[Path], console: Console) -> None:
 
 def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
     """Print what was written, and put it into the result."""
-    files = [place(path) for path in paths]
-    console.line(f'{", ".join(files)}: {count(len(drawn.paths), "route")}; secret, so only this '
-                 'user can read them.')
+    files, plans = [place(path) for path in paths], [p for p in paths if p.suffix.lower() == PLAN]
+    routes = [count(len(drawn.paths), 'route')] * (len(paths) > len(plans))
+    what = [*['plan'] * bool(plans), *routes]
+    console.line(f'{", ".join(files)}: {", ".join(what)}; secret, so only this user can read '
+                 f'{"it" if len(files) == 1 else "them"}.')
+    if plans:
+        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html route.gpx')
     console.result |= {'files': files, 'departures': len(drawn.paths)}

@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -13,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from ..colours import AMBUSHER
+from ..errors import AmbushPlannerError
 from ..figures import WIDTH, as_png, draw_strategy, number_badge
 from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
@@ -24,13 +28,14 @@ from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
     POSITION_HELP,
+    Position,
+    add_crs,
     add_options,
     add_places,
     options_from,
     places_on,
     risk_map_from,
 )
-from .table import PLACES_HELP, in_metres, read_places
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
@@ -40,13 +45,17 @@ EPILOG = f"""\
 {POSITION_HELP}
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
-PLACES.csv has the columns {PLACES_HELP}.
+PLACES.csv has the columns name, and x, y (world positions [m]) or lat, lon [degrees].
 The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
 and others, below which no other candidate can bring the value instead. The picture (.png) has
 the places on the map, with the strategy if all are held, and the value as a curve.
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "value", "lower_bound", "places": [{{...}}]}}
 """ + cli.EXIT_CODES
+
+
+class InvalidPlaces(AmbushPlannerError, ValueError):
+    """A file of places cannot be used."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -61,6 +70,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--candidates', type=Path, metavar='PLACES.csv', help='the places that can '
                       "be held (default: places around the ambusher's sites)")
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
+    add_crs(made)
     add_options(made)
     return made
 
@@ -83,7 +93,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     tell_overwritten(arguments.output, console)
     for path, data in contents.items():
         cli.write_private(path.parent, {path.name: data})
-    _tell(found, rows, arguments.count, console)
+    _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
     files = [cli.place(path) for path in arguments.output]
     console.line(', '.join(files))
     console.result['files'] = files
@@ -102,13 +112,15 @@ def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
             'candidates': step.candidates, 'solved': step.solved}
 
 
-def _tell(found: Holding, rows: list[dict[str, Any]], count: int, console: cli.Console) -> None:
+def _tell(found: Holding, rows: list[dict[str, Any]], count: int, like: Position,
+          risk_map: RiskMap, console: cli.Console) -> None:
     before = found.before
     console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
     for row in rows:
-        at = row['name'] or f'({row["x"]:.1f}, {row["y"]:.1f})'
+        at = row['name'] or like.like((row['x'], row['y']), risk_map)
         others = '' if row['others'] is None else (
-            f'; no other of {row["candidates"]} candidates can do better than {row["others"]:.4g}')
+            f'; none of the other {row["candidates"] - 1} candidates gets below '
+            f'{row["others"]:.4g}')
         console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
                      f'{row["lower_bound"]:.4g}{others}')
     if len(rows) < count:
@@ -142,6 +154,37 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     curve.grid(color='0.92')
     curve.legend(frameon=False)
     return figure
+
+
+def in_metres(places: Mapping[str, Position], risk_map: RiskMap) -> dict[str, tuple[float, float]]:
+    """World positions [m] by name; raises InvalidCoordinates."""
+    found = {name: place.xy(risk_map) for name, place in places.items()}
+    return {name: (float(x), float(y)) for name, (x, y) in found.items()}
+
+
+def read_places(path: Path) -> dict[str, Position]:
+    """Read names and positions from a CSV file; raises InvalidPlaces, OSError."""
+    places: dict[str, Position] = {}
+    with path.open(encoding='utf-8-sig', newline='') as file:
+        reader = csv.DictReader(file, skipinitialspace=True)
+        try:
+            in_degrees = 'lat' in (reader.fieldnames or ())
+            columns = ('lat', 'lon') if in_degrees else ('x', 'y')
+            for row in reader:
+                name = row['name'].strip()
+                x, y = (float(row[column]) for column in columns)
+                if not name or name in places:
+                    raise ValueError(f'each place needs its own name, got {name!r}')
+                if not (math.isfinite(x) and math.isfinite(y)):
+                    raise ValueError(f'{" and ".join(columns)} must be finite, got {x} and {y}')
+                places[name] = Position((x, y), in_degrees)
+        except KeyError as error:
+            raise InvalidPlaces(f'{path}: no column {error}') from error
+        except (ValueError, TypeError, AttributeError, csv.Error) as error:
+            raise InvalidPlaces(f'{path}, line {reader.line_num}: {error}') from error
+    if not places:
+        raise InvalidPlaces(f'{path}: no places')
+    return places
 
 
 main = cli.command(parser, _work)

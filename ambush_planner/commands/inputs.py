@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import re
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 from ..arrays import FloatArray
@@ -22,7 +24,7 @@ from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.coordinates import Coordinates, InvalidCoordinates
-from ..maps.grid_references import MGRS_REFERENCE, from_mgrs
+from ..maps.grid_references import MGRS_REFERENCE, from_mgrs, mgrs_references
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
@@ -35,9 +37,9 @@ from .cli import file_of
 from .console import Console
 
 MAP_HELP = """\
-MAP is a YAML file for map_server, as ambush risk and ambush terrain write it, a GeoTIFF of the
-same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution
-[m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
+MAP is a YAML file for map_server, as ambush risk writes it, a GeoTIFF of the same values, -1..100,
+or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution [m] and, if they are
+known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
 The options of --set are named like the node's parameters (map., network., game., strategy.,
 route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
@@ -55,10 +57,10 @@ KINDS = {float: 'a number', int: 'a whole number', bool: 'true or false', str: '
          tuple: 'a list of lists'}
 # Words for the options that every user sets.
 WORDS = {
-    'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
-              'nodes that he waits at)'),
-    'held': ('game.secured_radius', 'METRES', 'radius of the held ground around start, stops and '
-             'goal, where nobody can wait (default: as far as the reach)'),
+    'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
+              '(default: 0, only the network nodes that he waits at)'),
+    'held': ('game.secured_radius', 'METRES', 'radius of the ground that you hold around start, '
+             'stops and goal: nobody can wait there (default: as far as the reach)'),
     'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
                "route's (default: 1.2)"),
     'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '
@@ -89,10 +91,24 @@ class SolveOptions:
 
 @dataclass(frozen=True)
 class Position:
-    """A position as it was typed: world coordinates [m], or latitude and longitude [degrees]."""
+    """A position as it was typed: world coordinates [m], or latitude and longitude [degrees].
+
+    ``as_mgrs``: the latter, typed as an MGRS reference.
+    """
 
     numbers: tuple[float, float]
     in_degrees: bool
+    as_mgrs: bool = False
+
+    def like(self, xy: npt.ArrayLike, risk_map: RiskMap) -> str:
+        """Another world position [m] on the map, written as this one was typed."""
+        if not (self.in_degrees and risk_map.crs):
+            x, y = np.asarray(xy, dtype=float).tolist()
+            return f'({x:.1f}, {y:.1f})'
+        lat, lon = Coordinates(risk_map.crs).to_lat_lon(xy).tolist()
+        if self.as_mgrs:
+            return mgrs_references(np.array([(lat, lon)]))[0]
+        return f'{lat:.5f},{lon:.5f}'
 
     def __str__(self) -> str:
         return ('{:g},{:g}' if self.in_degrees else '{:g} {:g}').format(*self.numbers)
@@ -115,12 +131,17 @@ class Position:
             return False
 
 
+_POSITIONS = {'--start': 'where trips begin', '--via': 'stops',
+              '--goal': 'where trips end; the start again for a round trip'}
+
+
 class _Positions(argparse.Action):
     """Parse ``X Y``, ``LAT,LON`` and MGRS references, one or several, and append them."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
         texts = [''.join(values)] if MGRS_REFERENCE.match(''.join(values)) else values
+        as_mgrs = any(MGRS_REFERENCE.match(text) for text in texts)
         in_degrees = any(',' in text or MGRS_REFERENCE.match(text) for text in texts)
         try:
             numbers = [float(part) for text in texts for part in _parts(text)]
@@ -131,7 +152,8 @@ class _Positions(argparse.Action):
         before = getattr(namespace, self.dest) or []
         if self.dest != 'via' and len(before) + len(pairs) != 1:
             parser.error(f'argument {option_string}: must be one position')
-        setattr(namespace, self.dest, before + [Position(pair, in_degrees) for pair in pairs])
+        setattr(namespace, self.dest,
+                before + [Position(pair, in_degrees, as_mgrs) for pair in pairs])
 
 
 def _parts(text: str) -> Sequence[str | float]:
@@ -145,8 +167,7 @@ def add_places(parser: argparse.ArgumentParser, stops: bool = True) -> None:
     """Add the arguments ``--start``, ``--goal`` and perhaps ``--via``, lists of ``Position``."""
     for end in ('--start', '--goal', *['--via'] * stops):
         parser.add_argument(end, nargs='+', action=_Positions, required=end != '--via',
-                            metavar='X Y',
-                            help=('stops, ' if end == '--via' else '') + 'X Y [m], LAT,LON or MGRS')
+                            metavar='POSITION', help=_POSITIONS[end])
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -156,14 +177,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
                         'cross without a shared vertex (network.node_crossings)')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
-                        help='other options, such as network.spacing=50 game.ambushers=2')
+                        help='other options: network.spacing=50 game.ambushers=2')
 
 
-def add_crs(parser: argparse.ArgumentParser) -> None:
+def add_crs(parser: argparse._ActionsContainer) -> None:
     """Add the arguments ``--crs`` and ``--datum``, for ``crs_text``."""
     crs = parser.add_mutually_exclusive_group()
-    crs.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of the map, '
-                     'such as EPSG:32616 (default: as its file says)')
+    crs.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of a map '
+                     'whose file does not say it, such as EPSG:32616')
     add_datum(crs)
 
 
@@ -195,9 +216,12 @@ def options_from(arguments: argparse.Namespace) -> SolveOptions:
     ``add_crs`` take precedence over ``map.crs``.
     """
     words = {word: getattr(arguments, word) for word in WORDS}
-    options = options_of([
-        *arguments.set, *['network.node_crossings=true'] * arguments.node_crossings,
-        *(f'{WORDS[word][0]}={value}' for word, value in words.items() if value is not None)])
+    given = [f'{WORDS[word][0]}={_in_metres(value) if WORDS[word][1] == "METRES" else value}'
+             for word, value in words.items() if value is not None]
+    given += ['network.node_crossings=true'] * arguments.node_crossings
+    if getattr(arguments, 'roads', None):
+        given += ['network.method=graph', f'network.graph={arguments.roads}']
+    options = options_of([*arguments.set, *given])
     if 'crs' in arguments and (crs := crs_text(arguments)):
         options = dataclasses.replace(options, map=dataclasses.replace(options.map, crs=crs))
     return options
@@ -258,8 +282,51 @@ def options_of(assignments: Sequence[str]) -> SolveOptions:
     for name in ('graph', 'node_crossings', 'join_distance'):
         if name in network and network.get('method') != 'graph':
             raise InvalidOption(f'network.{name} has no effect without network.method=graph')
-    return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
+    return SolveOptions(**{group: _changed(group, part, changes[group])
                            for group, part in options.items()})
+
+
+def _changed(group: str, part: Any, changes: dict[str, Any]) -> Any:
+    """Options of a group with changes; errors name the group, too."""
+    try:
+        return dataclasses.replace(part, **changes)
+    except InvalidOption as error:
+        name = next((each for each in changes if str(error).startswith(each)), '')
+        raise InvalidOption(f'{group}.{error}' if name else str(error)) from error
+
+
+def _in_metres(text: str) -> str:
+    """A length in metres, of one with a unit, such as 300m or 0.3km."""
+    found = re.fullmatch(r'\s*([-+.\de]+)\s*(k?)m\s*', text)
+    try:
+        return f'{float(found[1]) * (1000.0 if found[2] else 1.0):.12g}' if found else text
+    except ValueError:
+        return text
+
+
+_FIELDS = {each.name: f'{group}.{each.name}' for group, part in vars(SolveOptions()).items()
+           for each in dataclasses.fields(part)}
+_PHRASES = {' (game.secured_radius -1)': ' (leave out --held)',
+            ' (strategy.time_limit, or max_planning_time of the node)': ' (strategy.time_limit)',
+            'max_planning_time': 'strategy.time_limit'}
+# Qualified names, and those that are no ordinary words.
+_NAMED = re.compile(r"(?<!--set )(?<!--set ')(?<![.\w])(?:(?:map|network|game|strategy|route)\.)?("
+                    + '|'.join(_FIELDS) + r')(?!\w)')
+
+
+def as_typed(text: str) -> str:
+    """A message that names options as they are typed: ``--reach``, ``--set network.spacing``."""
+    for phrase, other in _PHRASES.items():
+        text = text.replace(phrase, other)
+
+    def typed(found: re.Match[str]) -> str:
+        name = found[1]
+        if '.' not in found[0] and '_' not in name:
+            return found[0]
+        flags = [f'--{word}' for word, (each, *_) in WORDS.items() if each == _FIELDS[name]]
+        return flags[0] if flags else f'--set {_FIELDS[name]}'
+
+    return _NAMED.sub(typed, text)
 
 
 def _similar(name: str, names: Iterable[str]) -> str:

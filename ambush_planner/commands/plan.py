@@ -1,33 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush plan``: from a map to drawn routes."""
+"""``ambush plan``: from a map to a plan file, or to routes for a quick look."""
 
 from __future__ import annotations
 
 import argparse
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..maps.occupancy import OccupancyOptions
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import agreed_crs
-from ..planning.concerns import assumptions, concerns, is_sound
+from ..errors import InvalidOption
+from ..planning.concerns import assumptions, concerns, is_sound, main_assumption
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
-from ..planning.slots import SlotMixture, mix_slots
+from ..planning.slots import mix_slots
 from ..planning.trip import ORDERS
-from ..route_files import SUFFIXES, Drawn, draw, write_routes
+from ..recordings.plan_file import DaySlots, saved_plan
+from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
 from . import cli
-from .console import percent, travel
-from .few_files import SHEET, FewDrawn, map_of, tell_few, write_sheets
+from .console import distance, duration, percent
+from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
 from .inputs import (
     MAP_HELP,
     OPTIONS_HELP,
     POSITION_HELP,
+    Position,
     add_crs,
     add_options,
     add_places,
@@ -35,159 +37,179 @@ from .inputs import (
     planned,
     risk_map_from,
 )
-from .slots import add_slots, checked_slots
-from .terrain import add_terrain, terrain_from
 
 DESCRIPTION = """\
-Plan on a map and draw routes for a GPS or a GIS.
+Plan on a map. Save the plan and draw from it each day, or draw routes for a quick look.
 
-  ambush plan map.yaml --start 4 20 --goal 56 20 --reach 2 -n 20 -o routes.csv routes.png
-  ambush plan map.tif --start 36.55,-84.38 --goal 36.70,-84.12 --reach 500 -o routes.gpx"""
+  ambush plan map.tif --start 36.55,-84.38 --goal 36.70,-84.12 --reach 500 -o week.plan
+  ambush plan map.yaml --start 4 20 --goal 56 20 --reach 2 -n 20 -o routes.csv routes.png"""
+COMMON = ('-o', '-n', '--start', '--goal', '--via', '--reach', '--held', '--detour', '--slack',
+          '--routes', '--roads', '--slots', '--crs', '--set', '-v')
+USAGE = 'ambush plan MAP --start POSITION --goal POSITION [options] -o FILE ...'
+BRIEF = """\
+MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
+A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
+FILE.plan saves the plan, for ambush draw; .gpx .kml .gpkg .geojson .csv and .png
+have the routes that -n draws. All are secret, and only you can read them.
+Exit codes: 0 success; 1 a finding; 2 wrong usage; 3 a file cannot be used."""
 EPILOG = f"""\
 {MAP_HELP}
-With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush terrain does. Next
-to a FILE.json there is then the risk map, FILE_map.npz.
 
 {POSITION_HELP}
+FILE.plan has all that departures are drawn from; ambush draw, card and the node read it.
 {FORMATS_HELP}
-With --routes, the files have a layer or track for each route, with its number and share, .png shows
-each, and .json has them for ambush draw, which --help explains. The table on the console has the
-faces of one or two dice (a first and a second one) and the cards that stand for each route, by the
-nearest shares, and the value of each such draw.
-With --slots, a time of departure is drawn for each route, as ambush slots does with one map: the
-name and the attribute slot of a route have it. With --routes, ambush draw draws it.
+With --routes, the files have a layer or track for each route, with its number and share, and .png
+shows each. The table on the console has the faces of one or two dice (a first and a second one) and
+the cards that stand for each route, by the nearest shares, and the value of each such draw.
+With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "shortest_route_loss", "spotter": {{"x", "y", "loss", "factor"}}, "seconds",
-"few": null, or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs",
-"curve", "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
+"shortest_length", "driven_length", "shortest_route_loss", "spotter": {{"x", "y", "loss",
+"factor"}}, "seconds", "few": null, or with --routes {{"value", "lower_bound", "candidates",
+"worst_xy", "shares", "costs", "curve", "draws"}}, "slots": null, or with --slots {{"value",
+"lower_bound", "shares", "drawn"}}}}
 """ + cli.EXIT_CODES
+_TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('plan', DESCRIPTION, EPILOG)
-    made.add_argument('map', type=Path, metavar='MAP',
-                      help='the risk map, or with --terrain an elevation model')
+    made = cli.new_parser('plan', DESCRIPTION, EPILOG, COMMON, BRIEF, USAGE)
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     add_places(made)
+    add_options(made)
+    add_outputs(made, 'files to write, such as week.plan or routes.gpx', (PLAN, *SUFFIXES),
+                tell=False)
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
-                        metavar='COUNT', help='number of routes to draw (default: 1)')
+                        metavar='COUNT', help='number of routes to draw for a look (default: 1)')
     number.add_argument('--routes', type=cli.number(1, MAX_ROUTES, int), metavar='K', help='find '
-                        'the best mixture of at most K routes, and write these')
+                        'the best mixture of at most K routes, to brief, or draw by hand')
+    made.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
+    made.add_argument('--slots', nargs='+', default=(), metavar='HH:MM',
+                      help='also draw the time of departure, one of these')
+    made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
+                      help='number of consecutive slots that an ambush lasts (default: 1)')
     made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
                       'shares')
-    add_outputs(made, suffixes=(*SUFFIXES, SHEET))
     made.add_argument('--order', choices=ORDERS, default='given',
                       help='order of the stops (default: given); random: drawn with each route')
     made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
                       help='with --via: share of the loss that is aboard on each leg')
-    add_slots(made)
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     add_crs(made)
-    add_options(made)
-    made.add_argument('--terrain', action='store_true', help='MAP is an elevation model')
-    add_terrain(made.add_argument_group('with --terrain'))
+    made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
+                      'all assumptions, and what a spotter is worth')
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options, slots = options_from(arguments), checked_slots(arguments.slots)
-    _check(arguments)
+    if arguments.window > 1 and not slots:
+        raise cli.UsageError('--window needs --slots HH:MM ...')
+    if arguments.equal and arguments.routes is None:
+        raise cli.UsageError('--equal needs --routes K')
     check_outputs(arguments.output)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
-    risk_map = (_map_of_terrain(arguments, options.map, console) if arguments.terrain
-                else risk_map_from(arguments.map, options.map, console))
+    risk_map = risk_map_from(arguments.map, options.map, console)
     rng = np.random.default_rng(arguments.seed)
     plan = planned(arguments, risk_map, options.planning, console, order=arguments.order,
                    routes=arguments.routes, equal=arguments.equal, rng=rng)
-    day = mix_slots([plan.value] * len(slots), [plan.lower_bound] * len(slots),
-                    arguments.window) if slots else None
+    day = None
+    if slots:
+        mixture = mix_slots([plan.value] * len(slots), [plan.lower_bound] * len(slots),
+                            arguments.window)
+        day = DaySlots(tuple(slots), mixture, arguments.window)
     if arguments.seed is not None:
-        console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
-                    'routes. Use it for tests only.')
+        console.warn('drawn with --seed, so anyone who knows the seed can predict these routes; '
+                     'use it for tests only')
     few = plan.few
-    drawn = (draw(plan, arguments.departures, rng) if few is None
-             else FewDrawn(plan.strategy, risk_map, few.paths, (), few))
+    quick = [path for path in arguments.output if path.suffix.lower() != PLAN]
+    drawn = (FewDrawn(plan.strategy, risk_map, few.paths, (), few) if few else
+             draw(plan, arguments.departures if quick else 0, rng))
     if day and few is None:
-        drawn = replace(drawn, slots=[slots[k] for k in day.draw(arguments.departures, rng)])
-    sheets = [path for path in arguments.output if path.suffix.lower() == SHEET]
-    maps = [map_of(path) for path in sheets if arguments.terrain]
-    tell_overwritten([*arguments.output, *maps], console)
-    write_routes([path for path in arguments.output if path not in sheets], drawn)
-    _tell(plan, console)
-    if isinstance(drawn, FewDrawn):
-        write_sheets(sheets, drawn, None if arguments.terrain else arguments.map, slots, day)
-        tell_few(plan, drawn.few, console)
+        chosen = day.mixture.draw(len(drawn.paths), rng)
+        drawn = replace(drawn, slots=[slots[k] for k in chosen])
+    tell_overwritten(arguments.output, console)
+    write_routes(arguments.output, drawn,
+                 saved_plan(plan, options.map, arguments.order, day, arguments.map)
+                 if len(quick) < len(arguments.output) else None)
+    _tell(plan, day, arguments, console)
+    if few:
+        tell_few(plan, few, arguments.routes, console)
     if day:
-        _tell_slots(slots, day, drawn, console)
+        _tell_slots(day, drawn, console)
     for text in concerns(plan):
-        console.say(f'Warning: {text}.')
-    tell_outputs([*arguments.output, *maps], drawn, console)
+        console.warn(text)
+    tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    """Raise UsageError if options are given without those that they need."""
-    if arguments.window > 1 and not arguments.slots:
-        raise cli.UsageError('--window needs --slots HH:MM ...')
-    if arguments.routes is None:
-        if arguments.equal:
-            raise cli.UsageError('--equal needs --routes K')
-        for path in arguments.output:
-            if path.suffix.lower() == SHEET:
-                raise cli.UsageError(f'{cli.place(path)}: only --routes K writes such a file')
+def checked_slots(slots: Sequence[str]) -> list[str]:
+    """The times as HH:MM; raises InvalidOption if one is none, or they do not go forwards."""
+    for text in slots:
+        if not _TIME.fullmatch(text):
+            raise InvalidOption(f'slots must be times HH:MM, got {text!r}')
+    times = [text.zfill(5) for text in slots]
+    for before, after in zip(times[:-1], times[1:], strict=True):
+        if after <= before:
+            raise InvalidOption(f'slots must go forwards in time, but {after} follows {before}')
+    return times
 
 
-def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
-                    console: cli.Console) -> RiskMap:
-    elevation, ground = terrain_from(arguments, arguments.map, console)
-    return ground.risk_map(elevation.corner,
-                           replace(options, crs=agreed_crs(elevation.crs, options.crs)))
-
-
-def _tell(plan: Plan, console: cli.Console) -> None:
-    strategy = plan.strategy
+def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
+          console: cli.Console) -> None:
+    strategy, few = plan.strategy, plan.few
+    value, bound = ((day.mixture.value, day.mixture.lower_bound) if day
+                    else (plan.value, plan.lower_bound))
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
-    spotter = [f'one at ({seen.x:.1f}, {seen.y:.1f}) who sees whether you pass raises '
-               f'{strategy.value:.4g} to {seen.loss:.4g}, {seen.factor:.2f} times'
-               ] if (seen := plan.spotter) else []
-    ends = [f'{bound:.4g} at least if nobody could wait within {plan.bottleneck.distance:.3g} m of '
-            'start, stops and goal'] if (bound := plan.secured_bound) is not None else []
-    longer = strategy.expected_length / strategy.shortest_length
-    for name, text in (
-        ('value', f'{strategy.value:.4g}: mean loss per departure if the ambusher plays best and '
-                  'knows all but the draw'),
-        ('lower bound', f'{strategy.lower_bound:.4g}: no planner can guarantee less on this '
-                        'network'),
-        ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
-                        'shortest'),
-        ('shortest route', f'would cost {shortest:.4g} once it is known'),
-        *(('spotter', text) for text in spotter),
-        *(('ends', text) for text in ends),
-        *(('assumption', text) for text in assumptions(plan)),
-    ):
-        console.item(f'{name:<15} {text}', indent=0, hang=16)
+    console.fact('value', f'{value:.4g}: mean loss per departure if the ambusher plays optimally '
+                 'and knows everything except the draw')
+    console.fact('shortest route', f'{shortest:.4g}, once it is known')
+    ratio = f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest'
+    if strategy.network.travel_unit == 's':
+        console.fact('mean time', f'{duration(strategy.expected_length)}, {ratio}; '
+                     f'{distance(plan.driven_length)}')
+    else:
+        console.fact('mean length', f'{distance(plan.driven_length)} as driven' + (
+            '' if few else f' (along the network {distance(strategy.expected_length)}, {ratio})'))
+    if few:
+        price = few.value / few.lower_bound if few.lower_bound else math.inf
+        console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '
+                     'that were tried, mixed at best')
+    console.fact('assumption', main_assumption(plan))
+    seen = plan.spotter
+    if arguments.verbose:
+        console.fact('lower bound', f'{bound:.4g}: no planner can guarantee less on this network '
+                     f'of {len(plan.network.points)} nodes')
+        if seen:
+            where: Position = arguments.start[0]
+            assert plan.risk_map is not None
+            console.fact('spotter', f'one at {where.like((seen.x, seen.y), plan.risk_map)} who '
+                         f'sees whether you pass raises {strategy.value:.4g} to {seen.loss:.4g}, '
+                         f'{seen.factor:.2f} times')
+        if (least := plan.secured_bound) is not None:
+            console.fact('ends', f'{least:.4g} at least if nobody could wait within '
+                         f'{distance(plan.bottleneck.distance)} of start, stops and goal')
+        for text in assumptions(plan):
+            console.fact('assumption', text)
     console.result = {
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
-        'shortest_route_loss': shortest, 'spotter': seen and asdict(seen), 'few': None,
-        'slots': None,
+        'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
+        'spotter': seen and asdict(seen), 'few': None, 'slots': None,
     }
 
 
-def _tell_slots(slots: Sequence[str], day: SlotMixture, drawn: Drawn,
-                console: cli.Console) -> None:
-    shares = dict(zip(slots, day.shares.tolist(), strict=True))
-    named = ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items())
-    console.line(f'{"slots":<15} {named}: joint value {day.value:.4g}, lower bound '
-                 f'{day.lower_bound:.4g}')
+def _tell_slots(day: DaySlots, drawn: Drawn, console: cli.Console) -> None:
+    shares = dict(zip(day.times, day.mixture.shares.tolist(), strict=True))
+    console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:
-        console.line(f'{"departures":<15} {", ".join(drawn.slots)}')
-    console.result['slots'] = {'value': day.value, 'lower_bound': day.lower_bound,
-                               'shares': shares, 'drawn': drawn.slots}
+        console.fact('departures', ', '.join(drawn.slots))
+    console.result['slots'] = {'value': day.mixture.value, 'lower_bound': day.mixture.lower_bound,
+                               'shares': shares, 'drawn': list(drawn.slots)}
 
 
 main = cli.command(parser, _work)

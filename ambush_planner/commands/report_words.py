@@ -41,7 +41,7 @@ def _guarantee(section: Section) -> str:
     outside = f', except on the held ground around {ends(strategy)}' if held(section) else ''
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
             f'{rounded(strategy.value)} per departure, even if he knows the map, the probabilities '
-            'and all earlier routes. He must not know the next route.')
+            'and all earlier routes. This assumes that he does not know the next route.')
 
 
 def _spotter(strategy: Strategy) -> list[str]:
@@ -99,7 +99,7 @@ def tiles(section: Section) -> list[tuple[str, str]]:
                    for length in (strategy.expected_length, strategy.shortest_length))
     return [
         (rounded(strategy.value), 'mean loss per departure from the best ambush, instead of '
-         f'{rounded(fixed.v_repeated)} on always the shortest route'),
+         f'{rounded(fixed.v_repeated)} if you always take the shortest route'),
         (rounded(chance, 2), 'ambushes hit a departure, on average') if several else
         (percent(chance), 'of departures are hit by the best ambush, instead of '
          f'{percent(fixed.p_repeated)} on a fixed route that he has learnt'),
@@ -131,7 +131,7 @@ def quantities(strategy: Strategy) -> list[tuple[str, str]]:
         ('mean length', travel(strategy, strategy.expected_length)),
         ('shortest route', travel(strategy, strategy.shortest_length)),
         ('limit of the mean length', travel(strategy, budget) if math.isfinite(budget) else 'none'),
-        ('as hard to guess as one route of', f'{_routes(strategy)} equally likely ones'),
+        ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
         ('network', f'{len(network.points):,} nodes, {len(network.edges):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
     ]

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush risk``: a risk map from terrain, polygons, roads and incidents."""
+"""``ambush risk``: a risk map from an elevation model, or from layers of risk."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,15 +13,39 @@ from matplotlib.figure import Figure
 
 from ..colours import ROUTES
 from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
+from ..maps import (
+    Elevation,
+    TerrainMap,
+    TerrainOptions,
+    ViewOptions,
+    elevation_from_raster,
+    mask_from_raster,
+    terrain_map,
+)
+from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
 from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import write_geotiff
+from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
-from .inputs import add_map_output
+from .inputs import add_crs, add_map_output, crs_text
+from .terrain_figure import terrain_figure
 
+DESCRIPTION = """\
+Make a risk map from an elevation model, or from layers of risk.
+
+  ambush risk dem.tif -o map.yaml --resolution 90 --weapon-range 500
+  ambush risk layers.yaml -o map.yaml"""
 EPILOG = """\
+DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
+unknown, and resolution [m] (or dx and dy [m]). --roads takes the same kinds of files (npz: roads);
+cells other than 0 are roads. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
+weighted mean of four shares: depth of the cell below the ground within weapon range, share of that
+ground from which a vehicle can be seen, how close a person can come unseen, and slope.
+ambush_planner.maps has the formulas. A GeoTIFF in degrees is reprojected to its UTM zone, and the
+map keeps the coordinate system.
+
 LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas:
 
   layers:
@@ -29,8 +54,10 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-It writes MAP.yaml and MAP.pgm for map_server, MAP.npz with the exact losses, MAP.png with a
-picture of each layer and of the result, and, if the coordinate system is known, a GeoTIFF, MAP.tif.
+It writes MAP.yaml and MAP.pgm for map_server, MAP.png with a picture of each layer and of the
+result, and, if the coordinate system is known, a GeoTIFF, MAP.tif, with MAP.qml, its style for
+QGIS; of layers also MAP.npz with the exact losses. The second band of a GeoTIFF from an elevation
+model has the heights: pictures show the relief then.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """ + cli.EXIT_CODES
 # Losses of the values 0 and 100 in MAP.yaml unless the map exceeds them: the node's defaults.
@@ -40,34 +67,111 @@ _COLUMNS = 2
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('risk', 'Make a risk map from layers.', EPILOG)
-    made.add_argument('layers', type=Path, metavar='LAYERS.yaml', help='the layers')
+    made = cli.new_parser('risk', DESCRIPTION, EPILOG)
+    made.add_argument('source', type=Path, metavar='DEM_OR_LAYERS',
+                      help='the elevation model (.tif, .npz), or the layers (.yaml)')
     add_map_output(made)
+    terrain = made.add_argument_group('with an elevation model')
+    terrain.add_argument('--roads', type=Path, metavar='FILE',
+                         help='raster of roads: cells other than 0')
+    for name, default, text in (
+        ('--resolution', None, "cell size [m] (default: the DEM's)"),
+        ('--weapon-range', 300.0, 'range of weapons [m] (default: 300)'),
+        ('--vehicle-height', 2.5, 'height of vehicles [m] (default: 2.5)'),
+        ('--person-height', 1.7, 'eye height of a person [m] (default: 1.7)'),
+        ('--slope-limit', 0.42, 'maximum drivable slope (rise/run, default: 0.42)'),
+        ('--road-factor', 0.5, 'risk on roads relative to open ground (default: 0.5)'),
+    ):
+        terrain.add_argument(name, type=float, metavar='X', help=text)
+        _DEFAULTS[_field(name)] = default
+    terrain.add_argument('--weights', type=float, nargs=4,
+                         metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
+                         help='weights of the four shares (default: 0.4 0.2 0.2 0.2)')
+    add_crs(terrain)
     return made
 
 
+def _field(option: str) -> str:
+    return option[2:].replace('-', '_')
+
+
+# Defaults of the options of an elevation model.
+_DEFAULTS: dict[str, Any] = {'weights': (0.4, 0.2, 0.2, 0.2)}
+
+
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    joined = risk_from_layers(arguments.layers, progress=console.bar('lines of sight'))
+    given = [name for name in ('roads', 'datum', 'crs', *_DEFAULTS)
+             if getattr(arguments, name) not in (None, '')]
+    if arguments.source.suffix.lower() in ('.yaml', '.yml'):
+        if given:
+            raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with an elevation model; '
+                                 f'write it into {arguments.source.name}, as --help says')
+        return _of_layers(arguments, console)
+    return _of_terrain(arguments, console)
+
+
+def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    if arguments.source.suffix.lower() != '.npz':
+        cli.require(('pyproj', 'rasterio'))
+    elevation, ground = _terrain(arguments, console)
+    grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
+    if arguments.datum:
+        grid = in_local_frame(grid, crs_text(arguments))
+    picture = as_png(terrain_figure(elevation, ground))
+    files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture,
+                     ground.heights)
+    console.line(_summary(ground))
+    return _told(files, LEAST, MOST, [], console)
+
+
+def _terrain(arguments: argparse.Namespace, console: cli.Console) -> tuple[Elevation, TerrainMap]:
+    """The elevation model, and its risk map."""
+    for name, default in _DEFAULTS.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, default)
+    views = ViewOptions(weapon_range=arguments.weapon_range,
+                        vehicle_height=arguments.vehicle_height,
+                        person_height=arguments.person_height)
+    options = TerrainOptions(view=views, slope_limit=arguments.slope_limit,
+                             weights=tuple(arguments.weights), road_factor=arguments.road_factor)
+    raster = read_raster(arguments.source, crs=arguments.crs or None)
+    elevation = elevation_from_raster(raster, arguments.resolution or 0.0)
+    roads = arguments.roads and mask_from_raster(read_raster(arguments.roads, 'roads'), elevation)
+    return elevation, terrain_map(elevation, options, roads, console.bar('lines of sight'))
+
+
+def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    joined = risk_from_layers(arguments.source, progress=console.bar('lines of sight'))
     grid, least, most = occupancy_of(joined.risk_map)
-    figure = layers_figure(joined)
     scale = f'map.alpha_min={least:.6g} map.alpha_max={most:.6g}'
     output = arguments.output
-    files = [output, write_map(output, grid, f'Risk map from layers; its losses: {scale}'),
-             output.with_suffix('.npz'), output.with_suffix('.png')]
-    risk_map = joined.risk_map
-    np.savez_compressed(files[2], alpha=risk_map.alpha, obstacles=risk_map.obstacles,
-                        resolution=risk_map.resolution, origin=risk_map.origin,
-                        crs=risk_map.crs or '')
-    files[3].write_bytes(as_png(figure))
-    if grid.crs:
-        files.append(output.with_suffix('.tif'))
-        write_geotiff(files[-1], grid)
+    files = _written(output, grid, f'Risk map from layers; its losses: {scale}',
+                     as_png(layers_figure(joined)))
+    files.insert(2, output.with_suffix('.npz'))
+    files[2].write_bytes(npz_bytes(joined.risk_map))
     for remark in joined.remarks:
         console.item(remark, indent=0)
     if (least, most) != (LEAST, MOST):
         console.line(f'losses go beyond {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
+    return _told(files, least, most, list(joined.remarks), console)
+
+
+def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes,
+             heights: Any = None) -> list[Path]:
+    """Write the map for map_server, the picture and, in a known system, the GeoTIFF."""
+    files = [output, write_map(output, grid, comment), output.with_suffix('.png')]
+    files[2].write_bytes(picture)
+    if grid.crs:
+        files += [output.with_suffix('.tif'), output.with_suffix('.qml')]
+        write_geotiff(files[3], grid, heights)
+        files[4].write_text(cli.resource('risk_map.qml'), encoding='utf-8')
+    return files
+
+
+def _told(files: list[Path], least: float, most: float, remarks: list[str],
+          console: cli.Console) -> cli.Exit:
     console.result = {'files': [cli.place(path) for path in files], 'alpha_min': least,
-                      'alpha_max': most, 'remarks': joined.remarks}
+                      'alpha_max': most, 'remarks': remarks}
     console.line(', '.join(console.result['files']))
     return cli.Exit.HOLDS
 
@@ -109,6 +213,16 @@ def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
                  'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}
         style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
         layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
+
+
+def _summary(ground: TerrainMap) -> str:
+    values = ground.values
+    risk = values[(values >= 0) & (values < 100)]
+    low, middle, high = np.percentile(risk, [10, 50, 90]) if risk.size else (0.0, 0.0, 0.0)
+    return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
+            f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
+            f' % unknown; risk of drivable cells, 0 to 99: half are below {middle:.0f}, '
+            f'a tenth below {low:.0f}, a tenth above {high:.0f}')
 
 
 main = cli.command(parser, _work)

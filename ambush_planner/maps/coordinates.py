@@ -170,7 +170,8 @@ def _import_pyproj() -> None:
         import pyproj  # noqa: F401
     except ModuleNotFoundError:
         raise InvalidCoordinates(
-            "coordinate systems need pyproj: pip install 'ambush_planner[gis]'") from None
+            "coordinate systems need pyproj: in a checkout of ambush_planner, run "
+            "pip install '.[gis]'") from None
 
 
 def in_metres(crs: Any) -> bool:

@@ -75,7 +75,7 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
     if name not in content:
-        raise InvalidTerrain(f'{path}: no array {name!r}; see ambush terrain --help for the layout')
+        raise InvalidTerrain(f'{path}: no array {name!r}; see ambush risk --help for the layout')
     try:
         column_step = float(content['dx' if 'dx' in content else 'resolution'])
         row_step = float(content['dy' if 'dy' in content else 'resolution'])
@@ -93,7 +93,7 @@ def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
         import rasterio.io
     except ModuleNotFoundError:
         raise InvalidTerrain(f'{path}: not an .npz file; other formats need rasterio: '
-                             "pip install 'ambush_planner[gis]'") from None
+                             "pip install '.[gis]', in a checkout of ambush_planner") from None
     try:
         with rasterio.Env(), rasterio.io.DatasetReader(path, driver=list(_DRIVERS)) as dataset:
             _check(path, dataset, name)

@@ -136,7 +136,8 @@ def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
         from PIL import Image
     except ModuleNotFoundError:
         raise InvalidRiskMap(
-            f"{path}: not a binary PGM; other images need: pip install 'ambush_planner[figures]'"
+            f'{path}: not a binary PGM; for other images, in a checkout of ambush_planner, run '
+            "pip install '.[figures]'"
         ) from None
     try:
         with Image.open(path) as image:

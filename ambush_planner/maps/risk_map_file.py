@@ -59,7 +59,8 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
         return replace(risk_from_occupancy(grid.values, grid.resolution, grid.origin, options),
                        heights=heights)
     except InvalidRiskMap as error:
-        hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
+        hint = ('; is it an elevation model? Make a risk map of it with ambush risk'
+                if 'cell values' in str(error) else '')
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
 
 
@@ -88,7 +89,7 @@ def agreed_crs(known: str | None, given: str | None) -> str | None:
     return known or given or None
 
 
-def _read_npz(path: Path, crs: str | None) -> RiskMap:
+def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
     try:
         content = arrays_in(path, (field.name for field in fields(RiskMap)))
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
@@ -99,6 +100,11 @@ def _read_npz(path: Path, crs: str | None) -> RiskMap:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
     except (BadZipFile, EOFError, TypeError, ValueError) as error:
         raise InvalidRiskMap(f'{path}: {error}') from error
+
+
+def map_from_bytes(data: bytes) -> RiskMap:
+    """Return the map in the content of an npz file that ``npz_bytes`` has made."""
+    return _read_npz(BytesIO(data), None)
 
 
 def npz_bytes(risk_map: RiskMap) -> bytes:

@@ -18,7 +18,7 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
                       weapon_range: float = 300.0, roads: Path | str | None = None,
                       options: TerrainOptions | None = None,
                       occupancy: OccupancyOptions | None = None) -> RiskMap:
-    """Make the risk map of an elevation model, as ``ambush terrain`` does.
+    """Make the risk map of an elevation model, as ``ambush risk`` does.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
         import geopandas  # noqa: F401
     except ModuleNotFoundError:
         raise InvalidFeatures(
-            f"{path}: vector files need: pip install 'ambush_planner[gis]'"
+            f"{path}: vector files need: pip install '.[gis]', in a checkout of ambush_planner"
         ) from None
     frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
     return single_parts(str(path), frame, kinds, refused)

@@ -37,6 +37,11 @@ class Declaration:
 
 
 PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
+    'plan': Declaration(
+        '',
+        'File of ambush plan -o FILE.plan to start from: its map, start, goal and stops, and its '
+        'options instead of the parameters map, network, game, strategy, route and trip.order.',
+        fixed=True),
     'map.alpha_min': Declaration(
         _MAP.alpha_min, 'Loss from an ambush in a cell of value 0.'),
     'map.alpha_max': Declaration(

@@ -10,6 +10,7 @@ import numpy as np
 from ..game.game import Game
 from ..game.slack import Reason
 from ..game.strategy import within_slack
+from ..words import distance
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
 
@@ -42,25 +43,44 @@ def concerns(plan: Plan) -> list[str]:
     return [text for text in found if text]
 
 
+def main_assumption(plan: Plan) -> str:
+    """Return what matters most of a plan's ``assumptions``, in one sentence."""
+    game = plan.strategy.game.options
+    nobody = f'nobody can wait {_held(plan)} {_ends(plan)}'
+    if not game.reach:
+        return (f'{nobody}; elsewhere, an ambusher waits at a node of the network and hits only '
+                'routes through it: say how far he reaches (game.ambush_radius)')
+    return (f'{nobody}; an ambush anywhere else hits whatever passes within '
+            f'{distance(game.ambush_radius)}')
+
+
+def _held(plan: Plan) -> str:
+    radius = plan.strategy.game.options.held_radius
+    return f'within {distance(radius)} of' if radius else 'at'
+
+
+def _ends(plan: Plan) -> str:
+    return 'start, stops and goal' if len(plan.network.stops) else 'start and goal'
+
+
 def assumptions(plan: Plan) -> list[str]:
     """Return what a plan's value takes for granted, one sentence each."""
     game = plan.strategy.game.options
-    held = f'within {game.held_radius:.4g} m of' if game.held_radius else 'at'
     share = _held_share(plan)
     much = f', which is {share:.0%} of the straight way' if share > MAX_HELD else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and hits only routes through "
-                 'it; give how far he reaches (--reach, game.ambush_radius)')
+                 'it; give how far he reaches (game.ambush_radius)')
     else:
         places = ('anywhere else in free ground' if holds_anywhere(plan.options)
                   else "at the network's nodes only")
         where = (f'ambushes are {places} and hit a convoy that passes within '
-                 f'{game.ambush_radius:.4g} m')
+                 f'{distance(game.ambush_radius)}')
         if game.tube:
-            where += f'; it strays at most {game.tube:.3g} m from its drawn route'
-    more = [f'nobody can wait within {radius:.4g} m of ({x:.6g}, {y:.6g})'
+            where += f'; it strays at most {distance(game.tube)} from its drawn route'
+    more = [f'nobody can wait within {distance(radius)} of ({x:.1f}, {y:.1f})'
             for x, y, radius in game.held_places]
-    return [f'nobody can wait {held} start, stops and goal{much}', *more, where, *_coarse(plan)]
+    return [f'nobody can wait {_held(plan)} {_ends(plan)}{much}', *more, where, *_coarse(plan)]
 
 
 def _held_share(plan: Plan) -> float:
@@ -76,8 +96,8 @@ def _coarse(plan: Plan) -> list[str]:
     reach, spacing = plan.options.game.ambush_radius, plan.spacing
     if plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
         return []
-    return [f'the convoy drives between nodes {spacing:.3g} m apart, {spacing / reach:.2f} times '
-            'the reach; on a finer network (network.spacing) the value can be lower']
+    return [f'the convoy drives between nodes {distance(spacing)} apart, {spacing / reach:.2f} '
+            'times the reach; on a finer network (network.spacing) the value can be lower']
 
 
 def is_sound(plan: Plan) -> bool:
@@ -101,7 +121,7 @@ def _held_ground(plan: Plan) -> str:
     bottleneck, game = plan.bottleneck, plan.strategy.game
     held = game.options.held_radius
     if not len(game.sites):
-        return (f'the value is 0: nobody can wait within {held:.4g} m of start, stops and goal, '
+        return (f'the value is 0: nobody can wait within {distance(held)} of {_ends(plan)}, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
     if not plan.strategy.value > 0.0:
         return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
@@ -110,19 +130,19 @@ def _held_ground(plan: Plan) -> str:
     asked = plan.options.game.secured_radius
     hold = asked is not None and asked < enough
     if place := _covers_all(plan):
-        remedy = (f'hold {enough:.3g} m there (game.secured_radius -1), or ' if hold else '')
-        return (f'{place}: the value {plan.strategy.value:.4g} is what an ambush costs that is '
-                f'certain; {remedy}choose another place, a smaller game.ambush_radius or a larger '
-                'strategy.max_detour')
-    if hold and game.reach > 0.0:
-        return (f'an ambush reaches {game.reach:.4g} m, tube included, but ground is held only '
-                f'within {asked:.4g} m of start and goal: an ambush just outside may hit every '
-                f'route; hold {enough:.3g} m (game.secured_radius -1)')
+        remedy = (f'hold {distance(enough)} there (game.secured_radius -1), or '
+                  if hold else '')
+        return (f'{place}: an ambush there always succeeds and costs {plan.strategy.value:.4g}; '
+                f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
+    if hold and asked is not None and game.reach > 0.0:
+        return (f'an ambush reaches {distance(game.reach)}, tube included, but ground is held '
+                f'only within {distance(asked)} of start and goal: an ambush just outside may hit '
+                f'every route; hold {distance(enough)} (game.secured_radius -1)')
     if not bottleneck.near_ends:
         return ''
     return (
         f'{len(bottleneck.sites)} nodes decide the value {plan.strategy.value:.4g}, '
-        f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; '
+        f'{bottleneck.near_ends} of them within {distance(bottleneck.distance)} of start or goal; '
         'holding that ground (game.secured_radius) may lower it'
     )
 
@@ -143,7 +163,7 @@ def _covers_all(plan: Plan) -> str:
     at = int(away.min(axis=0).argmin())
     name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
     if away.min() > game.options.held_radius + 2.0 * max(game.reach, plan.spacing):
-        return f'one place hits every route, {away.min():.3g} m from {name}'
+        return f'one place hits every route, {distance(float(away.min()))} from {name}'
     return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
 
 

@@ -12,6 +12,7 @@ from ..game.game import Game
 from ..game.hits import meeting_probability, worst_loss
 from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy
+from .plan import Plan
 
 # Relative difference up to which sums of alpha are ties.
 TIE = 1e-12
@@ -34,8 +35,8 @@ class Measures:
     v_repeated: float
 
 
-def evaluate(strategy: Strategy) -> dict[str, Measures]:
-    """Compare a strategy with the planners that always drive the same route.
+def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
+    """Compare a plan, or a strategy, with the planners that always drive the same route.
 
     An ambusher who has learnt a fixed route waits at its worst site; against the stochastic planner
     he can do no better than the equilibrium.
@@ -54,6 +55,7 @@ def evaluate(strategy: Strategy) -> dict[str, Measures]:
     >>> round(evaluate(solve(network))['energy_efficient'].v_repeated, 3)
     1.0
     """
+    strategy = planned.strategy if isinstance(planned, Plan) else planned
     game, q = strategy.game, strategy.ambush_probability
     p_first = meeting_probability(game, strategy.edge_probability, q)
     stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)

@@ -73,6 +73,8 @@ class FewRoutes:
         Lengths [m], or driving times [s] if the network has them.
     curve : ((K, value), ...)
         The value of the best mixture found with at most K routes.
+    routes : K arrays
+        The nodes of each route in the plan's network.
     """
 
     paths: tuple[FloatArray, ...]
@@ -83,6 +85,11 @@ class FewRoutes:
     candidates: int
     costs: FloatArray
     curve: tuple[tuple[int, float], ...]
+    routes: tuple[IndexArray, ...]
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """Draw the index of a departure's route."""
+        return int(rng.choice(len(self.paths), p=self.shares))
 
     def drawn(self, n: int, rng: np.random.Generator) -> list[FloatArray]:
         """Draw the paths of ``n`` departures."""
@@ -122,7 +129,8 @@ def few_routes(plan: Plan, most: int, equal: bool = False,
     return FewRoutes(tuple(paths[k] for k in chosen), frozen_array(shares[chosen], np.float64),
                      found[-1].value, found[-1].worst_xy, min(search.bound, found[-1].value),
                      len(paths), frozen_array(costs[0][chosen], np.float64),
-                     tuple(zip(sizes, (mixture.value for mixture in found), strict=True)))
+                     tuple(zip(sizes, (mixture.value for mixture in found), strict=True)),
+                     tuple(frozen_array(routes[k], np.int64) for k in chosen))
 
 
 def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:

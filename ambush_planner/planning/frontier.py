@@ -7,15 +7,17 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy.typing as npt
+
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
 from ..game.slack import within
 from ..game.strategy import Strategy, StrategyOptions, solve
 from ..maps.risk_map import RiskMap
-from ..network.construction import build_network
 from ..network.network import Network
 from .options import PlanningOptions
 from .solving import WarmStart, solve_on_network
+from .trip import trip_network
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
@@ -53,7 +55,7 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
              on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
     """Solve for each of ``detours``, then for each of ``slacks``, the rest as in ``options``.
 
-    The values are those of ``solve``, at the network's nodes; ``trip_frontier`` gives those of
+    The values are those of ``solve``, at the network's nodes; ``Plan.frontier`` gives those of
     plans. Each solve starts from the previous one, the longest detour first. ``on_row`` is called
     with each finished row; the result has the requested order. ``options.time_limit`` applies to
     each solve; at the limit the row is that of the best strategy so far, with its bound.
@@ -77,15 +79,18 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     return _rows(solved, detours, slacks, options or StrategyOptions(), on_row)
 
 
-def trip_frontier(risk_map: RiskMap, start_xy: tuple[float, float], goal_xy: tuple[float, float],
+def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                   options: PlanningOptions, detours: Sequence[float] = DETOURS,
                   slacks: Sequence[float] = SLACKS,
-                  on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
+                  on_row: Callable[[FrontierRow], None] | None = None, *,
+                  stops: Sequence[npt.ArrayLike] = (),
+                  order: str = 'given') -> tuple[FrontierRow, ...]:
     """The rows of ``frontier`` for the plans of a trip: their values are those of ``plan_trip``.
 
-    Raises the errors of ``plan_trip`` that do not depend on the budgets.
+    ``stops`` and their ``order`` are as in ``Plan.stops_xy``. Raises the errors of ``plan_trip``
+    that do not depend on the budgets.
     """
-    network = build_network(risk_map, start_xy, goal_xy, options.network)
+    network = trip_network(risk_map, start_xy, goal_xy, options.network, stops, order)
 
     def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
         warm = WarmStart(before.network, before.multipliers) if (

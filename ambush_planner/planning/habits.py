@@ -135,7 +135,8 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
             yield f'{track.name} never comes within {near:.4g} m of the {name}'
             return
     if not (legs := _legs(away, end)):
-        yield f'{track.name} leads from the goal to the start: the way back is another game'
+        yield (f'{track.name} leads from the goal to the start: the return trip is planned '
+               'separately')
     steps = _steps(xy)
     most = max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
     for number, (first, last) in enumerate(legs, start=1):

@@ -12,19 +12,19 @@ import hashlib
 import os
 import pickle
 import threading
+import warnings
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
 
 from ..errors import InvalidOption
-from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.construction import build_network
 from .options import PlanningOptions
-from .solving import solve_on_network
+from .plan import Plan
+from .trip import plan_trip
 
 # Number of maps that a process keeps.
 _KEPT_MAPS = 4
@@ -32,12 +32,14 @@ _KEPT_MAPS = 4
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A map, a start and a goal (x, y) [m], and the options, as ``plan_trip`` takes them."""
+    """A map, a start, a goal and stops (x, y) [m], and options, as ``plan_trip`` takes them."""
 
     risk_map: RiskMap
     start_xy: tuple[float, float]
     goal_xy: tuple[float, float]
     options: PlanningOptions = field(default_factory=PlanningOptions)
+    stops: Sequence[tuple[float, float]] = ()
+    order: str = 'given'
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ class Solved:
 
 
 def solve_many(problems: Iterable[Problem], executor: Executor, *,
-               answer: Callable[[Strategy], Any] | None = None,
+               answer: Callable[[Plan], Any] | None = None,
                on_result: Callable[[Solved], None] | None = None,
                in_flight: int = 0) -> list[Solved]:
     """Solve problems in parallel, as ``plan_trip`` does; the results have the problems' order.
@@ -63,8 +65,8 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
     problems
         Consumed as capacity becomes free. Share ``RiskMap`` objects, so that each is packed once.
     answer
-        Applied to each strategy where it was solved, so that only the answer is sent back (by
-        default the strategy). It must be picklable: a function of a module, not a lambda.
+        Applied to each plan where it was made, so that only the answer is sent back (by default
+        the plan). It must be picklable: a function of a module, not a lambda.
     on_result
         Called in this thread with each result as it comes, in any order. If it raises, the pending
         problems are cancelled.
@@ -101,7 +103,8 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
         if problem.risk_map not in packed:
             packed[problem.risk_map] = _packed(problem.risk_map)
         key, content = packed[problem.risk_map]
-        rest = problem.start_xy, problem.goal_xy, problem.options
+        rest = (problem.start_xy, problem.goal_xy, problem.options, list(problem.stops),
+                problem.order)
         try:
             future = executor.submit(_solve, key, content if with_map else None, rest, answer)
         except Exception as error:  # the pool broke or was shut down
@@ -123,6 +126,8 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
                 if isinstance(found, _MapMissing):
                     send(index, problem, with_map=True)
                     continue
+                if isinstance(found, Plan):  # which was sent without its map
+                    found = replace(found, risk_map=problem.risk_map)
                 results[index] = Solved(index, found, error)
                 if on_result is not None:
                     on_result(results[index])
@@ -155,7 +160,7 @@ _maps_lock = threading.Lock()
 
 
 def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
-           answer: Callable[[Strategy], Any] | None) -> Any:
+           answer: Callable[[Plan], Any] | None) -> Any:
     """Solve one problem in the executor's process."""
     with _maps_lock:
         if content is not None:
@@ -165,7 +170,8 @@ def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
         if key not in _maps:
             return _MapMissing()
         risk_map = _maps[key]
-    start_xy, goal_xy, options = rest
-    network = build_network(risk_map, start_xy, goal_xy, options.network)
-    strategy = solve_on_network(risk_map, network, options)
-    return strategy if answer is None else answer(strategy)
+    start_xy, goal_xy, options, stops, order = rest
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # the gap is in the answer
+        plan = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops, order=order)
+    return replace(plan, risk_map=None) if answer is None else answer(plan)

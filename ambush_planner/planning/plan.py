@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
+from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
 from ..game.spotter import Spotter, worst_spotter
 from ..game.strategy import Strategy
@@ -22,6 +24,7 @@ from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..notebook import Shown
+from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
@@ -29,9 +32,12 @@ from .solving import WarmStart
 
 if TYPE_CHECKING:
     from .few_routes import FewRoutes
+    from .frontier import FrontierRow
 
 # Number of routes drawn to count the different paths.
 DRAWN = 1000
+# Number of routes driven to find the mean length of paths: a third of a per cent of it.
+DRIVEN = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +104,7 @@ class Plan(Shown):
 
     @property
     def value(self) -> float:
-        """Mean loss per departure by the best ambush that knows all but the draw."""
+        """Mean loss per departure by the best ambush that knows everything except the draw."""
         return self.few.value if self.few else self.strategy.value
 
     @property
@@ -131,6 +137,7 @@ class Plan(Shown):
         ``rng`` is a generator, or a seed for tests; None: the operating system's entropy.
         """
         rng = np.random.default_rng(rng)
+        check_whole('n', n, 0)
         if self.few is not None:
             return self.few.drawn(n, rng)
         return departure_paths(self, n, self.spacing, rng)
@@ -140,7 +147,9 @@ class Plan(Shown):
         """Draw ``n`` routes, write them to files and return their paths, as ``paths`` does.
 
         All files have the same routes; the suffix of each sets its format: .gpx, .gpkg, .geojson,
-        .kml, .csv (extra ``gis``) or .png (extra ``figures``). They are secret and have mode 0600.
+        .kml, .csv (extra ``gis``) or .png (extra ``figures``). A file with the suffix .plan (extra
+        ``recordings``) has the plan itself, from which ``ambush draw`` draws departures. All are
+        secret and have mode 0600.
 
         Raises InvalidOption for any other suffix, or if the plan has no ``risk_map``, and
         InvalidCoordinates if a format needs a coordinate system and the map has none.
@@ -148,7 +157,7 @@ class Plan(Shown):
         from ..route_files import draw, write_routes
 
         drawn = draw(self, n, rng)
-        write_routes([Path(file) for file in files], drawn)
+        write_routes([Path(file) for file in files], drawn, self)
         return list(drawn.paths)
 
     def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
@@ -161,6 +170,79 @@ class Plan(Shown):
         paths, times = self.paths(n, rng), [datetime.now(timezone.utc)] * n
         return line_table(route_columns(paths, times), paths,
                           self.risk_map.crs if self.risk_map else None)
+
+    def edges(self) -> Any:
+        """The edges that the convoy uses, with their ``probability``: a GeoDataFrame of lines."""
+        return self._tables()['edges']
+
+    def sites(self) -> Any:
+        """Where the best ambusher waits: a GeoDataFrame of points, ``probability`` and ``loss``.
+
+        Empty if no ambush causes a loss.
+        """
+        tables = self._tables()
+        return tables.get('sites', tables['places'].iloc[:0])
+
+    def _tables(self) -> Any:
+        from .route_layers import strategy_tables
+
+        if self.risk_map is None:
+            raise InvalidOption('the plan has no risk map; make it with plan_trip')
+        return strategy_tables(self.strategy, self.risk_map)
+
+    def to_networkx(self) -> Any:
+        """The network as a directed graph of networkx.
+
+        Nodes have ``x`` and ``y`` [m], ``loss`` and ``ambush_probability``, edges their ``length``
+        [m], the ``probability`` that the convoy uses them and, if known, ``seconds``.
+        """
+        import networkx
+
+        network, strategy, graph = self.network, self.strategy, networkx.DiGraph()
+        graph.add_nodes_from(
+            (k, {'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
+            for k, ((x, y), loss, q) in enumerate(zip(
+                network.points.tolist(), network.alpha.tolist(),
+                strategy.ambush_probability.tolist(), strict=True)))
+        columns = {'length': network.lengths, 'probability': strategy.edge_probability}
+        if network.seconds is not None:
+            columns['seconds'] = network.seconds
+        graph.add_edges_from(
+            (tail, head, dict(zip(columns, row, strict=True))) for (tail, head), row in zip(
+                network.edges.tolist(), np.column_stack([*columns.values()]).tolist(),
+                strict=True))
+        graph.graph.update(source=network.source, target=network.target,
+                           crs=self.risk_map.crs if self.risk_map else None)
+        return graph
+
+    def frontier(self, detours: Sequence[float] | None = None,
+                 slacks: Sequence[float] | None = None) -> tuple[FrontierRow, ...]:
+        """What other length budgets and slacks would buy for the same trip, a row for each.
+
+        By default, those of ``frontier``.
+        """
+        from .frontier import DETOURS, SLACKS, trip_frontier
+
+        if self.risk_map is None:
+            raise InvalidOption('the plan has no risk map; make it with plan_trip')
+        start = self.network.points[self.network.source]
+        order = 'random' if self.order_found == 'random' else 'given'
+        return trip_frontier(self.risk_map, start, self.goal_xy, self.options,
+                             DETOURS if detours is None else detours,
+                             SLACKS if slacks is None else slacks,
+                             stops=self.stops_xy, order=order)
+
+    @cached_property
+    def driven_length(self) -> float:
+        """Mean length of the paths [m], as they are driven: they cut the corners of routes.
+
+        The length budget counts the edges of the network. A fixed seed keeps it independent of
+        what departures draw.
+        """
+        if self.few is not None:
+            return float(self.few.shares @ path_lengths(self.few.paths))
+        rng = np.random.default_rng(0)
+        return float(path_lengths(departure_paths(self, DRIVEN, self.spacing, rng)).mean())
 
     @cached_property
     def spotter(self) -> Spotter | None:
@@ -200,6 +282,11 @@ class Plan(Shown):
         """End of the routes [m]: the requested goal, or where it was moved to."""
         x, y = self.network.points[self.network.target].tolist()
         return x, y
+
+
+def path_lengths(paths: Sequence[FloatArray]) -> FloatArray:
+    """Lengths (K,) of paths (L, 2 or 3) [m]."""
+    return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
 
 
 @dataclass(frozen=True, eq=False)

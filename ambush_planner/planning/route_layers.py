@@ -18,6 +18,7 @@ from ..game.strategy import Strategy
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import cell_transform
+from .plan import path_lengths
 
 # Minimum probability of edges and sites in files.
 MIN_PROBABILITY = 1e-6
@@ -25,13 +26,8 @@ MIN_PROBABILITY = 1e-6
 
 def route_columns(paths: Sequence[FloatArray], times: Sequence[datetime]) -> dict[str, Any]:
     """``departure`` (from 1), ``length`` [m] and the ``time`` of drawing (ISO 8601) of paths."""
-    return {'departure': range(1, len(paths) + 1), 'length': lengths(paths),
+    return {'departure': range(1, len(paths) + 1), 'length': path_lengths(paths),
             'time': [time.isoformat(timespec='seconds') for time in times]}
-
-
-def lengths(paths: Sequence[FloatArray]) -> list[float]:
-    """Lengths of paths (L, 2 or 3) [m]."""
-    return [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths]
 
 
 def lines_in_system(paths: Sequence[FloatArray], crs: str | None) -> list[FloatArray]:
@@ -51,10 +47,11 @@ def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str
 
 
 def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
-    """Return the tables ``edges``, ``sites``, ``held_ground`` and ``forbidden``.
+    """Return the tables ``edges``, ``sites``, ``places``, ``held_ground`` and ``forbidden``.
 
     Edges have a ``probability``; sites have the ``probability`` q that the best ambusher waits
-    there and the ``loss``. Forbidden ground is the map's obstacles.
+    there and the ``loss``; places are start, stops and goal. Forbidden ground is the map's
+    obstacles.
     """
     import geopandas
     import shapely
@@ -68,10 +65,13 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     waits = np.flatnonzero(q > MIN_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
     at = first[waits]
     centres = system.to_crs(held.centres) if system else held.centres
+    stops = [f'stop {k}' for k in range(1, len(network.stops) + 1)]
+    ends = points[[network.source, *network.stops, network.target]]
     tables = {
         'edges': ({'probability': p[used]}, shapely.linestrings(points[network.edges[used]])),
         'sites': ({'probability': q[waits], 'loss': strategy.game.loss[at]},
                   shapely.points(points[at])),
+        'places': ({'name': ['start', *stops, 'goal']}, shapely.points(ends)),
         'held_ground': ({'radius': held.radii},
                         shapely.buffer(shapely.points(centres), held.radii, quad_segs=32)),
         'forbidden': ({}, _obstacles(risk_map)),

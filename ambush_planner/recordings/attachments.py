@@ -3,7 +3,8 @@
 
 ``strategy.npz`` holds the strategy with its network, ``map_changes.npz`` the cells that changed
 since the departure was planned, ``roads.npz`` the roads of the method graph in the map's
-coordinates.
+coordinates. Of plans that were made without ROS, ``map.npz`` holds the risk map, and ``few.npz``
+the few routes that departures draw from, if they do.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ from ..game.slack import Reason
 from ..game.strategy import Strategy, strategy_of
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
+from ..planning.few_routes import FewRoutes
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
+MAP_FILE, FEW_FILE = 'map.npz', 'few.npz'
 NUMBERS = (
     'value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
     'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
@@ -42,6 +45,10 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'held_radius
 _BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.
 _CIRCULATION = ('through', 'site', 'face', 'flow')
+# The lists of arrays of few routes.
+_RAGGED = ('paths', 'routes')
+_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), 'shares', 'value', 'worst_xy',
+        'lower_bound', 'candidates', 'costs', 'curve')
 # Why the search ended.
 _REASON = 'reason'
 
@@ -133,3 +140,29 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
         return None
     content = arrays_in(BytesIO(data), ('points', 'pairs', 'speeds', 'timed'))
     return RoadGraph(content['points'], content['pairs'], content['speeds'], bool(content['timed']))
+
+
+def few_file(few: FewRoutes) -> bytes:
+    """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
+    arrays: dict[str, Any] = {}
+    for name, value in vars(few).items():
+        if name in _RAGGED:
+            arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
+        else:
+            arrays[name] = value
+    stream = BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def few_from_file(data: bytes) -> FewRoutes:
+    """Return the few routes in the bytes of a ``few.npz``."""
+    content = arrays_in(BytesIO(data), _FEW)
+    ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
+              for name in _RAGGED}
+    return FewRoutes(
+        **ragged, shares=frozen_array(content['shares'], np.float64),
+        value=float(content['value']), worst_xy=content['worst_xy'],
+        lower_bound=float(content['lower_bound']), candidates=int(content['candidates']),
+        costs=content['costs'],
+        curve=tuple((int(k), value) for k, value in content['curve'].tolist()))

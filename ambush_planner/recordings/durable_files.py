@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -27,6 +28,27 @@ def write_durably(path: Path, data: bytes) -> None:
             temporary.unlink(missing_ok=True)
         raise
     _flush_folder(path.parent)
+
+
+def write_all_durably(files: Mapping[Path, bytes]) -> None:
+    """Put all files (mode 0600) in place, or none if one of them cannot be written.
+
+    Missing folders are made with mode 0700. Raises OSError.
+    """
+    temporary = {path: path.with_name(f'{path.name}{TEMPORARY}') for path in files}
+    try:
+        for path, data in files.items():
+            make_private_folders(Path(os.path.abspath(path.parent)))
+            temporary[path].unlink(missing_ok=True)
+            _write_new_file(temporary[path], data)
+        for path, written in temporary.items():
+            os.replace(written, path)
+    finally:
+        for written in temporary.values():
+            with suppress(OSError):
+                written.unlink(missing_ok=True)
+    for folder in {path.parent for path in files}:
+        _flush_folder(folder)
 
 
 def make_private_folders(path: Path) -> None:

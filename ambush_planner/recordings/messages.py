@@ -15,7 +15,7 @@ _QOS_FIELDS = (
     'liveliness_lease_duration', 'avoid_ros_namespace_conventions',
 )
 DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
-_INFINITE_NS = 2**63 - 1
+INFINITE_NS = 2**63 - 1
 
 
 class Channel(NamedTuple):
@@ -76,7 +76,7 @@ def _yaml_of(*values: Any) -> str:
     fields = dict(zip(_QOS_FIELDS, values, strict=True))
     for name in DURATIONS:
         # rmw reads a duration of 0 as "unspecified", for which DDS has infinity.
-        seconds, rest = divmod(fields[name] or _INFINITE_NS, 1_000_000_000)
+        seconds, rest = divmod(fields[name] or INFINITE_NS, 1_000_000_000)
         fields[name] = {'sec': seconds, 'nsec': rest}
     for name in ('history', 'reliability', 'durability', 'liveliness'):
         fields[name] = fields[name].short_key

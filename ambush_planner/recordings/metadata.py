@@ -57,6 +57,71 @@ class Diversion:
 
 
 @dataclass(frozen=True)
+class MapSource:
+    """The map's file when it was planned on: its absolute path, and the SHA-256 of its content."""
+
+    path: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class RecordedSlots:
+    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts."""
+
+    times: tuple[str, ...]
+    shares: tuple[float, ...]
+    window: int
+    value: float
+    lower_bound: float
+
+
+@dataclass(frozen=True)
+class RecordedPlan:
+    """What a plan file says of its plan; times as ``Plan`` has them, ``made_ns`` when it was made.
+
+    ``source`` is the map's file, if it is to be watched.
+    """
+
+    id: str
+    made_ns: int
+    order: tuple[int, ...]
+    order_found: str
+    different_paths: int | None
+    seconds: float
+    source: MapSource | None
+    slots: RecordedSlots | None
+
+
+@dataclass(frozen=True)
+class RecordedDay:
+    """What a departure drawn from a plan file is for.
+
+    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said), which was drawn after the route if
+    ``slot_drawn``; the index of the route if there are few; the id of an earlier departure for the
+    same day that it ``replaces``, because that one was not driven.
+    """
+
+    date: str
+    slot: str
+    slot_drawn: bool
+    few_route: int | None
+    replaces: str = ''
+
+
+@dataclass(frozen=True)
+class PlanMetadata:
+    """The metadata record of a plan file; ``kind`` is 'plan', the rest as in ``Metadata``."""
+
+    kind: str
+    frame: str
+    parameters: Mapping[str, Any]
+    versions: Mapping[str, str]
+    topics: Mapping[str, str]
+    trip: RecordedTrip
+    plan: RecordedPlan
+
+
+@dataclass(frozen=True)
 class Metadata:
     """What a departure was, and what it takes to draw it again.
 
@@ -79,6 +144,9 @@ class Metadata:
         diverted, with the source in place of the convoy.
     previous
         ``recording_id`` of the recording made before this one in the same run; '' if unknown.
+    plan, day
+        The plan file that the departure was drawn from, and the day that it is for; None if a node
+        made it.
 
     Raises InvalidEntry if a position is not finite.
     """
@@ -97,6 +165,8 @@ class Metadata:
     call: RecordedCall
     diversion: Diversion | None = None
     previous: str = ''
+    plan: RecordedPlan | None = None
+    day: RecordedDay | None = None
 
     def __post_init__(self) -> None:
         places = (self.trip.start, self.trip.goal, *self.trip.stops, *self.ends)

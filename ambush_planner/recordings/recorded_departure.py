@@ -3,43 +3,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array
-from ..errors import AmbushPlannerError
 from ..game.hits import worst_loss
 from ..game.law.acyclic import is_acyclic
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import map_from_bytes
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
+from ..planning.few_law import few_law
+from ..planning.few_routes import FewRoutes
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.options import PlanningOptions, node_spacing
 from ..planning.plan import Plan, plan_corridors
 from ..routes.driven_path import Ends
 from .attachments import (
+    FEW_FILE,
     MAP_CHANGES_FILE,
+    MAP_FILE,
     ROADS_FILE,
     STRATEGY_FILE,
     changed_map,
+    few_from_file,
     roads_from_file,
     strategy_from_file,
 )
-from .metadata import Metadata, typed
-from .recording_errors import UnreadableRecording
+from .metadata import Metadata, RecordedDay, typed
+from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
 
-_T = TypeVar('_T')
+# Options that the node has no parameter for.
+BEYOND: Mapping[str, Any] = {
+    'game.held_places': tuple[tuple[float, float, float], ...],
+    'game.loads': tuple[float, ...], 'network.seed': int}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +75,9 @@ class RecordedDeparture:
         The maps of the plan and at the time of departure; the losses of the former.
     before
         What was recorded of the departure before this diversion, if that is known.
+    few
+        The few routes that it was drawn from; ``drawn_from`` is then their mixture, and ``route``
+        is on its network.
     """
 
     path: Path
@@ -84,6 +95,12 @@ class RecordedDeparture:
     risk_map: RiskMap
     _path_message: tuple[str, str, bytes] = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
+    few: FewRoutes | None = field(default=None, repr=False)
+
+    @property
+    def law(self) -> Strategy:
+        """What to show of the plan: its strategy, or the mixture of its few routes."""
+        return self.drawn_from if self.few else self.strategy
 
     @property
     def stamp_ns(self) -> int:
@@ -118,6 +135,8 @@ class SharedParts:
         self.strategy = lru_cache(most)(strategy_from_file)
         self.risk_map = lru_cache(most)(_risk_map)
         self.roads = lru_cache(most)(roads_from_file)
+        self.file_map = lru_cache(most)(map_from_bytes)
+        self.few = lru_cache(most)(_few)
         self.newest = lru_cache(most)(_newest)
         self.ground = lru_cache(most)(ground_of)
         self.conditioned = lru_cache(most)(_conditioned)
@@ -139,44 +158,68 @@ def read_departure(path: Path | str, shared: SharedParts | None = None) -> Recor
 
 def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
     """Return the departure in a file; UnreadableRecording names a part that is malformed."""
-    metadata = _part(file, 'metadata', lambda: file.metadata)
-    roads = _part(file, ROADS_FILE, lambda: shared.roads(file.attachments.get(ROADS_FILE)))
-    parameters = _part(file, 'parameters', lambda: parameters_from(
-        _typed_values(metadata.parameters), roads))
+    if 'departure' not in file.entries:
+        raise UnreadableRecording(file.path, 'it is a plan: ambush draw makes a departure of it')
+    metadata = part(file.path, 'metadata', lambda: file.metadata)
+    roads = part(file.path, ROADS_FILE, lambda: shared.roads(file.attachments.get(ROADS_FILE)))
+    parameters = part(file.path, 'parameters', lambda: parameters_from(
+        typed_values(metadata.parameters), roads))
     planning, occupancy = parameters.planning, parameters.occupancy
-    strategy, stated = _part(file, STRATEGY_FILE, lambda: shared.strategy(
+    strategy, stated = part(file.path, STRATEGY_FILE, lambda: shared.strategy(
         file.attachments[STRATEGY_FILE], planning.game))
-    planned_on = _part(file, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
-    risk_map = _part(file, 'map', lambda: shared.risk_map(planned_on, occupancy))
+    planned_on = part(file.path, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
+    risk_map = part(file.path, 'map', lambda: shared.risk_map(planned_on, occupancy))
+    if MAP_FILE in file.attachments:
+        risk_map = part(file.path, MAP_FILE, lambda: shared.file_map(file.attachments[MAP_FILE]))
     newest, drawn_from, joined = planned_on, strategy, None
     diversion = metadata.diversion
     if changes := file.attachments.get(MAP_CHANGES_FILE, b''):
-        newest = _part(file, MAP_CHANGES_FILE, lambda: shared.newest(planned_on, changes))
+        newest = part(file.path, MAP_CHANGES_FILE, lambda: shared.newest(planned_on, changes))
     if metadata.joined:
-        joined = _part(file, 'metadata', lambda: shared.joined(
-            strategy, planned_on, newest, occupancy, planning, metadata.ends))
+        joined = part(file.path, 'metadata', lambda: shared.joined(
+            strategy, planned_on, newest, occupancy, planning, metadata.ends, risk_map))
         drawn_from = joined.plan.strategy
     elif changes and not diversion:
-        drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.conditioned(
-            strategy, planned_on, newest, occupancy, planning))
-    drawn = _part(file, 'metadata', lambda: _nodes(metadata.route, strategy))
+        drawn_from = part(file.path, MAP_CHANGES_FILE, lambda: shared.conditioned(
+            strategy, planned_on, newest, occupancy, planning, risk_map))
+    drawn = part(file.path, 'metadata', lambda: _nodes(metadata.route, strategy))
     route = drawn
     if diversion:
-        route = _part(file, 'metadata', lambda: whole_route(
+        route = part(file.path, 'metadata', lambda: whole_route(
             _nodes(diversion.left, strategy), drawn))
-        drawn_from = _part(file, 'metadata', lambda: rest_strategy(
-            shared.ground(strategy, planned_on, occupancy, planning)[1], newest, route, drawn))
-    message = _part(file, 'path', lambda: file.in_role('path'))
+        drawn_from = part(file.path, 'metadata', lambda: rest_strategy(
+            shared.ground(strategy, planned_on, occupancy, planning, risk_map)[1], newest, route,
+            drawn))
+    few, day = None, metadata.day
+    if FEW_FILE in file.attachments:
+        few, drawn_from, routes = part(file.path, FEW_FILE, lambda: shared.few(
+            strategy, file.attachments[FEW_FILE]))
+        route = part(file.path, 'metadata', lambda: routes[_few_route(day)])
+    message = part(file.path, 'path', lambda: file.in_role('path'))
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
                              strategy, stated, drawn_from, joined, planned_on, newest, risk_map,
-                             file.defined(message))
+                             file.defined(message), few=few)
 
 
-def _typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all parameters, each of the type that is declared."""
-    kinds = {name: list[str] if isinstance(each.default, list) else type(each.default)
-             for name, each in PARAMETERS.items()}
+def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all parameters, and of others, each of the type that it should have."""
+    kinds: dict[str, Any] = {
+        name: list[str] if isinstance(each.default, list) else type(each.default)
+        for name, each in PARAMETERS.items()}
+    kinds |= {name: kind for name, kind in BEYOND.items() if name in values}
     return {name: typed(values.get(name), kind, name) for name, kind in kinds.items()}
+
+
+def _few_route(day: RecordedDay | None) -> int:
+    """Return the index of the route; ValueError without one."""
+    if day is None or day.few_route is None or day.few_route < 0:
+        raise ValueError('no index of the few routes')
+    return day.few_route
+
+
+def _few(strategy: Strategy, data: bytes) -> tuple[FewRoutes, Strategy, list[IndexArray]]:
+    few = few_from_file(data)
+    return few, *few_law(strategy, few)
 
 
 def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:
@@ -185,18 +228,6 @@ def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:
     if len(nodes) < 2 or not 0 <= nodes.min() <= nodes.max() < len(strategy.network.points):
         raise ValueError('the recorded route leaves the recorded network')
     return nodes
-
-
-def _part(file: RecordingFile, name: str, read: Callable[[], _T]) -> _T:
-    """Read a part of a file; the error names the part, and never its contents."""
-    try:
-        return read()
-    except AmbushPlannerError as error:
-        raise UnreadableRecording(file.path, f'{name}: {error}') from error
-    except Exception as error:  # numpy, zipfile and the decoder raise a dozen kinds of errors
-        raise UnreadableRecording(
-            file.path, f'{name}: missing or malformed ({type(error).__name__})'
-        ) from error
 
 
 def _map(cells: bytes, shape: tuple[int, int], resolution: float,
@@ -209,9 +240,8 @@ def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
 
 
 def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
-              planning: PlanningOptions) -> tuple[Plan, ChangedGround]:
+              planning: PlanningOptions, risk_map: RiskMap) -> tuple[Plan, ChangedGround]:
     """Return a recorded strategy as a plan with corridors, and its ground."""
-    risk_map = _risk_map(planned_on, options)
     unused: Any = None  # neither routes nor paths depend on the bottleneck
     plan = Plan(strategy.network, strategy, unused, unused, planning,
                 node_spacing(risk_map, planning.network), None, 0.0)
@@ -224,12 +254,13 @@ def _newest(planned_on: OccupancyMap, changes: bytes) -> OccupancyMap:
 
 
 def _conditioned(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,
-                 options: OccupancyOptions, planning: PlanningOptions) -> Strategy:
+                 options: OccupancyOptions, planning: PlanningOptions,
+                 risk_map: RiskMap) -> Strategy:
     """Return the strategy given that its routes are clear on the changed map.
 
     A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
     """
-    _, ground = ground_of(strategy, planned_on, options, planning)
+    _, ground = ground_of(strategy, planned_on, options, planning, risk_map)
     lost = ground.compare(newest).lost
     if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
         strategy.network, strategy.edge_probability
@@ -243,9 +274,10 @@ def _conditioned(strategy: Strategy, planned_on: OccupancyMap, newest: Occupancy
 
 
 def _joined(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,
-            options: OccupancyOptions, planning: PlanningOptions, ends: Ends) -> JoinedPlan:
+            options: OccupancyOptions, planning: PlanningOptions, ends: Ends,
+            risk_map: RiskMap) -> JoinedPlan:
     """Return the plan of a convoy that had moved."""
-    _, ground = ground_of(strategy, planned_on, options, planning)
+    _, ground = ground_of(strategy, planned_on, options, planning, risk_map)
     joined = joined_plan(ground, newest, ends)
     if joined is None:
         raise ValueError('the recorded strategy cannot be joined from where the path begins')

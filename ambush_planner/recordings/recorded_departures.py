@@ -41,7 +41,8 @@ def read_departures(paths: Iterable[Path],
                     unreadable: Callable[[UnreadableRecording], None]) -> list[RecordedDeparture]:
     """Read recordings, the earliest departure first; copies count once.
 
-    A departure that was diverted is its last diversion, with what was recorded before it.
+    A departure that was diverted is its last diversion, with what was recorded before it. One that
+    a later one replaces, because it was not driven, is left out.
     ``unreadable`` is called with the error of each file that cannot be read.
     """
     known: dict[tuple[str, int], RecordedDeparture] = {}
@@ -59,6 +60,9 @@ def read_departures(paths: Iterable[Path],
     for (departure_id, _), each in sorted(known.items()):
         before = driven.get(departure_id)
         driven[departure_id] = replace(each, before=before) if before else each
+    for each in known.values():
+        if each.metadata.day:
+            driven.pop(each.metadata.day.replaces, None)
     return sorted(driven.values(), key=lambda each: (each.stamp_ns, each.metadata.departure))
 
 

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 from ..errors import AmbushPlannerError, shown
+
+_T = TypeVar('_T')
 
 
 class _AtPath(AmbushPlannerError):
@@ -56,3 +59,17 @@ def reading_from(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise UnreadableRecording(path, f'{error.strerror or error}') from error
+
+
+def part(path: Path, name: str, read: Callable[[], _T]) -> _T:
+    """Read a part of a recording; the error names the part, and never its contents."""
+    try:
+        return read()
+    except UnreadableRecording:
+        raise
+    except AmbushPlannerError as error:
+        raise UnreadableRecording(path, f'{name}: {error}') from error
+    except Exception as error:  # numpy, zipfile and the decoder raise a dozen kinds of errors
+        raise UnreadableRecording(
+            path, f'{name}: missing or malformed ({type(error).__name__})'
+        ) from error

@@ -44,7 +44,7 @@ class Section:
     @property
     def strategy(self) -> Strategy:
         """The latest strategy."""
-        return self.departures[-1].strategy
+        return self.departures[-1].law
 
     @property
     def risk_map(self) -> RiskMap:

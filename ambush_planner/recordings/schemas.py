@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import sys
 from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,8 +27,17 @@ class MessageDefinition(NamedTuple):
 
 
 @cache
+def _shipped() -> dict[str, MessageDefinition]:
+    """The definitions that come with this package, for recordings made without ROS."""
+    text = resources.files(__package__).joinpath('definitions.json').read_text('utf-8')
+    return {name: MessageDefinition(**fields) for name, fields in json.loads(text).items()}
+
+
+@cache
 def load_definition(name: str) -> MessageDefinition:
     """Read the definition of a type from the installed packages; raises RecordingFailed."""
+    if name in _shipped():
+        return _shipped()[name]
     described = json.loads(_read_interface(name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in described['type_hashes']}
     parts = [_read_interface(name, 'msg')]

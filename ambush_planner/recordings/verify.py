@@ -29,9 +29,11 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.trip_graph import copied_edges, copied_nodes, with_copies
 from ..planning.cell_losses import CellLosses, CellSearch
+from ..planning.few_routes import FewRoutes
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
-from ..planning.plan import Route, depart, departure_path
+from ..planning.path_mixtures import PathMixtures
+from ..planning.plan import Plan, Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from .attachments import NUMBERS
@@ -82,6 +84,7 @@ class Verifier:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
         self._network_problems = lru_cache(_KEPT)(network_problems)
+        self._few_problems = lru_cache(_KEPT)(few_problems)
         self._replan_problems = lru_cache(_KEPT)(replan_problems)
 
     def verify(self, path: Path) -> Verdict:
@@ -126,10 +129,15 @@ class Verifier:
         """Draw route and path again as the node does."""
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
         plan, ground = self._shared.ground(departure.strategy, departure.planned_on,
-                                           parameters.occupancy, parameters.planning)
+                                           parameters.occupancy, parameters.planning,
+                                           departure.risk_map)
         rng = np.random.default_rng(said.route_entropy_source)
         spacing = parameters.path_spacing or plan.spacing
         again: tuple[Route, FloatArray] | None = None
+        if departure.few:
+            return self._few_problems(
+                departure.few, replace(plan, order_found=parameters.trip_order),
+                departure.risk_map) + _few_draw_problems(departure, departure.few, rng)
         if said.diversion:
             again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
                                spacing)
@@ -144,14 +152,45 @@ class Verifier:
         rows, poses = again[1], departure.recorded_poses
         if len(poses) == len(rows) + 1:
             poses = poses[1:]  # before the route, the robot leaves a costmap's inflation
-        if poses.shape != rows.shape or not (
-            np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
-            # The first and last poses have the headings that start and goal were given with.
-            and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
-                            rtol=0.0, atol=_POSE_TOLERANCE)
-        ):
+        if not _same_path(poses, rows):
             return ['path: it does not follow from the recorded route']
+        return _slot_problems(said, rng)
+
+
+def _same_path(poses: FloatArray, rows: FloatArray) -> bool:
+    # The first and last poses have the headings that start and goal were given with.
+    return poses.shape == rows.shape and bool(
+        np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
+        and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
+                        rtol=0.0, atol=_POSE_TOLERANCE))
+
+
+def few_problems(few: FewRoutes, plan: Plan, risk_map: RiskMap) -> list[str]:
+    """Judge few routes with their shares again."""
+    found = PathMixtures(risk_map, plan, few.paths).judged(few.shares).value
+    if math.isclose(found, few.value, rel_tol=1e-6):
         return []
+    return [f'few routes: the worst ambush costs {found:.9g}, not {few.value:.9g}']
+
+
+def _few_draw_problems(departure: RecordedDeparture, few: FewRoutes,
+                       rng: np.random.Generator) -> list[str]:
+    """Draw one of few routes again, and the slot."""
+    day, k = departure.metadata.day, few.draw(rng)
+    if day is None or k != day.few_route or not _same_path(departure.recorded_poses,
+                                                           few.paths[k]):
+        return ['route: the recorded entropy draws another one']
+    return _slot_problems(departure.metadata, rng)
+
+
+def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
+    """Draw the slot again, which comes after the route."""
+    if not (said.day and said.day.slot_drawn):
+        return []
+    slots = said.plan.slots if said.plan else None
+    same = slots and said.day.slot == slots.times[int(rng.choice(len(slots.shares),
+                                                                 p=slots.shares))]
+    return [] if same else ['slot: the recorded entropy draws another one']
 
 
 def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions,

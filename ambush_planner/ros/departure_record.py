@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from nav_msgs.msg import Path
 
+from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import npz_bytes
 from ..network.road_network import in_map_frame
 from ..parameters.values import NodeParameters
 from ..planning.changed_ground import Assessment
@@ -15,6 +18,7 @@ from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import (
     MAP_CHANGES_FILE,
+    MAP_FILE,
     ROADS_FILE,
     STRATEGY_FILE,
     map_changes_file,
@@ -120,12 +124,19 @@ def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:
     files = {STRATEGY_FILE: strategy}
     if roads := departure.held.plan.options.network.roads:
         files[ROADS_FILE] = roads_file(in_map_frame(roads, departure.held.parameters.occupancy.crs))
+    if (risk_map := departure.held.plan.risk_map) is not None:  # of a plan from a file
+        files[MAP_FILE] = _map_bytes(risk_map)
     newest, planned_on = departure.trip.map, departure.held.trip.map
     if newest is not planned_on and (
         changes := map_changes_file(planned_on.values, newest.values)
     ):
         files[MAP_CHANGES_FILE] = changes
     return files
+
+
+@lru_cache(2)
+def _map_bytes(risk_map: RiskMap) -> bytes:
+    return npz_bytes(risk_map)
 
 
 def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:

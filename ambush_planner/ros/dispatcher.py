@@ -32,6 +32,7 @@ from ..planning.plan import Plan, Route
 from ..planning.trip_under_way import Destination, Sighting, TripUnderWay, trip_on
 from ..recordings import RecordedMessage
 from ..recordings.metadata import Diversion
+from ..recordings.plan_file import SavedPlan
 from ..routes.driven_path import tight_turns
 from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
@@ -43,6 +44,7 @@ from .error_codes import FrameMismatch, GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, Fit, PlanCache
+from .plan_from_file import PlanInputs
 from .recordings import Recordings
 from .reporter import Reporter
 from .topics import Publishers
@@ -148,6 +150,17 @@ class Dispatcher:
         """Answer waiting requests, and end."""
         self.stop_solving()
         self._departures.close()
+
+    def adopt(self, saved: SavedPlan, given: PlanInputs) -> None:
+        """Depart on a plan from a file, as if its map, start, goal and stops had arrived."""
+        parameters, inputs = self._settings.current, self._inputs
+        inputs.accept_map('alpha_map', given.map)
+        inputs.start, inputs.goal, inputs.via = given.start, given.goal, given.via
+        trip = inputs.locate(inputs.latest(parameters.robot), parameters.robot)
+        cached = self._plans.adopt(trip, parameters, saved.plan)
+        self._logger.info(f'plan read from a file: value {saved.plan.strategy.value:.6g}, '
+                          f'{len(saved.plan.network.points)} nodes')
+        self._departures.submit(lambda: self._displayed.show(cached))
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""

@@ -23,6 +23,8 @@ from ..maps.risk_map import MAX_LOSS
 from ..maps.road_file import RoadGraph
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import NodeParameters, parameters_from
+from ..recordings.plan_file import SavedPlan
+from .plan_from_file import other_options, planned_parameters, read_plan_for_node
 
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
@@ -39,6 +41,8 @@ class NodeSettings:
     reason. ``changed`` is called after each change. With ``parameters.locked`` changes are refused
     while ``active`` is set.
 
+    ``saved`` is the plan that the node starts from, if it is given one; its options are set first.
+
     Raises InvalidOption if the initial values are invalid as a set, and
     rclpy.exceptions.ParameterException if one has the wrong type or is out of its range.
     """
@@ -48,13 +52,20 @@ class NodeSettings:
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
         )
         _warn_of_unknown(node)
-        self.current = parameters_from(_values(node))
+        self.saved = _saved_plan(node)
+        more = other_options(self.saved) if self.saved else {}
+        roads = self.saved.plan.options.network.roads if self.saved else None
+
+        def read() -> NodeParameters:
+            return parameters_from({**_values(node), **more}, roads)
+
+        self.current = read()
         self.contradiction: InvalidOption | None = None
         self.active = False
 
         def update(_: list[Parameter]) -> None:
             try:
-                self.current, self.contradiction = parameters_from(_values(node)), None
+                self.current, self.contradiction = read(), None
             except InvalidOption as error:
                 self.contradiction = error
             changed()
@@ -74,6 +85,16 @@ class NodeSettings:
                 f'parameters contradict each other: {self.contradiction}'
             ) from self.contradiction
         return self.current
+
+
+def _saved_plan(node: Node) -> SavedPlan | None:
+    """Read the plan that the node starts from, and set its parameters."""
+    if not (path := node.get_parameter('plan').value):
+        return None
+    saved = read_plan_for_node(path)
+    node.set_parameters([Parameter(name, value=value)
+                         for name, value in planned_parameters(saved).items()])
+    return saved
 
 
 def _warn_of_unknown(node: Node) -> None:

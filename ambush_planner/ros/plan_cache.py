@@ -193,6 +193,14 @@ class PlanCache:
                 solve.add_done_callback(self._remove_pending)
             return solve
 
+    def adopt(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
+        """Keep a plan that was made elsewhere."""
+        ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
+        cached = CachedPlan(plan, trip, parameters, ground)
+        with self._lock:
+            self._keep(cached)
+        return cached
+
     def keep_ground(self, newest: CurrentMap) -> None:
         """Drop the plans for other ground than this map's."""
         with self._lock:
@@ -225,10 +233,7 @@ class PlanCache:
 
     def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
-        ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
-        cached = CachedPlan(plan, trip, parameters, ground)
-        with self._lock:
-            self._keep(cached)
+        cached = self.adopt(trip, parameters, plan)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
                           f'{len(plan.network.points)} nodes')
         return cached

@@ -33,6 +33,7 @@ from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
+from .plan_from_file import inputs_of
 from .recordings import Recordings
 from .reporter import Reporter
 from .requests import Requests
@@ -200,6 +201,8 @@ class PlannerNode(LifecycleNode):
                 self._reporter.warn,
             )
             made.callback(self._topic_subscriptions.close)
+            if (saved := self._settings.saved) is not None:
+                self._dispatcher.adopt(saved, inputs_of(saved, self.resolve_topic_name))
             self._configured = made.pop_all()
         self._reporter.set(lifecycle='inactive')
         self._report_missing()

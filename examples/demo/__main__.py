@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush demo``: departures on real terrain through the real node, with a verified report."""
+"""``make demo``: departures on real terrain through the real node, with a verified report."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..errors import AmbushPlannerError
-from ..figures import as_png
-from ..game.strategy import Strategy, StrategyOptions
-from ..maps.ros_messages import path_from_ros
-from ..planning.evaluation import evaluate
-from ..planning.frontier import trip_frontier
-from ..recordings import recordings_in
-from . import cli
-from . import report_words as words
-from .demo_figures import fixed_routes, routes_figure
-from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
-from .frontier import write_frontier
+from ambush_planner.arrays import FloatArray
+from ambush_planner.commands import cli
+from ambush_planner.commands import report_words as words
+from ambush_planner.commands.frontier import write_frontier
+from ambush_planner.commands.report import write_report
+from ambush_planner.errors import AmbushPlannerError
+from ambush_planner.figures import as_png
+from ambush_planner.game.strategy import Strategy, StrategyOptions
+from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.planning.frontier import trip_frontier
+from ambush_planner.recordings import recordings_in
+
+from .figures import fixed_routes, routes_figure
+from .ground import GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
 from .node_process import NodeProcess, free_domain
-from .report import write_report
 
 # Four cells, which makes about 6000 nodes [m].
 SPACING = 360.0
@@ -83,7 +84,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     planning = replace(last.parameters.planning, strategy=budgets)
     trip = last.metadata.trip
     rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, slacks=SLACKS)
-    write_frontier(folder / 'frontier.csv', rows, budgets.max_detour, budgets.risk_slack)
+    write_frontier([folder / 'frontier.csv', folder / 'frontier.png'], rows, budgets.max_detour,
+                   budgets.risk_slack)
     total = console.seconds
     console.line(table(strategy, paths, seconds, total))
     console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
@@ -97,7 +99,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _departures(folder: Path, count: int,
                 say: Callable[[str], None]) -> tuple[list[FloatArray], list[float]]:
     """Return the paths (L, 3) of departures, and the time that each took [s]."""
-    from .demo_client import DemoClient
+    from .client import DemoClient
 
     # The middleware of this process reads it, and the node inherits it.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -167,3 +169,6 @@ def table(strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[flo
 
 
 main = cli.command(parser, _work)
+
+if __name__ == '__main__':
+    raise SystemExit(main())

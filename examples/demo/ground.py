@@ -14,7 +14,7 @@ import math
 import numpy as np
 from matplotlib.cbook import get_sample_data
 
-from ..maps import (
+from ambush_planner.maps import (
     Elevation,
     Raster,
     TerrainMap,

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import figures
-from ..arrays import FloatArray
-from ..colours import AMBUSHER, ROUTES
-from ..figures import HALO, HELD_GROUND, OBSTACLE, WIDTH
-from ..game.hits import largest_losses
-from ..game.route_sampler import route_strategy
-from ..game.strategy import Strategy
-from ..maps.risk_map import RiskMap
-from ..planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
+from ambush_planner import figures
+from ambush_planner.arrays import FloatArray
+from ambush_planner.colours import AMBUSHER, ROUTES
+from ambush_planner.figures import HALO, HELD_GROUND, OBSTACLE, WIDTH
+from ambush_planner.game.hits import largest_losses
+from ambush_planner.game.route_sampler import route_strategy
+from ambush_planner.game.strategy import Strategy
+from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
 
 # Colours and dashes of the fixed routes.
 FIXED = ((ROUTES[0], '-'), (ROUTES[1], (0, (3, 1.2))))

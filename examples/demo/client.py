@@ -17,9 +17,9 @@ from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ..errors import AmbushPlannerError
-from ..ros.conversions import occupancy_to_ros, pose_to_ros
-from ..ros.topics import LATCHED
+from ambush_planner.errors import AmbushPlannerError
+from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
+from ambush_planner.ros.topics import LATCHED
 
 # Time limits [s]; discovery alone can take more than 3 s.
 DISCOVERY_TIMEOUT, PLANNING_TIMEOUT, MESSAGE_TIMEOUT = 30.0, 90.0, 15.0

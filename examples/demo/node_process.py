@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import AmbushPlannerError
+from ambush_planner.errors import AmbushPlannerError
 
 # By the DDS rules, the first participant of domain d listens at the UDP port 7410 + 250 d.
 FIRST_PORT, PORTS_PER_DOMAIN = 7410, 250

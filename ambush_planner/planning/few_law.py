@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A mixture of few routes as a strategy, so that it can be shown and audited like any other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from ..game.ambusher import Ambusher
+from ..game.budget import Budget
+from ..game.certificate.certificate import Certificate
+from ..game.game import make_game
+from ..game.route_sampler import route_edges
+from ..game.strategy import Strategy, strategy_of
+from ..network.network import Network
+from .few_routes import FewRoutes
+
+
+def few_law(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[IndexArray]]:
+    """The strategy on a network with a copy of its nodes for each route, and the routes there.
+
+    Value and bound are those of the mixture, and the ambusher waits where it is hit hardest.
+    """
+    whole = strategy.network
+    inner = [route[1:-1] for route in few.routes]
+    first = np.cumsum([2, *map(len, inner)])
+    of = np.concatenate(([whole.source, whole.target], *inner))
+    routes = [np.concatenate(([0], np.arange(begin, end), [1]))
+              for begin, end in pairwise(first.tolist())]
+    edges = np.concatenate([np.column_stack((route[:-1], route[1:])) for route in routes])
+    p = np.concatenate([np.full(len(route) - 1, share)
+                        for route, share in zip(routes, few.shares, strict=True)])
+    seconds = None if whole.seconds is None else np.concatenate(
+        [whole.seconds[route_edges(whole, route)] for route in few.routes])
+    network = Network(whole.points[of], whole.alpha[of], edges, 0, 1,
+                      np.unique(whole.places[of], return_inverse=True)[1], whole.leg[of], seconds)
+    game = make_game(network, strategy.game.options)
+    budgets = (replace(Budget.length(game, math.inf), least=strategy.shortest_length),
+               replace(Budget.exposure(game, math.inf), least=strategy.least_exposure))
+    ambusher = Ambusher(_at_worst(network, game.loss, few.worst_xy), (0.0, 0.0))
+    law = strategy_of(game, p, ambusher, budgets, 0.0)
+    return replace(law, certificate=Certificate(few.value, few.lower_bound)), routes
+
+
+def _at_worst(network: Network, loss: FloatArray, worst: FloatArray) -> FloatArray:
+    """q (N,) of an ambusher at the node with a loss that is nearest to the worst place."""
+    away = np.where(loss > 0.0, np.hypot(*(network.points - worst).T), np.inf)
+    q = np.zeros(len(network.points))
+    q[int(away.argmin())] = 1.0
+    return q

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plans as files: planned once, drawn from every morning, by anybody who has the file.
+
+A plan file is an MCAP file like a recorded departure: the map as a message, the metadata record
+with the entry ``kind`` 'plan', and as attachments the map, the strategy, and roads and few routes
+if there are any. A departure that is drawn from it has the same, and its route. Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+
+from ..arrays import frozen_array
+from ..errors import InvalidOption
+from ..game.bottleneck import find_bottleneck
+from ..maps.occupancy import OccupancyOptions
+from ..maps.risk_map_file import map_from_bytes, npz_bytes
+from ..network.road_network import in_map_frame
+from ..parameters.table import PARAMETERS
+from ..parameters.values import NodeParameters, parameters_from
+from ..planning.few_law import few_law
+from ..planning.options import node_spacing
+from ..planning.plan import Plan, plan_corridors
+from ..planning.slots import SlotMixture
+from .attachments import (
+    FEW_FILE,
+    MAP_FILE,
+    NUMBERS,
+    ROADS_FILE,
+    STRATEGY_FILE,
+    few_file,
+    few_from_file,
+    roads_file,
+    roads_from_file,
+    strategy_file,
+    strategy_from_file,
+)
+from .metadata import (
+    MapSource,
+    PlanMetadata,
+    RecordedPlan,
+    RecordedSlots,
+    RecordedTrip,
+    typed,
+)
+from .plain_messages import map_message
+from .recorded_departure import BEYOND, typed_values
+from .recording_errors import UnreadableRecording, part
+from .recording_file import RecordingFile, encode, read_recording
+from .versions import software_versions
+
+KIND = 'plan'
+# Relative difference of a stated number from the one computed again that is rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class DaySlots:
+    """The slots of the day (HH:MM) that departures draw from, and how long an ambush lasts."""
+
+    times: tuple[str, ...]
+    mixture: SlotMixture
+    window: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPlan:
+    """A plan with its map, and what the node's parameters would be for it."""
+
+    plan: Plan
+    parameters: NodeParameters
+    slots: DaySlots | None = None
+    source: MapSource | None = None
+    frame: str = 'map'
+    id: str = ''
+    made_ns: int = 0
+
+    @property
+    def map_has_changed(self) -> bool:
+        """Whether the map's file is still there, with another content."""
+        if self.source is None:
+            return False
+        path = Path(self.source.path)
+        return path.is_file() and digest_of(path) != self.source.digest
+
+    @property
+    def value(self) -> float:
+        """Mean loss per departure by the best ambush, which must choose a slot, too."""
+        return self.slots.mixture.value if self.slots else self.plan.value
+
+
+def digest_of(path: Path) -> str:
+    """The SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None, order: str = 'given',
+               slots: DaySlots | None = None, map_file: Path | None = None) -> SavedPlan:
+    """A new plan to save; ``map_file`` is where its map came from, if it is to be watched.
+
+    Raises InvalidOption if the plan was made in another process, so that its map is missing.
+    """
+    if plan.risk_map is None:
+        raise InvalidOption('the plan has no risk map; make it with plan_trip')
+    occupancy = occupancy or OccupancyOptions(crs=plan.risk_map.crs)
+    values = parameter_values(plan, occupancy, order)
+    source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
+    return SavedPlan(plan, parameters_from(values, _roads(plan)), slots, source, id=str(uuid4()),
+                     made_ns=time.time_ns())
+
+
+def parameter_values(plan: Plan, occupancy: OccupancyOptions, order: str) -> dict[str, Any]:
+    """The options of a plan by the names of the node's parameters, and those that it has not."""
+    options = plan.options
+    values: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
+    values |= {'max_planning_time': options.strategy.time_limit, 'trip.order': order,
+               'strategy.max_gap': options.max_gap}
+    for group, part_of in (('map', occupancy), ('network', options.network),
+                           ('game', options.game), ('strategy', options.strategy),
+                           ('route', options.drive)):
+        for each in fields(part_of):
+            name, value = f'{group}.{each.name}', getattr(part_of, each.name)
+            if name == 'network.graph' or value is None:
+                continue  # an attachment; the default of the parameter stands for None
+            if name in values or (name in BEYOND and value != each.default):
+                values[name] = value
+    return values | {'map.crs': plan.risk_map.crs or ''} if plan.risk_map else values
+
+
+def plan_bytes(saved: SavedPlan) -> bytes:
+    """The content of a plan file; write it with mode 0600."""
+    plan = saved.plan
+    assert plan.risk_map is not None
+    message = map_message(plan.risk_map, saved.parameters.occupancy, saved.frame, saved.made_ns)
+    said = PlanMetadata(KIND, saved.frame, dict(saved.parameters.values),
+                        dict(software_versions()), {'map': message.topic}, recorded_trip(plan),
+                        recorded_plan(saved))
+    return encode([message], asdict(said), attachments_of(saved), 'zstd')
+
+
+def recorded_plan(saved: SavedPlan) -> RecordedPlan:
+    """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
+    plan, slots = saved.plan, saved.slots
+    return RecordedPlan(
+        saved.id, saved.made_ns, plan.order, plan.order_found, plan.different_paths, plan.seconds,
+        saved.source, RecordedSlots(
+            slots.times, tuple(slots.mixture.shares.tolist()), slots.window, slots.mixture.value,
+            slots.mixture.lower_bound) if slots else None)
+
+
+def recorded_trip(plan: Plan) -> RecordedTrip:
+    """The trip of a plan."""
+    x, y = plan.network.points[plan.network.source].tolist()
+    return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy)
+
+
+def attachments_of(saved: SavedPlan) -> dict[str, bytes]:
+    """The attached files of a plan, and of each departure drawn from it."""
+    plan = saved.plan
+    assert plan.risk_map is not None
+    files = {STRATEGY_FILE: strategy_file(plan.strategy), MAP_FILE: npz_bytes(plan.risk_map)}
+    if roads := _roads(plan):
+        files[ROADS_FILE] = roads_file(roads)
+    if plan.few:
+        files[FEW_FILE] = few_file(plan.few)
+    return files
+
+
+def _roads(plan: Plan) -> Any:
+    roads, risk_map = plan.options.network.roads, plan.risk_map
+    return roads and risk_map and in_map_frame(roads, risk_map.crs)
+
+
+def read_plan(path: Path | str) -> SavedPlan:
+    """Read a plan file, and check that its numbers are those of its strategy.
+
+    Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
+    departure.
+    """
+    file = read_recording(path)
+    if file.entries.get('kind') != KIND:
+        raise UnreadableRecording(file.path, 'it is a recorded departure, not a plan')
+    return part(file.path, 'plan', lambda: _plan_in(file))
+
+
+def _plan_in(file: RecordingFile) -> SavedPlan:
+    said: PlanMetadata = typed(file.entries, PlanMetadata, 'metadata')
+    files, about = file.attachments, said.plan
+    parameters = parameters_from(typed_values(said.parameters),
+                                 roads_from_file(files.get(ROADS_FILE)))
+    planning = parameters.planning
+    risk_map = map_from_bytes(files[MAP_FILE])
+    strategy, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
+    _check_stated(file.path, stated, strategy)
+    few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
+    if few:
+        few_law(strategy, few)  # raises an error if its shares and routes are none
+    slots = DaySlots(about.slots.times, SlotMixture(
+        frozen_array(about.slots.shares, np.float64), about.slots.value,
+        about.slots.lower_bound), about.slots.window) if about.slots else None
+    plan = Plan(strategy.network, strategy, find_bottleneck(strategy),
+                plan_corridors(strategy, risk_map, planning), planning,
+                node_spacing(risk_map, planning.network), about.different_paths,
+                about.seconds, about.order, about.order_found, risk_map, few)
+    return SavedPlan(plan, parameters, slots, about.source, said.frame, about.id, about.made_ns)
+
+
+def _check_stated(path: Path, stated: Mapping[str, float], strategy: Any) -> None:
+    """Raise UnreadableRecording if a stated number is not that of the strategy."""
+    rounding = _ROUNDING * max(1.0, abs(strategy.edge_entropy))
+    for name in NUMBERS:
+        found = getattr(strategy, name)
+        if not math.isclose(stated[name], found, rel_tol=_ROUNDING, abs_tol=rounding):
+            raise UnreadableRecording(path, f'it was edited: its {name} is stated as '
+                                      f'{stated[name]:.9g}, its strategy has {found:.9g}; plan '
+                                      'again')
+

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plan gives to other Python libraries: tables of geometries, graphs, comparisons."""
+
+import numpy as np
+import pytest
+
+from ambush_planner import (
+    GameOptions,
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    evaluate,
+    plan_trip,
+)
+
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=20.0),
+                          game=GameOptions(ambush_radius=20.0))
+
+
+@pytest.fixture(scope='module')
+def plan():
+    ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0, (4e5, 4e6, 0.0),
+                     'EPSG:32616')
+    return plan_trip(ground, (4e5 + 25.0, 4e6 + 95.0), (4e5 + 275.0, 4e6 + 95.0), OPTIONS)
+
+
+def test_tables_of_edges_and_sites(plan):
+    pytest.importorskip('geopandas', reason='tables of geometries take the extra "gis"')
+    edges, sites = plan.edges(), plan.sites()
+    assert edges.crs == sites.crs == 'EPSG:32616'
+    assert (edges.length * edges['probability']).sum() == pytest.approx(
+        plan.strategy.expected_length, rel=1e-4)
+    assert sites['probability'].sum() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_graph_of_networkx_has_the_law(plan):
+    networkx = pytest.importorskip('networkx')
+    graph = plan.to_networkx()
+    source, target = graph.graph['source'], graph.graph['target']
+    shortest = networkx.dijkstra_path_length(graph, source, target, weight='length')
+    assert shortest == pytest.approx(plan.strategy.shortest_length)
+    for node in set(graph) - {source, target}:
+        arrives, leaves = (sum(each['probability'] for *_, each in edges) for edges in (
+            graph.in_edges(node, data=True), graph.out_edges(node, data=True)))
+        assert arrives == pytest.approx(leaves, abs=1e-9)
+    assert sum(q for _, q in graph.nodes(data='ambush_probability')) == pytest.approx(1.0)
+
+
+def test_a_plan_is_compared_and_says_what_other_budgets_buy(plan):
+    assert evaluate(plan) == evaluate(plan.strategy)
+    rows = plan.frontier([1.2, 1.4], [])
+    assert rows[0].value == pytest.approx(plan.value, rel=0.01)
+    assert rows[1].lower_bound <= rows[0].value
+
+
+def test_paths_are_shorter_than_routes_and_their_number_is_checked(plan):
+    straight = 250.0
+    assert straight <= plan.driven_length < plan.strategy.expected_length
+    for n in (-1, 1.5):
+        with pytest.raises(InvalidOption, match='n must be a whole number'):
+            plan.paths(n)

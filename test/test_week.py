@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plan once, draw each morning: plan files, ``ambush draw``, and readers of its recordings."""
+
+import json
+import re
+import stat
+import subprocess
+import sys
+import time
+from contextlib import redirect_stderr
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from commands import NO_ROS, documented_keys, run_here
+from recording_samples import read_with_mcap_ros2, read_with_rosbags
+from test_path_mixtures import GOAL, START, ground
+
+from ambush_planner import (
+    GameOptions,
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    plan_trip,
+)
+from ambush_planner.commands import audit, card, draw, export, report, verify
+from ambush_planner.game.law.chain import chain_of
+from ambush_planner.maps.road_file import RoadGraph
+from ambush_planner.planning.few_law import few_law
+from ambush_planner.planning.slots import mix_slots
+from ambush_planner.recordings import UnreadableRecording, read_departure, schemas
+from ambush_planner.recordings.plan_departures import draw_departure
+from ambush_planner.recordings.plan_file import DaySlots, plan_bytes, read_plan, saved_plan
+from ambush_planner.recordings.recording_file import encode, read_recording
+from ambush_planner.recordings.verify import Verifier
+
+pytest.importorskip('matplotlib', reason='cards and reports have pictures')
+
+OPTIONS = PlanningOptions(network=NetworkOptions(spacing=3.0), game=GameOptions(ambush_radius=2.5))
+SLOTS = DaySlots(('08:00', '09:30', '11:00'), mix_slots([1.0, 2.0, 3.0], [0.9, 1.9, 2.9]))
+
+
+def roads():
+    """A ladder of roads with speeds."""
+    xs = np.linspace(START[0], GOAL[0], 5)
+    points = np.array([(x, START[1] + dy) for dy in (-8.0, 0.0, 8.0) for x in xs])
+    pairs = [(5 * row + k, 5 * row + k + 1) for row in range(3) for k in range(4)]
+    pairs += [(k, k + 5) for k in range(10)]
+    return RoadGraph(points, np.array(pairs), np.full((len(pairs), 2), 10.0), True)
+
+
+def floats():
+    """A map whose losses no occupancy grid can hold, with heights and a coordinate system."""
+    return replace(ground(), alpha=ground().alpha * np.pi, crs='EPSG:32616',
+                   heights=ground().alpha.astype(np.float32))
+
+
+PLANS = {
+    'routes': lambda: plan_trip(ground(), START, GOAL, OPTIONS),
+    'floats': lambda: plan_trip(floats(), START, GOAL, OPTIONS),
+    'few': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1),
+    'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, order='random',
+                               stops=[(12.0, 4.0), (28.0, 16.0)]),
+    'few stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1,
+                                   stops=[(12.0, 4.0)]),
+    'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=NetworkOptions(
+        method='graph', graph=roads(), spacing=3.0))),
+    'held': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, game=GameOptions(
+        ambush_radius=2.5, held_places=[(25.0, 15.0, 3.0)]))),
+}
+
+
+@pytest.fixture(scope='module')
+def plans(tmp_path_factory):
+    """Plan files by name, each with what was planned."""
+    folder, made = tmp_path_factory.mktemp('plans'), {}
+    for name, make in PLANS.items():
+        plan, file = make(), folder / f'{name}.plan'
+        order = plan.order_found if plan.order_found == 'random' else 'given'
+        file.write_bytes(plan_bytes(saved_plan(plan, order=order, slots=SLOTS)))
+        made[name] = plan, file
+    return made
+
+
+def copy_of(plans, name, folder):
+    file = folder / 'week.plan'
+    file.write_bytes(plans[name][1].read_bytes())
+    return file
+
+
+@pytest.mark.parametrize('name', PLANS)
+def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_path):
+    plan, file = plans[name][0], copy_of(plans, name, tmp_path)
+    read = read_plan(file)
+    numbers = (plan.value, plan.lower_bound)
+    assert (read.plan.value, read.plan.lower_bound) == pytest.approx(numbers, rel=1e-12)
+    assert read.parameters.planning == plan.options or name == 'roads'
+    # The same entropy draws the same from the plan and from its file.
+    one, other = (draw_departure(each, source=2**255 + 7) for each in (
+        saved_plan(plan, slots=SLOTS), read))
+    assert np.array_equal(one.nodes, other.nodes) and one.slot == other.slot
+    assert one.poses == pytest.approx(other.poses, abs=1e-9)
+    done = run_here(draw, file, '--days', 6, '--date', '2030-01-01')
+    assert done.code == 0, done.err
+    folder, verifier = tmp_path / 'week.departures', Verifier(replan=name == 'routes')
+    found = sorted(folder.iterdir())
+    assert [path.name for path in found] == [f'000{k}_2030-01-0{k}.mcap' for k in range(1, 7)]
+    for path in found:
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert verifier.verify(path).problems == []
+        departure = read_departure(path)
+        assert departure.drawn_from.value == pytest.approx(plan.value)
+        assert departure.path_poses[0, :2] == pytest.approx(START, abs=1e-9)
+    for command, more in ((audit, ()), (report, ('-o', tmp_path / 'out', '--verify')),
+                          (export, ('-o', tmp_path / 'all.csv'))):
+        done = run_here(command, folder, *more)
+        assert done.code == 0, (command, done.out, done.err)
+
+
+def test_other_readers_take_the_recordings_and_definitions_are_those_installed(plans, tmp_path):
+    file = copy_of(plans, 'routes', tmp_path)
+    assert run_here(draw, file).code == 0
+    (path,) = (tmp_path / 'week.departures').iterdir()
+    for rows in (read_with_rosbags(path), read_with_mcap_ros2(path)):
+        assert sorted(topic for topic, *_ in rows) == ['/alpha_map', '/goal_pose', '/path',
+                                                       '/start_pose']
+        messages = {topic: message for topic, _, message in rows}
+        grid = np.frombuffer(bytes(messages['/alpha_map'].data), np.int8)
+        assert np.array_equal(grid == 100, ground().obstacles.ravel())
+        assert messages['/path'].poses[-1].pose.position.x == pytest.approx(GOAL[0])
+    shipped = dict(schemas._shipped())
+    for name, definition in shipped.items():
+        schemas._shipped.cache_clear()
+        schemas.load_definition.cache_clear()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(schemas, '_shipped', dict)
+            assert schemas.load_definition(name) == definition
+    schemas.load_definition.cache_clear()
+
+
+def test_few_routes_are_a_law_with_their_shares(plans):
+    plan, _ = plans['few']
+    law, routes = few_law(plan.strategy, plan.few)
+    assert law.value == plan.few.value and law.lower_bound == plan.lower_bound
+    drawn = law.sample_routes(4000, np.random.default_rng(1))
+    for route, nodes, share in zip(routes, plan.few.routes, plan.few.shares, strict=True):
+        count = sum(np.array_equal(each, route) for each in drawn)
+        assert abs(count / 4000 - share) < 0.04
+        assert np.array_equal(law.network.points[route], plan.network.points[nodes])
+    assert chain_of(law.network, law.edge_probability) is not None
+
+
+def test_the_week_needs_no_ros(plans, tmp_path):
+    file = copy_of(plans, 'few', tmp_path)
+    lines = [f'draw {file} -o {tmp_path}/card.html --speed 20',
+             f'verify {tmp_path}/week.departures',
+             f'card {file} --route 1 -o {tmp_path}/one.html',
+             f'draw {file} --days 2 --date 2031-05-01 -o {tmp_path}/sheet.html']
+    script = NO_ROS + 'from ambush_planner.commands import cli\n' + ''.join(
+        f'assert cli.main({line.split()!r}) == 0\n' for line in lines)
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          timeout=240, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in tmp_path.glob('*.html')} == {
+        'card.html', 'one.html', 'sheet_2031-05-01.html', 'sheet_2031-05-02.html'}
+    # Of several days, the console tells nothing but the files.
+    assert re.search(r'(?m)^\d{4}-\d\d-\d\d, (08:00|09:30|11:00): route \d, [\d.]+ m$', done.stdout)
+    assert '2031-05-01:' not in done.stdout and '2031-05-01,' not in done.stdout
+
+
+def test_a_second_draw_asks_and_one_that_was_not_driven_does_not_count(plans, tmp_path,
+                                                                       monkeypatch):
+    file = copy_of(plans, 'routes', tmp_path)
+    folder = tmp_path / 'week.departures'
+    day = ('--date', '2030-03-04')
+    assert run_here(draw, file, *day, '--slot', '8:00').code == 0
+    assert run_here(draw, file, *day, '--slot', '11:00').code == 0  # another slot is another trip
+    again = run_here(draw, file, *day, '--slot', '08:00')
+    assert again.code == 2
+    assert 'Was it driven? Add --earlier driven, or --earlier unused' in again.err
+    assert len(list(folder.iterdir())) == 2
+    assert run_here(draw, file, *day, '--slot', '08:00', '--earlier', 'unused').code == 0
+    counted = json.loads(run_here(export, folder, '-o', tmp_path / 'x.csv', '--json').out)
+    assert counted['departures'] == 2
+    assert run_here(draw, file, *day, '--slot', '08:00', '--earlier', 'driven').code == 0
+    counted = json.loads(run_here(export, folder, '-o', tmp_path / 'x.csv', '--json').out)
+    assert counted['departures'] == 3
+    for answer, code in (('y\n', 0), ('n\n', 0), ('\n', 2)):
+        monkeypatch.setattr('sys.stdin', StringIO(answer))
+        monkeypatch.setattr(sys.stdin, 'isatty', lambda: True, raising=False)
+        done = run_here(draw, file, *day, '--slot', '08:00')
+        assert done.code == code and 'Was it driven? [y/n]' in done.err
+    counted = json.loads(run_here(export, folder, '-o', tmp_path / 'x.csv', '--json').out)
+    assert counted['departures'] == 4
+
+
+def test_a_dry_run_records_nothing(plans, tmp_path):
+    file = copy_of(plans, 'few', tmp_path)
+    done = run_here(draw, file, '--dry-run', '-o', tmp_path / 'card.html', '--json')
+    result = json.loads(done.out)
+    assert done.code == 0 and 'do not drive this' in done.err
+    assert set(result) == documented_keys(draw) and result['departures'][0]['recording'] is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['card.html', 'week.plan']
+
+
+def test_slots_and_routes_follow_the_law(plans):
+    saved = read_plan(plans['few'][1])
+    drawn = [draw_departure(saved) for _ in range(3000)]
+    for slot, share in zip(SLOTS.times, SLOTS.mixture.shares, strict=True):
+        assert abs(np.mean([each.slot == slot for each in drawn]) - share) < 0.05
+    for k, share in enumerate(saved.plan.few.shares):
+        assert abs(np.mean([each.few_route == k for each in drawn]) - share) < 0.05
+
+
+def test_a_full_disk_leaves_nothing_and_nothing_has_been_drawn(plans, tmp_path):
+    """A limit on the size of files stands for the disk: the card fits, the recording does not."""
+    file = copy_of(plans, 'routes', tmp_path)
+    (tmp_path / 'card.html').write_text('yesterday')
+    script = (f'import resource\nfrom ambush_planner.commands import cli, draw\n'
+              'from ambush_planner.commands import card_page\n'
+              'draw.card_page = lambda *_: "a card"\n'
+              'resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n'
+              f'raise SystemExit(cli.main(["draw", "{file}", "-o", "{tmp_path}/card.html"]))')
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
+                          timeout=120, check=False)
+    assert done.returncode == 3 and 'File too large' in done.stderr, done.stderr
+    assert (tmp_path / 'card.html').read_text() == 'yesterday'
+    assert list((tmp_path / 'week.departures').iterdir()) == []
+    assert run_here(draw, file).code == 0  # and nobody is asked about an earlier one
+
+
+def changed(file, **entries):
+    """The plan file with other metadata."""
+    read = read_recording(file)
+    kept = {name: value for name, value in read.entries.items() if name != 'format'}
+    file.write_bytes(encode(read.messages, kept | entries, read.attachments, 'zstd'))
+
+
+def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
+    file = copy_of(plans, 'routes', tmp_path)
+    whole = file.read_bytes()
+    assert run_here(draw, file).code == 0
+    (recording,) = (tmp_path / 'week.departures').iterdir()
+    for path, words in ((recording, 'it is a recorded departure, not a plan'),
+                        (tmp_path / 'none.plan', 'No such file')):
+        done = run_here(draw, path)
+        assert done.code == 3 and words in done.err and done.err.count('\n') == 1
+    done = run_here(verify, file)
+    assert 'it is a plan: ambush draw makes a departure of it' in done.out + done.err
+    done = run_here(card, file, '-o', tmp_path / 'c.html')
+    assert done.code == 2 and '--route NUMBER goes with a plan of few routes' in done.err
+    done = run_here(card, file, '-o', tmp_path / 'c.html', '--route', 1)
+    assert done.code == 2 and 'no few routes' in done.err
+    file.write_bytes(whole[:5000] + b'x' + whole[5001:])
+    done = run_here(draw, file)
+    assert done.code == 3 and 'damaged' in done.err
+    file.write_bytes(whole)
+    parameters = read_recording(file).entries['parameters']
+    changed(file, parameters=parameters | {'game.ambush_radius': 1.0})
+    done = run_here(draw, file)
+    assert done.code == 3 and 'it was edited: its value is stated as' in done.err, done.err
+    file.write_bytes(whole)
+    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '1')
+    done = run_here(draw, file)
+    assert done.code == 3 and "this version reads '1'" in done.err
+
+
+def test_a_map_that_changed_and_a_clock_that_went_back_are_named(tmp_path, monkeypatch):
+    np.savez(tmp_path / 'm.npz', alpha=np.ones((20, 30)), obstacles=np.zeros((20, 30), bool),
+             resolution=10.0)
+    plan = plan_trip(RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0), (25.0, 95.0),
+                     (275.0, 95.0), PlanningOptions(network=NetworkOptions(spacing=40.0)))
+    file = tmp_path / 'w.plan'
+    file.write_bytes(plan_bytes(saved_plan(plan, map_file=tmp_path / 'm.npz')))
+    assert 'has changed' not in run_here(draw, file).err
+    with (tmp_path / 'm.npz').open('ab') as stream:
+        stream.write(b' ')
+    done = run_here(draw, file, '--earlier', 'driven')
+    assert done.code == 0 and 'm.npz has changed since it was planned on' in done.err
+    now = time.time_ns()
+    monkeypatch.setattr(time, 'time_ns', lambda: now - 2 * 86_400 * 10**9)
+    done = run_here(draw, file)
+    assert done.code == 2 and 'set the clock, or name the day with --date' in done.err
+    assert run_here(draw, file, '--date', '2040-01-01').code == 0
+
+
+def test_python_saves_plans_too(tmp_path):
+    plan = plan_trip(RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0), (25.0, 95.0),
+                     (275.0, 95.0), PlanningOptions(network=NetworkOptions(spacing=40.0)))
+    plan.save(tmp_path / 'w.plan', n=0)
+    assert read_plan(tmp_path / 'w.plan').plan.value == plan.value
+    with pytest.raises(InvalidOption, match=r'\.npz'):
+        plan.save(tmp_path / 'w.npz')
+    with redirect_stderr(StringIO()), pytest.raises(UnreadableRecording):
+        read_plan(tmp_path)
