@@ -154,7 +154,10 @@ class Dispatcher:
     def adopt(self, saved: SavedPlan, given: PlanInputs) -> None:
         """Depart on a plan from a file, as if its map, start, goal and stops had arrived."""
         parameters, inputs = self._settings.current, self._inputs
+        if inputs.with_costmap:
+            raise InvalidOption('a plan from a file has the whole map: set map.costmap to false')
         inputs.accept_map('alpha_map', given.map)
+        inputs.join_maps()
         inputs.start, inputs.goal, inputs.via = given.start, given.goal, given.via
         trip = inputs.locate(inputs.latest(parameters.robot), parameters.robot)
         cached = self._plans.adopt(trip, parameters, saved.plan)
