@@ -26,7 +26,7 @@ from .value.routes import APART, MIN_FLOW
 # Rounds in which places join before the law, in the last of them at any distance from each other;
 # more while the value is 0.
 SWEEPS, MAX_SWEEPS = 3, 20
-# Share of the slack over the bound from which on a place joins; a law ends just below it.
+# Places join that cost more than the bound by this share of the slack; a law ends just below it.
 JOINING = 0.8
 # Rounds of a law, and the least growth of the entropy for another one.
 ROUNDS, GROWTH = 25, 0.03

@@ -58,7 +58,7 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
 def bound_if_held(strategy: Strategy, places: tuple[HeldPlace, ...]) -> float:
     """A lower bound of the value if ``places`` are all that is held besides the ends.
 
-    The strategy's ambusher proves it from his sites elsewhere, in proportion to what he did there.
+    The strategy's ambusher proves it: his q, restricted to sites outside the discs and scaled up.
     """
     old, ambusher = strategy.game, strategy.ambusher
     unused = old.at_places(ambusher.q)[old.network.places] == 0.0

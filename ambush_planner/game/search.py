@@ -24,7 +24,10 @@ from .game import Game
 from .hits import worst_loss
 from .law.chain import MarkovChain, chain_of
 from .slack import Reason, ceiling
-from .value.routes import Progress, RouteMixture, unseen
+from .value.routes import Progress, RouteMixture, no_progress
+
+# Share of the slack that a law may use beyond the program's flow if that costs more than the bound.
+FLOW_SLACK = 0.5
 
 
 class Places(NamedTuple):
@@ -112,7 +115,7 @@ class Problem:
     deadline: float
     ground: Ground | None = None
     warm: Multipliers | None = None
-    progress: Progress = unseen
+    progress: Progress = no_progress
     judged: float = math.inf
 
     @property
@@ -220,7 +223,8 @@ class Search:
         if not k or not level.any():
             return level
         value = float(np.sort(level)[-k:].sum())
-        most = max(self.program.bound, ceiling(value, self.slack / 2.0) / ceiling(1.0, self.slack))
+        least = ceiling(value, FLOW_SLACK * self.slack) / ceiling(1.0, self.slack)
+        most = max(self.program.bound, least)
         return level * (most / value)
 
     def solution(self, best: Incumbent | None) -> Solution:

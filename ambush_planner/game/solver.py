@@ -26,7 +26,7 @@ from .value.cut import Cut
 from .value.potential import Potential
 from .value.routes import Routes
 
-# Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
+# Relative optimality gaps of a program in potentials, and of one over routes, in slacks.
 PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
 # Largest share by which the flow of a cut exceeds a budget if a law is sought around it: the law
 # then keeps the budget in nearly all games, without a loss of entropy.

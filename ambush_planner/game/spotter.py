@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What somebody is worth to the ambusher who sees whether the convoy passes a place.
+"""The value of an informant who sees whether the convoy passes a place, and tells the ambusher.
 
 A spotter at site i tells the ambusher whether the route comes within reach of i; only then does he
 choose where to wait (docs/theory.md, Proposition 5.7). With the published strategy he causes

@@ -27,7 +27,7 @@ from .search import Ground, Multipliers, Problem
 from .slack import CERTIFICATE_TOLERANCE, Reason, within
 from .solver import most_unpredictable
 from .value.linear_program import linear_program_strategy
-from .value.routes import Progress, unseen
+from .value.routes import Progress, no_progress
 
 # How much earlier than the time limit a search ends, as a share of it and at most [s]; and how
 # much later at most its judge, as a share and at least [s].
@@ -341,7 +341,7 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
 
 
 def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = None,
-               warm: Multipliers | None = None, progress: Progress = unseen) -> Strategy:
+               warm: Multipliers | None = None, progress: Progress = no_progress) -> Strategy:
     """Find the optimal strategy against an ambusher at the sites of a game and on its ``ground``.
 
     Raises the errors of ``solve``.

@@ -11,9 +11,12 @@ from .search import Incumbent, Search
 from .slack import ceiling, within
 from .value.routes import APART, Routes
 
-# Shares of the time after which the program ends, as its law takes seconds; its first proof if
-# places join later; and its last one if they joined until then.
+# Shares of the time limit after which the program ends, as its law takes seconds; its first proof,
+# if places join later; and its last one, if they joined until then.
 SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
+# Places join that cost more than the mixture by JOINING slacks. A mixture that is better by less
+# than SMALL slacks is no better.
+JOINING, SMALL = 0.5, 0.25
 # Rounds in which places join the program, and those of the law.
 MAX_SWEEPS, ROUNDS = 20, 25
 
@@ -37,13 +40,13 @@ def _solve(search: Search, program: Routes) -> None:
         program.solve(prove=False)
     apart, before = 1.0, program.value
     for _ in range(MAX_SWEEPS):
-        above = ceiling(program.value, search.slack / 2.0)
+        above = ceiling(program.value, JOINING * search.slack)
         if time.monotonic() > program.deadline or (
                 search.join_worst(program.mixture, above, apart) is None and apart == APART):
             break
         with search.keep_incumbent():
             program.solve(prove=False)
-            if within(program.value, before, search.slack / 4.0):  # the bound may be near
+            if within(program.value, before, SMALL * search.slack):  # the bound may be near
                 program.prove_by_legs()
         apart, before = max(apart / 2.0, APART), program.value
     if time.monotonic() > program.deadline:
@@ -88,7 +91,7 @@ def _find_law(search: Search, program: Routes) -> Incumbent | None:
         with search.keep_incumbent():
             program.solve(prove=not joined)
         if not joined:
-            if within(mixed, program.value, search.slack / 4.0):
+            if within(mixed, program.value, SMALL * search.slack):
                 break
             law = None
     return best

@@ -44,8 +44,8 @@ JOIN, LEAVE = 4, 3
 FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
 # Maximum number of rounds of exchanges and judgements on the map.
 ROUNDS = 5
-# How much sites below the worst one count in equal shares, from first to last, as a share of the
-# value; and how much a budget's overrun counts, in values: more than any gain.
+# Temperatures of the soft maximum over sites for equal shares, from first to last, as shares of
+# the value; and the penalty weight of a budget's overrun, in values.
 SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 1e3
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mixtures of given paths: what an ambusher causes who knows them, and the best shares.
+"""Mixtures of given paths: their loss against an informed ambusher, and the best shares.
 
 Paths that are driven side by side are a network of their own, on which they share no node but start
 and goal. A mixture of them is a strategy on it; hits, sites and cells are those of any strategy.

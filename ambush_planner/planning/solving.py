@@ -14,7 +14,7 @@ from ..game.game import GameOptions, make_game
 from ..game.revaluation import open_gap
 from ..game.search import Multipliers
 from ..game.strategy import Strategy, solve_game
-from ..game.value.routes import Progress, unseen
+from ..game.value.routes import Progress, no_progress
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_hiding_places, with_places
 from ..network.network import Network
@@ -48,7 +48,7 @@ class WarmStart:
 
 
 def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
-                     warm: WarmStart | None = None, progress: Progress = unseen) -> Strategy:
+                     warm: WarmStart | None = None, progress: Progress = no_progress) -> Strategy:
     """Solve the game on a network built on the map.
 
     With a reach, an ambusher may wait anywhere on free ground (``holds_anywhere``): the places that

@@ -24,7 +24,7 @@ from ..game.game import Game, make_game
 from ..game.slack import ceiling
 from ..game.strategy import Strategy
 from ..game.value.cut import solve_by_min_cut
-from ..game.value.routes import LEG_SEARCH, Progress, unseen
+from ..game.value.routes import LEG_SEARCH, Progress, no_progress
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
@@ -48,7 +48,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
               order: str = 'given', warm: WarmStart | None = None, routes: int | None = None,
               equal: bool = False, rng: np.random.Generator | int | None = None,
-              progress: Progress = unseen) -> Plan:
+              progress: Progress = no_progress) -> Plan:
     """Plan a trip from start to goal through stops.
 
     One strategy covers all legs: value, certificate and ``max_detour`` are those of the whole trip.
@@ -128,7 +128,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
 def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                options: PlanningOptions, asked: list[npt.ArrayLike], order: str,
-               warm: WarmStart | None, progress: Progress = unseen) -> Plan:
+               warm: WarmStart | None, progress: Progress = no_progress) -> Plan:
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
     if not isinstance(risk_map, RiskMap):

@@ -10,7 +10,7 @@ links, or the curve's sites hit it. Let curves c of weights w_c go through each 
 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
-circulation is such curves, added up: it is taken apart into simple cycles, and those whose
+circulation is such curves, added up: it is decomposed into simple cycles, and those whose
 crossings add up to 1 count. A curve that winds around an end more than once counts as often unless
 some route spirals through it: a search over labels finds the least that any route pays of what the
 other curves leave.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # Smallest value, as a share of the largest loss, that the program is scaled to.
 MIN_UNIT = 1e-6
-# Share of the value, per relative gap, that all sites may cause alike.
+# Uniform floor of all sites' levels, as a share of the value per relative gap.
 EVEN = 0.3
 # Share of the value from which on a site's losses are near it.
 NEAR = 0.9

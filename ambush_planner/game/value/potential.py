@@ -36,7 +36,7 @@ STEP = 0.85
 # While the budget is kept, z stays if more than this share of the discs' columns is new: at a lower
 # z, most of the columns that join would not be needed in the end.
 MANY = 0.1
-# Flow through a disc that shows that no potential keeps z.
+# Flow through a disc that counts as unbounded: z is infeasible.
 ENDLESS = 1e6
 # Share of a route's flow below which it is rounding.
 NEGLIGIBLE = 1e-9

@@ -43,8 +43,8 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
             (math.inf, 4_000_000, 1e-2))
 # The same for the ways of one leg.
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
-# Least distance of places that join at once, as a share of the reach: places near each other hit
-# nearly the same routes.
+# Minimum distance of places that join at once, as a share of the reach: places near each other
+# hit nearly the same routes.
 APART = 0.25
 # Rounds before the legs' program runs for the first time, then twice as many and so on.
 FIRST_TURN = 16
@@ -61,7 +61,7 @@ MAX_EXCESS, MIN_FLOW = 1e7, 1e-7
 Progress = Callable[[float, float], None]
 
 
-def unseen(value: float, bound: float) -> None:
+def no_progress(value: float, bound: float) -> None:
     """Nobody watches."""
 
 
@@ -91,7 +91,7 @@ class Routes:
     faces: Faces | None = None
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
-                 progress: Progress = unseen) -> None:
+                 progress: Progress = no_progress) -> None:
         self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
         self._progress, self._end, self._fresh = progress, deadline, True
         self._newest: Mixture | None = None  # of the legs
