@@ -118,6 +118,12 @@ def test_what_does_not_follow_is_found_and_named(name, files, tmp_path, capsys):
         assert str(forger.entries[secret]).strip('[]') not in out or len(forger.entries[secret]) < 2
 
 
+def test_a_bound_that_the_time_limit_cut_short_holds(files, tmp_path, capsys):
+    forger = Forger(files[NEW_ROUTE])
+    scaled(forger, 'lower_bound', 0.99)
+    assert verified(forger.save(tmp_path / 'cut_short.mcap'), capsys)[0] == 0
+
+
 def test_a_repeated_source_across_a_folder(files, tmp_path, capsys):
     (tmp_path / 'run_0.mcap').write_bytes(files[NEW_ROUTE].read_bytes())
     forger = Forger(files[NEW_ROUTE])
