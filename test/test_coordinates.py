@@ -151,9 +151,9 @@ def test_geotiffs_that_are_no_risk_maps_are_refused(tmp_path):
         return tmp_path / name
 
     heights = np.full((4, 5), 312.5, np.float32)
-    with pytest.raises(InvalidRiskMap, match=r'h\.tif: its values are no whole .*--terrain'):
+    with pytest.raises(InvalidRiskMap, match=r'h\.tif: its values are no whole .*ambush risk'):
         read_risk_map(write('h.tif', heights, 30))
-    with pytest.raises(InvalidRiskMap, match=r'w\.tif: cell values must be .*--terrain'):
+    with pytest.raises(InvalidRiskMap, match=r'w\.tif: cell values must be .*ambush risk'):
         read_risk_map(write('w.tif', (heights + 0.5).astype(np.int16), 30))
 
 

@@ -194,7 +194,7 @@ def test_longitudes_to_360_and_files_without_a_system(tmp_path):
 
 
 @pytest.mark.parametrize(('values', 'declared', 'words'), [
-    (HILLS - 265.5, {}, 'no whole numbers; .*--terrain'), (RISK, {'unit': 'm'}, "unit is 'm'"),
+    (HILLS - 265.5, {}, 'no whole numbers; .*ambush risk'), (RISK, {'unit': 'm'}, "unit is 'm'"),
     (RISK, {'unit': 'ft'}, "unit is 'ft'"), (RISK, {'description': 'DEM'}, "called 'DEM'"),
     (RISK, {'description': 'surface height'}, 'surface height'),
     (RISK, {'crs': 'EPSG:32616+5773'}, "'metre'"),

@@ -2,6 +2,7 @@
 """Which lines are roads, in which direction and how fast: tables of attributes and formats."""
 
 import math
+import re
 import warnings
 
 import numpy as np
@@ -260,11 +261,12 @@ def test_features_of_other_kinds_are_counted(tmp_path):
     assert '3 of 5 features are left out: 1 Point, 1 Polygon, 1 without a geometry' in said
 
 
-def test_options_without_an_effect_are_errors(tmp_path):
-    np.savez(tmp_path / 'm.npz', alpha=np.ones((9, 9)), obstacles=np.zeros((9, 9), bool),
-             resolution=1.0)
-    base = (tmp_path / 'm.npz', '--start', 1, 1, '--goal', 8, 8, '-o', tmp_path / 'r.csv')
-    for option, words in ((('--set', 'network.graph=a.gpkg'), 'without network.method=graph'),
-                          (('--node-crossings',), 'without network.method=graph')):
-        done = run_here(plan, *base, *option)
-        assert done.code == 2 and words in done.err
+@pytest.mark.parametrize(('option', 'words'), [
+    (('--set', 'network.graph=a.gpkg'), 'no effect without .*network.method=graph'),
+    (('--node-crossings',), 'no effect without .*network.method=graph'),
+    (('--set', 'network.join_distance=9'), 'no effect without .*network.method=graph'),
+])
+def test_options_without_an_effect_are_errors(option, words, tmp_path):
+    done = run_here(plan, tmp_path / 'm.npz', '--start', 1, 1, '--goal', 8, 8, '-o',
+                    tmp_path / 'r.csv', *option)
+    assert done.code == 2 and re.search(words, done.err)

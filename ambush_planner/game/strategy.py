@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
-from ..errors import InvalidNetwork, InvalidOption, TimeLimit
+from ..errors import InvalidNetwork, InvalidOption, TimeLimit, warn
 from ..maps.risk_map import MAX_LOSS, MIN_LOSS, RiskMap
 from ..network.network import Network
 from ..notebook import Shown
@@ -336,8 +336,12 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     if not isinstance(network, Network):
         raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
                              'build_network makes one of a RiskMap, and plan_trip does it all')
-    return solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
-                      warm=warm)
+    found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
+                       warm=warm)
+    if not found.value > 0.0:
+        warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
+             'held ground (secured_radius)')
+    return found
 
 
 def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = None,

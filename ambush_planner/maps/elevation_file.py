@@ -229,8 +229,9 @@ def _refuse_heights(path: Path, dataset: Any, values: FloatArray) -> None:
                 "by 100 and round, with gdal_calc.py --calc='rint(100*A)' --type=Byte")
         reason = 'its values are no whole numbers'
     if reason:
-        raise InvalidRiskMap(f'{path}: {reason}; is it an elevation model (--terrain, '
-                             'risk_from_terrain)? A risk map has whole numbers from 0 to 100')
+        raise InvalidRiskMap(f'{path}: {reason}; is it an elevation model? Make a risk map of it '
+                             'with ambush risk (risk_from_terrain); that has whole numbers from 0 '
+                             'to 100')
     if known.size and 0.0 < known.max() <= 1.0:
         warn(f'{path}: no value is over 1, of 100: if 1 stands for the most risk, multiply by 100')
 

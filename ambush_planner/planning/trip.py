@@ -8,7 +8,6 @@ one: the network has a layer for each leg, and one game covers all (``Network.le
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise, permutations
@@ -17,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import ROUNDING, FloatArray, IndexArray
-from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit
+from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit, warn
 from ..game.ambusher import capped_at_one
 from ..game.certificate.best_response import Ground
 from ..game.game import Game, make_game
@@ -30,7 +29,7 @@ from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from ..network.trip_graph import TripGraph
-from .concerns import wide_gap
+from .concerns import concerns
 from .few_routes import few_routes
 from .options import PlanningOptions, solved_game
 from .path_mixtures import check_judged
@@ -98,8 +97,9 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
     Warns
     -----
-    UserWarning
-        The gap of value and lower bound is larger than the risk slack; the text says why.
+    AmbushPlannerWarning
+        What limits the value: the gap of value and lower bound is larger than the risk slack, the
+        value is 0, or a single place hits every route. The texts are the command's.
 
     Examples
     --------
@@ -121,8 +121,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     made = _plan_trip(risk_map, start_xy, goal_xy, options, list(stops), order, warm, progress)
     if routes is not None:
         made = replace(made, few=few_routes(made, routes, equal, np.random.default_rng(rng)))
-    if text := wide_gap(made):
-        warnings.warn(text, stacklevel=2)
+    for text in concerns(made):
+        warn(text)
     return made
 
 

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said in Python and by commands; suffixes in upper case; files across 180 degrees."""
+
+import json
+import re
+import warnings
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+from commands import run_here
+
+from ambush_planner import (
+    AmbushPlannerWarning,
+    GameOptions,
+    Network,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    plan_trip,
+    read_risk_map,
+    solve,
+)
+from ambush_planner.commands import plan
+
+START, GOAL = (10.0, 50.0), (190.0, 50.0)
+
+
+def ground(crs=None, corner=(0.0, 0.0)):
+    alpha = 1.0 + 0.01 * np.mgrid[:20, :40][0]
+    return RiskMap(alpha, np.zeros((20, 40), bool), 5.0, (*corner, 0.0), crs)
+
+
+@pytest.fixture
+def files(tmp_path):
+    risk_map = ground()
+    for name in ('MAP.NPZ', 'map.npz'):
+        with (tmp_path / name).open('wb') as file:
+            np.savez(file, alpha=risk_map.alpha, obstacles=risk_map.obstacles, resolution=5.0)
+    return tmp_path
+
+
+@pytest.mark.parametrize(('reach', 'spacing', 'words'), [
+    (100.0, 20.0, 'the value is 0: nobody can wait within'),
+    (60.0, 20.0, 'one place covers every'), (15.0, 10.0, '2 nodes decide the value'),
+])
+def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, files):
+    options = PlanningOptions(network=NetworkOptions(spacing=spacing),
+                              game=GameOptions(ambush_radius=reach))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always')
+        plan_trip(read_risk_map(files / 'MAP.NPZ'), START, GOAL, options)
+    texts = [str(each.message) for each in said if each.category is AmbushPlannerWarning]
+    assert [each.filename for each in said] == [__file__] * len(said)
+    done = run_here(plan, files / 'MAP.NPZ', '--start', *START, '--goal', *GOAL, '--reach', reach,
+                    '--set', f'network.spacing={spacing}', '-o', files / 'R.CSV', files / 'R.PNG')
+    names = {'--held': 'game.secured_radius', '--detour': 'strategy.max_detour'}  # as typed
+    said_there = re.sub('|'.join(names), lambda found: names[found[0]], done.err)
+    assert re.findall(r'Warning: (.*)\.\n', said_there) == texts, done.err
+    assert re.search(words, ' '.join(texts))
+    assert (files / 'R.CSV').stat().st_size > 100 and (files / 'R.PNG').stat().st_size > 1000
+
+
+def test_solve_warns_of_a_value_of_0():
+    network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 0, 0],
+                      edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
+    with pytest.warns(AmbushPlannerWarning, match='the value is 0'):
+        assert solve(network).value == 0.0
+
+
+def test_geojson_is_cut_at_180_degrees(tmp_path):
+    geopandas = pytest.importorskip('geopandas', reason='GeoJSON takes the extra "gis"')
+    import shapely
+
+    from ambush_planner.route_files import Drawn, write_routes
+
+    crs = 'EPSG:32760'
+    east, north = shapely.get_coordinates(geopandas.GeoSeries([shapely.Point(180.0, -16.6)],
+                                                              crs=4326).to_crs(crs))[0]
+    risk_map = ground(crs, (east - 100.0, north - 50.0))
+    start, goal = (tuple(np.add(at, risk_map.origin[:2])) for at in (START, GOAL))
+    made = plan_trip(risk_map, start, goal, PlanningOptions(
+        network=NetworkOptions(spacing=20.0), game=GameOptions(ambush_radius=20.0)))
+    drawn = Drawn(made.strategy, risk_map, made.paths(3, 0), [datetime.now(timezone.utc)] * 3)
+    write_routes([tmp_path / 'A.GeoJSON'], drawn)
+    document = json.loads((tmp_path / 'A.GeoJSON').read_text())
+    kinds = {each['geometry']['type'] for each in document['features']
+             if each['properties']['layer'] == 'routes'}
+    assert kinds == {'MultiLineString'}
+    whole = geopandas.read_file(tmp_path / 'A.GeoJSON')
+    for shape in whole.geometry:
+        for part in shapely.get_parts(shape):
+            west, _, east, _ = part.bounds
+            assert east - west < 0.01 and -180.0 <= west and east <= 180.0
+    metres = whole[whole.layer == 'routes'].to_crs(crs).length.sum()
+    assert metres == pytest.approx(drawn.routes.length.sum(), rel=1e-3)
