@@ -44,7 +44,7 @@ from std_msgs.msg import Header
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning.clear_ground import ClearGround
-from ambush_planner.recordings import RecordedDeparture, read_departures, recordings_in
+from ambush_planner.recordings import RecordedDeparture, read_departures
 from ambush_planner.recordings.verify import Verifier, together
 
 SPEED, PERIOD = 2.0, 0.2  # m/s of the robot; s between the requests of a process
@@ -160,7 +160,7 @@ def run(seconds: float) -> tuple[str, bool]:
                  '--seconds', str(seconds)], stdout=subprocess.PIPE, text=True)
                 for what in ('driver', 'follower')]
             said = [json.loads(each.communicate()[0]) for each in askers]
-        files = recordings_in(rig.recordings)
+        files = sorted(rig.recordings.rglob('*.mcap'))
         verifier = Verifier()
         verdicts = [verifier.verify(each) for each in files]
         problems = [f'{each.path.name}: {problem}' for each in verdicts
@@ -200,7 +200,7 @@ def results(said: Sequence[dict[str, Any]], departures: Sequence[RecordedDepartu
          ', '.join(f'{each}: {diverted[each]}' for each in sorted(diverted))],
         ['requests, refused', f'{sum(each["asked"] for each in said)}, '
                               f'{sum(each["refused"] for each in said)}'],
-        ['answers, median / 99 % / largest [ms]', spread(times)],
+        ['answers, median / 99 % / largest [ms]', spread(times or [np.nan])],
         ['recordings, verified', f'{files}, ' + ('; '.join(problems[:5]) or 'all hold')],
     ]
     text = (f'Two processes ask for one robot at {1 / PERIOD:g} Hz each, with '

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The certificate: it refuses wrong strategies, and holds at any scale of the losses."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from games import PLAIN, examples, least_weight, networks, paper_example, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
+from test_trip import roads_of
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -69,6 +71,17 @@ def test_a_wrong_p_is_refused():
     tight = make_budgets(game, StrategyOptions(max_detour=1.1))
     with pytest.raises(SolverFailed, match=r'length is .* over the budget'):
         certify(game, p, ambusher, tight)
+
+
+@pytest.mark.parametrize('trip', [False, True])
+def test_a_proof_that_time_cuts_short_is_a_lower_one(trip):
+    roads = roads_of(5, int(trip), 12)
+    game, _, ambusher, budgets = case(1.5, roads.network(roads.visits), ambush_radius=1.2,
+                                      secured_radius=1.0)
+    ambusher = replace(ambusher, circulation=None)
+    whole = lower_bound(game, ambusher, budgets)
+    short = lower_bound(game, ambusher, budgets, deadline=-math.inf)
+    assert 0.0 <= short <= whole
 
 
 @pytest.mark.parametrize('price', [-1e-9, -1.0, np.nan])

@@ -177,3 +177,21 @@ def assert_law_of_rests(ground, newest, left, drawn):
     assert tuple(whole.tolist()) in found and found.keys() == expected.keys()
     total = sum(expected.values())
     assert all(found[each] == pytest.approx(expected[each] / total, abs=1e-9) for each in found)
+
+
+def test_a_departure_that_joined_its_plan_and_was_diverted_has_a_strategy():
+    """Its first step is no edge of the plan's network."""
+    values, rng = np.full((24, 40), 20, np.int8), np.random.default_rng(3)
+    ground, grid = ground_on(values, 1.2)
+    place, known = (START[0] + 2.1, START[1] + 0.7), ground.plan.network.edges.tolist()
+    joined = joined_plan(ground, grid, (place, GOAL)).plan
+    left = next(nodes for nodes in (depart(joined, rng).nodes for _ in range(100))
+                if nodes[:2].tolist() not in known)
+    rest, _ = other_rest(ground, grid, (place, GOAL), left[2:3], rng, 0.1)
+    whole = whole_route(left, rest.nodes)
+    strategy = rest_strategy(ground, grid, whole, rest.nodes)
+    network, steps = strategy.network, set(pairwise(whole.tolist()))
+    chances = zip(map(tuple, network.edges.tolist()), strategy.edge_probability, strict=True)
+    assert {step for step, chance in chances if chance > 0.0} >= steps
+    np.testing.assert_allclose(strategy.visit_probability[[network.source, network.target]], 1.0)
+    assert strategy.sample_route(rng)[:3].tolist() == whole[:3].tolist()

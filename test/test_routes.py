@@ -154,3 +154,16 @@ def test_at_the_deadline_there_is_a_strategy():
         found.solve()
     assert found.bound <= found.value < math.inf
     assert found.flow[game.network.tails == game.network.source].sum() == pytest.approx(1.0)
+    with pytest.raises(TimeLimit):
+        found.mixtures.solve(1e-3, -math.inf)
+
+
+def test_sites_that_join_between_two_proofs_without_time():
+    game, budgets = game_on(roads_of(5, 1, 4), 1.0, 1.3, math.inf, 1)
+    found = Routes(game, budgets, GAP, math.inf)
+    found.prove_by_legs()
+    found.bound, found.deadline = 0.0, -math.inf
+    found.add_sites(game.hits[:2], game.loss[game.sites[:2]])
+    with pytest.raises(TimeLimit):
+        found.prove_by_legs()
+    assert found.bound == 0.0 and len(found.q) == len(found.loss)

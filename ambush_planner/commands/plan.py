@@ -181,8 +181,9 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
     console.fact('assumption', main_assumption(plan))
     seen = plan.spotter
     if arguments.verbose:
-        console.fact('lower bound', f'{bound:.4g}: no planner can guarantee less on this network '
-                     f'of {len(plan.network.points)} nodes')
+        console.fact('lower bound', f'{bound:.4g}: ' + (
+            'no mixture of the paths that were tried has a smaller value' if few else
+            f'no planner can guarantee less on this network of {len(plan.network.points)} nodes'))
         if seen:
             where: Position = arguments.start[0]
             assert plan.risk_map is not None

@@ -11,10 +11,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ..errors import InvalidOption
 from ..game.game import GameOptions
-from ..game.strategy import StrategyOptions
+from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.occupancy import OccupancyOptions
+from ..maps.risk_map import MAX_LOSS
 from ..maps.road_file import RoadGraph
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
@@ -22,6 +25,8 @@ from .table import PARAMETERS
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 COSTMAP_OBSTACLE = 99
+# Stands for any file with roads.
+_SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 # Parameters that are not fields of the options that their groups are named after.
 _OTHER_PARAMETERS = ('map.preset', 'map.costmap', 'strategy.max_gap', 'route.path_spacing')
 
@@ -125,6 +130,22 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
         seed=values['seed'],
         values=MappingProxyType(dict(values)),
     )
+
+
+def check_possible(changes: Mapping[str, Any]) -> None:
+    """Raise InvalidOption if changes contradict all values that other parameters may have."""
+    others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': _SOME_ROADS,
+               'game.ambush_radius': 1.0}
+    if changes.get('network.graph'):
+        others['network.method'] = 'graph'  # so that the file is read
+    for solver in reversed(SOLVERS):  # the reason given is that of the first solver
+        try:
+            parameters_from({**others, 'strategy.solver': solver, **changes})
+            return
+        except InvalidOption as error:
+            refused = error
+    raise refused
 
 
 def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any],

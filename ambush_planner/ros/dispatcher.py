@@ -53,8 +53,9 @@ from .topics import Publishers
 _MAX_SOLVES = 4
 # How far the robot may drive during a solve before the request is refused [m].
 _MAX_BEHIND = 1.0
-# Maximum number of trips that are kept: another goal that is looked up ends none.
-_MAX_TRIPS = 64
+# Maximum number of trips of one robot that are kept, each with its plan: another goal that is
+# looked up ends none.
+_MAX_TRIPS = 4
 
 INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
 
@@ -404,7 +405,7 @@ class Dispatcher:
         left = self._recordings.depart(departure, leave, sets_out)
         under_way = _UnderWay(way, departure, pending.trip_request, route, left, sets_out)
         if trip.moves:
-            self._take_up(under_way, before)
+            self._take_up(under_way)
 
         def stay() -> None:
             if under_way in self._under_way:
@@ -419,13 +420,15 @@ class Dispatcher:
 
         left.add_done_callback(stay_unless_left)
 
-    def _take_up(self, new: _UnderWay, before: _UnderWay | None) -> None:
-        """Keep a trip, instead of the one that it diverts and, after an arrival, the robot's."""
-        frames = new.trip.destination.frames
-        own = [each for each in self._under_way if each.trip.destination.frames == frames]
-        dropped = [before, *(own if any(each.trip.arrived for each in own) else ())]
-        kept = [each for each in self._under_way if each not in dropped]
-        self._under_way = [new, *kept][:_MAX_TRIPS]
+    def _take_up(self, new: _UnderWay) -> None:
+        """Keep a trip, and the robot's last ones to other goals unless one of them has ended."""
+        to = new.trip.destination
+        own = [each for each in self._under_way if each.trip.destination.frames == to.frames]
+        others = [each for each in own if each.trip.destination.goal != to.goal]
+        if any(each.trip.arrived for each in own):
+            others = []
+        self._under_way = [new, *others[:_MAX_TRIPS - 1],
+                           *(each for each in self._under_way if each not in own)]
 
     def _departure(self, fit: Fit, route: Route, rows: FloatArray, source: list[int],
                    pending: _Pending) -> Departure:

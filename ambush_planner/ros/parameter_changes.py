@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -18,18 +17,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ..errors import InvalidOption
-from ..game.strategy import SOLVERS
-from ..maps.risk_map import MAX_LOSS
-from ..maps.road_file import RoadGraph
 from ..parameters.table import PARAMETERS, Declaration
-from ..parameters.values import NodeParameters, parameters_from
+from ..parameters.values import NodeParameters, check_possible, parameters_from
 from ..recordings.plan_file import SavedPlan
 from .plan_from_file import other_options, planned_parameters, read_plan_for_node
 
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
-# Stands for any file with roads.
-_SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 
 
 class NodeSettings:
@@ -129,26 +123,10 @@ def _check(node: Node, changes: list[Parameter], locked: bool) -> SetParametersR
                 successful=False, reason=f'{name} is read-only while the node is active: '
                 'parameters.locked is true')
     try:
-        _check_possible(ours)
+        check_possible(ours)
     except InvalidOption as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)
-
-
-def _check_possible(changes: Mapping[str, Any]) -> None:
-    """Raise InvalidOption if the changes contradict all values of the other parameters."""
-    others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': _SOME_ROADS,
-               'game.ambush_radius': 1.0}
-    if changes.get('network.graph'):
-        others['network.method'] = 'graph'  # so that the file is read
-    for solver in reversed(SOLVERS):  # the reason given is that of the first solver
-        try:
-            parameters_from({**others, 'strategy.solver': solver, **changes})
-            return
-        except InvalidOption as error:
-            refused = error
-    raise refused
 
 
 def _descriptor(declaration: Declaration) -> ParameterDescriptor:

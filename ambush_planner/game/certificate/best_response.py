@@ -40,7 +40,7 @@ from ..game import Game
 # which it stops: a second or less each. The cost reached by then is still a lower bound.
 SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 5_000_000))
 Searches = Sequence[tuple[float, int]]
-# Labels after which a search looks at the clock.
+# Steps after which a search looks at the clock.
 CLOCK = 256
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
@@ -267,11 +267,13 @@ class _Labels:
         settled: dict[int, list[tuple[float, int]]] = {}
         queue = [(behind[node], 0.0, 0, node, 0) for node in self._sources]
         heapq.heapify(queue)
+        step = 0
         while queue:
+            step += 1
             least, cost, number, node, met = heapq.heappop(queue)
             if node in self._targets:
                 return cost, self._route(labels, number)
-            if comparisons < 0 or not len(labels) % CLOCK and time.monotonic() > deadline:
+            if comparisons < 0 or not step % CLOCK and time.monotonic() > deadline:
                 return least, None
             here = settled.setdefault(node, [])
             comparisons -= len(here)

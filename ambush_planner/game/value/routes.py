@@ -328,6 +328,7 @@ class Routes:
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
+        self._newest = None
         try:
             self._solve_legs()
         except TimeLimit:
