@@ -148,6 +148,9 @@ def test_copies_and_deleted_files_are_found(files, tmp_path, capsys):
     (tmp_path / files[1].name).unlink()
     code, out = verified(tmp_path, capsys)
     assert code == 1 and f'missing: the recording before {files[2].name}' in out
+    (tmp_path / files[0].name).unlink()
+    assert f'the recording before {files[2].name} is in another folder, or missing' in ' '.join(
+        holds(tmp_path, capsys).split())
 
 
 def test_names_and_texts_of_files_cannot_command_a_terminal(files, tmp_path, capsys):

@@ -316,12 +316,16 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
     for each, said in known:
         if (original := first.setdefault(said.recording_id, each.path)) != each.path:
             problems.append(f'copy: {each.path.name} holds the same departure as {original.name}')
-    notes = []
+    notes, all_ids = [], {said.recording_id for _, said in known}
     for folder in dict.fromkeys(each.path.parent for each, _ in known):
         here = {said.recording_id: (each, said) for each, said in known
                 if each.path.parent == folder}
         if len(here) > 1 and folder not in unreadable:
             problems += _missing(folder, here)
+            early, said = min(here.values(), key=lambda each: each[1].departure)
+            if said.previous and said.previous not in all_ids:
+                notes.append(f'{folder.name}: the recording before {early.path.name} is in another '
+                             'folder, or missing')
         numbers = {said.departure for _, said in here.values()}
         if missing := max(numbers) - min(numbers) + 1 - len(numbers):
             notes.append(f'{folder.name}: {missing} departures between the first and the last have '
