@@ -10,6 +10,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,8 +33,14 @@ class BagFile(NamedTuple):
 
 def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
     """Describe a file by its messages, which are in the order of time."""
-    counts = Counter(each.channel for each in messages)
-    return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, tuple(counts.items()))
+    counts = tuple(Counter(each.channel for each in messages).items())
+    return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, _shared(counts))
+
+
+@lru_cache(16)
+def _shared(counts: tuple[tuple[Channel, int], ...]) -> tuple[tuple[Channel, int], ...]:
+    """Return one object for equal counts: nearly all files of a session have the same."""
+    return counts
 
 
 def bag_text(files: Sequence[BagFile]) -> bytes:
