@@ -31,7 +31,7 @@ from .value.routes import Progress, no_progress
 
 # How much earlier than the time limit a search ends, as a share of it and at most [s]; and how
 # much later at most its judge, as a share and at least [s].
-EARLY, LATER = (0.05, 0.5), (0.03, 0.5)
+EARLY, LATER = (0.05, 1.0), (0.03, 0.5)
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
 
