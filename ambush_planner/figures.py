@@ -58,6 +58,11 @@ MAX_CELLS = 2000
 WIDTH = 7.0  # inches
 DOTS_PER_INCH = 200
 HELD_DASHES = (0, (4, 3))
+ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
+# Shares of the picture: distance within which two routes are on one road, and between numbers.
+SAME_ROAD, BADGE = 0.0005, 0.07
+# Share of a route from which another one that follows it is drawn as a stripe.
+MIN_SHARED = 0.15
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 # Legend entries of the layers below.
 SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours.AMBUSHER,
@@ -70,10 +75,19 @@ NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
                  label='the convoy may drive here: the wider, the likelier')
 
 
-def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str) -> AxesImage:
-    """Draw the map with start, stops, goal and held ground of a strategy."""
-    image = draw_map(axes, risk_map, title)
-    draw_ends(axes, strategy)
+def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
+                small: bool = False) -> AxesImage:
+    """Draw the map with start, stops, goal and held ground of a strategy.
+
+    A ``small`` panel, which another one explains, has no ticks, names or scale.
+    """
+    if small:
+        frame(axes, risk_map, title)
+        axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
+        image = draw_risk_map(axes, risk_map)
+    else:
+        image = draw_map(axes, risk_map, title)
+    draw_ends(axes, strategy, named=not small)
     return image
 
 
@@ -89,8 +103,8 @@ def draw_map(axes: Axes, risk_map: RiskMap, title: str = '',
 def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None) -> None:
     """Give the axes the map's extent, or a box, equal scales, and ticks.
 
-    Ticks are latitudes and longitudes, or for maps without a coordinate system the map's own
-    coordinates in km (m for maps under 2 km).
+    Ticks are latitudes and longitudes, with a graticule, as they are not parallel to the edges; for
+    maps without a coordinate system, the map's own coordinates in km (m for maps under 2 km).
     """
     (left, bottom), (right, top) = np.asarray(risk_map.bounds if box is None else box).tolist()
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect='equal')
@@ -98,8 +112,12 @@ def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | N
     axes.patch.set(facecolor=UNKNOWN.get_facecolor(), edgecolor=UNKNOWN.get_edgecolor(),
                    hatch=UNKNOWN.get_hatch())
     if system := _coordinates(risk_map.crs):
-        _degrees(axes.xaxis, system, np.linspace((left, bottom), (right, bottom)))
-        _degrees(axes.yaxis, system, np.linspace((left, bottom), (left, top)))
+        bottom_edge, left_edge = (np.linspace((left, bottom), end)
+                                  for end in ((right, bottom), (left, top)))
+        box = np.array([(left, bottom), (right, bottom), (left, top), (right, top)])
+        for axis, edge in ((axes.xaxis, bottom_edge), (axes.yaxis, left_edge)):
+            _graticule(axes, system, box, *_degrees(axis, system, edge))
+        axes.set(xlim=(left, right), ylim=(bottom, top))
         return
     unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
@@ -116,18 +134,32 @@ def _coordinates(crs: str | None) -> Coordinates | None:
         return None
 
 
-def _degrees(axis: Axis, system: Coordinates, edge: FloatArray) -> None:
-    """Mark round latitudes or longitudes, whichever vary, along an edge (K, 2) of the axes."""
+def _graticule(axes: Axes, system: Coordinates, box: FloatArray, kind: int, step: float) -> None:
+    """Draw the lines of round latitudes (kind 0) or longitudes (1) across the corners of a box."""
+    low, high = (getattr(system.to_lat_lon(box), end)(axis=0) for end in ('min', 'max'))
+    other = np.linspace(low[1 - kind], high[1 - kind], 30)
+    for value in np.arange(np.ceil(low[kind] / step), high[kind] / step) * step:
+        line = np.column_stack((np.full(30, value), other)[:: 1 - 2 * kind])
+        axes.plot(*system.from_lat_lon(line).T, color='0.3', linewidth=0.5, alpha=0.5, zorder=1)
+
+
+def _degrees(axis: Axis, system: Coordinates, edge: FloatArray) -> tuple[int, float]:
+    """Mark round latitudes or longitudes, whichever vary, along an edge (K, 2) of the axes.
+
+    Returns 0 for latitudes, 1 for longitudes, and their distance.
+    """
     degrees = system.to_lat_lon(edge)
     kind = int(np.ptp(degrees, axis=0).argmax())
     order = degrees[:, kind].argsort()
     found = degrees[order, kind]
     ticks = MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(found[0], found[-1])
+    step = float(ticks[1] - ticks[0])
     ticks = ticks[(found[0] <= ticks) & (ticks <= found[-1])]
     at = np.interp(ticks, found, edge[order, 'xy'.index(axis.axis_name)])
     signs = ('NS', 'EW')[kind]
     axis.set_ticks(at, [f'{abs(tick):.6g}°{signs[int(tick < 0.0)]}' for tick in ticks],
                    fontsize='small')
+    return kind, step
 
 
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
@@ -234,24 +266,27 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
     return lines
 
 
-def draw_ends(axes: Axes, strategy: Strategy) -> None:
+def draw_ends(axes: Axes, strategy: Strategy, named: bool = True) -> None:
     """Mark start, stops and goal of a strategy's network, and its held ground."""
     network, options = strategy.network, strategy.game.options
     draw_places(axes, network.points[[network.source, *network.stops, network.target]],
-                options.held_radius)
+                options.held_radius, named)
     for x, y, radius in options.held_places:
         _circle(axes, (x, y), radius)
 
 
-def draw_places(axes: Axes, places: FloatArray, held_radius: float) -> None:
+def draw_places(axes: Axes, places: FloatArray, held_radius: float, named: bool = True) -> None:
     """Mark start (square), stops (diamonds) and goal (star) with names; circle held ground."""
     stops = [('D', 70, f'stop {k}') for k in range(1, len(places) - 1)]
-    for (x, y), (marker, size, name) in zip(
-        places, [('s', 90, 'start'), *stops, ('*', 260, 'goal')], strict=True
-    ):
-        axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
-        axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
-                      va='top', weight='bold', path_effects=HALO, zorder=8)
+    marks = [('s', 90, 'start'), *stops, ('*', 260, 'goal')]
+    if np.array_equal(places[0], places[-1]):  # a round trip
+        places, marks = places[:-1], [('*', 260, 'start and goal'), *stops]
+    for (x, y), (marker, size, name) in zip(places, marks, strict=True):
+        axes.scatter(x, y, s=size if named else size / 2, marker=marker, color=colours.ENDS,
+                     edgecolors='black', zorder=7)
+        if named:
+            axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
+                          va='top', weight='bold', path_effects=HALO, zorder=8)
         if held_radius > 0.0:
             _circle(axes, (x, y), held_radius)
 
@@ -264,20 +299,48 @@ def _circle(axes: Axes, centre: tuple[float, float], radius: float) -> None:
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
     """Draw routes (K, 2), each with its number where it is farthest from the others.
 
-    More routes than there are colours have the first colour and no numbers. Returns a handle for a
-    legend with ``HandlerTuple``.
+    Those that share a road are stripes of one line. More routes than there are colours have the
+    first colour and no numbers. Returns a handle for a legend with ``HandlerTuple``.
     """
     few = len(routes) <= len(colours.ROUTES)
-    style = {'linewidth': 1.9, 'path_effects': HALO} if few else {'linewidth': 1.1, 'alpha': 0.7}
+    style = {'path_effects': HALO} if few else {'linewidth': 1.1, 'alpha': 0.7}
+    widths = stripe_widths(routes) if few else ()
     lines = []
     for k, route in enumerate(routes):
-        colour = colours.ROUTES[k if few else 0]
-        lines += axes.plot(*route.T, color=colour, solid_joinstyle='round', zorder=4, **style)
-        others = [each for other, each in enumerate(routes) if other != k]
-        if few and others:
-            away, _ = cKDTree(np.concatenate(others)).query(route)
-            number_badge(axes, k + 1, route[away.argmax()], colour)
+        colour, own = colours.ROUTES[k if few else 0], {'linewidth': widths[k]} if few else {}
+        lines += axes.plot(*route.T, color=colour, solid_joinstyle='round', zorder=4, **style,
+                           **own)
+    if few and len(routes) > 1:
+        for k, place in enumerate(badge_places(routes)):
+            number_badge(axes, k + 1, place, colours.ROUTES[k])
     return tuple(lines if few else lines[:1])
+
+
+def stripe_widths(routes: Sequence[FloatArray]) -> list[float]:
+    """Line widths of routes (K, 2): wider if later ones, drawn on top, follow the same road."""
+    size = float(np.ptp(np.concatenate(routes), axis=0).max())
+    covers = [sum(float((cKDTree(other).query(route)[0] < SAME_ROAD * size).mean()) > MIN_SHARED
+                  for other in routes[k + 1 :]) for k, route in enumerate(routes)]
+    return [ROUTE_WIDTH + STRIPE * count for count in covers]
+
+
+def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[FloatArray]:
+    """A place for the number of each route (K, 2): on it, far from the others and other numbers.
+
+    Numbers also keep away from the ends of routes, and from the places to ``avoid``.
+    """
+    size = float(np.ptp(np.concatenate(routes), axis=0).max()) or 1.0
+    taken = [*(route[end] for route in routes for end in (0, -1)), *avoid]
+    places = []
+    for k, route in enumerate(routes):
+        others = [each for other, each in enumerate(routes) if other != k] or [route[[0, -1]]]
+        away = cKDTree(np.concatenate(others)).query(route)[0]
+        free = cKDTree(np.array(taken)).query(route)[0]
+        # First of all room for the badge; then far from the other routes.
+        best = int((np.minimum(free, BADGE * size) * 10.0 + away + 0.1 * free).argmax())
+        places.append(route[best])
+        taken.append(route[best])
+    return places
 
 
 def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str) -> None:
@@ -302,11 +365,10 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
         from matplotlib import pyplot
 
         _, axes = pyplot.subplots(figsize=(WIDTH, 6.2), layout='compressed')
-    network, figure = strategy.network, axes.figure
-    length, unit = strategy.expected_length, network.travel_unit
-    mean = f'{length / 1000:.1f} km' if unit == 'm' and length >= 2000.0 else f'{length:.0f} {unit}'
+    figure = axes.figure
+    longer = strategy.expected_length / strategy.shortest_length
     title = (f'The best ambush causes a mean loss of {strategy.value:#.3g}\n'
-             f'Mean length {mean}, {length / strategy.shortest_length:.2f} times the shortest')
+             f'Routes are on average {longer:.2f} times the shortest one')
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []
     if risk_map is not None:

@@ -17,6 +17,7 @@ PRINTED = {
     '03_roads': 'fastest',
     '04_nav2': 'poses in map',
     '05_own_tracks': '300 drawn',
+    '06_ros_client': 'departure 2',
 }
 pytestmark = pytest.mark.slow
 
@@ -27,9 +28,11 @@ def test_it_runs(script, tmp_path):
     with ExitStack() as stack:
         if script == '02_terrain_to_gpx':
             pytest.importorskip('geopandas', reason='it takes the extra "gis"')
-        if script == '04_nav2':
+        if script in ('04_nav2', '06_ros_client'):
             domain = stack.enter_context(free_domain())
-            stack.enter_context(stage(domain=domain)).give()
+            running = stack.enter_context(stage(domain=domain))
+            if script == '04_nav2':
+                running.give()
             environment['ROS_DOMAIN_ID'] = str(domain)
         done = subprocess.run([sys.executable, EXAMPLES / f'{script}.py'], cwd=tmp_path,
                               env=environment, capture_output=True, text=True, timeout=120,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from ..recordings import RecordedDeparture, source_findings
 from ..recordings.audit import Audit, NotAuditable, audit
@@ -93,17 +94,31 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         'unreadable': [str(error) for error in unreadable],
     }
     if options.output and result:
-        from ..figures import as_png  # the text needs no matplotlib
-        from .audit_figure import audit_figure
-
-        picture = as_png(audit_figure(departures[-1].risk_map, result))
-        cli.write_private(options.output, {PICTURE: picture})
-        console.line(f'{cli.place(options.output / PICTURE)} shows secret routes.')
+        _draw(options.output, departures, result, console)
     if findings:
         return cli.Exit.FINDING
     if unreadable:
         return cli.Exit.UNREADABLE
     return cli.Exit.HOLDS if result and not result.left_out else cli.Exit.TOO_FEW
+
+
+def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
+          console: cli.Console) -> None:
+    """Write the picture: of the departures on the latest map, if there are several maps."""
+    from ..figures import as_png  # the text needs no matplotlib
+    from .audit_figure import audit_figure
+
+    risk_map = departures[-1].risk_map
+    shown = [each for each in departures if each.risk_map is risk_map]
+    if len(shown) < len(departures):
+        console.say(f'{PICTURE} has the {len(shown)} departures on the latest map only.')
+        try:
+            result = audit(shown)
+        except NotAuditable as error:
+            console.say(f'There is no {PICTURE}: {error}.')
+            return
+    cli.write_private(folder, {PICTURE: as_png(audit_figure(risk_map, result))})
+    console.line(f'{cli.place(folder / PICTURE)} shows secret routes.')
 
 
 main = cli.command(parser, _work)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from ..colours import AMBUSHER
 from ..figures import (
@@ -21,8 +22,10 @@ from ..recordings.audit import Audit
 
 def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     """Published and recorded frequencies on the map, and the losses caused by an observer."""
-    figure = Figure((WIDTH, 7.6), layout='compressed')
-    panels = figure.subplot_mosaic('ab;cc', height_ratios=(5, 3))
+    wide = risk_map.size[0] > 1.6 * risk_map.size[1]
+    figure = Figure((WIDTH, 9.6 if wide else 8.0), layout='constrained')
+    panels = figure.subplot_mosaic('a;b;c' if wide else 'ab;cc',
+                                   height_ratios=(3, 3, 2.4) if wide else (5, 3))
     published, recorded, observer = panels['a'], panels['b'], panels['c']
     scale = probability_scale(result.expected / result.departures)
     for axes, passages, title in (
@@ -41,5 +44,6 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
                      label=f'after {count[-1]} departures, if drawn as published (9 of 10)')
     observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
     observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
+    observer.xaxis.set_major_locator(MaxNLocator(integer=True))
     observer.legend()
     return figure

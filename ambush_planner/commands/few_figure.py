@@ -5,15 +5,24 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from scipy.spatial import cKDTree
 
 from ..colours import AMBUSHER, ROUTES
-from ..figures import HALO, HELD_DASHES, WIDTH, draw_ground, ground_key, number_badge, risk_bar
+from ..figures import (
+    HALO,
+    HELD_DASHES,
+    ROUTE_WIDTH,
+    WIDTH,
+    badge_places,
+    draw_ground,
+    ground_key,
+    number_badge,
+    risk_bar,
+    stripe_widths,
+)
 from ..planning.few_routes import FewRoutes
 from .few_files import FewDrawn
 
@@ -29,9 +38,10 @@ def few_figure(drawn: FewDrawn) -> Figure:
     """An overview with the curve of values, and up to ``MAX_PANELS`` panels of a route each."""
     panels = len(drawn.paths) if len(drawn.paths) <= MAX_PANELS else 0
     rows, (width, height) = -(-panels // 3), drawn.risk_map.size
-    tall = rows * (0.8 + 2.0 * min(max(height / width, 0.2), 1.5))  # inches
-    figure = Figure(figsize=(WIDTH, 4.8 + tall), layout='constrained')
-    top, below = (figure.subfigures(2, 1, height_ratios=(4.8, tall)) if rows
+    shape = min(max(height / width, 0.2), 1.5)
+    tall, head = rows * (0.4 + 2.1 * shape), 2.4 + 3.6 * shape  # inches
+    figure = Figure(figsize=(WIDTH, head + tall), layout='constrained')
+    top, below = (figure.subfigures(2, 1, height_ratios=(head, tall)) if rows
                   else (figure.subfigures(), None))
     grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
     overview = top.add_subplot(grid[:, 0])
@@ -40,33 +50,26 @@ def few_figure(drawn: FewDrawn) -> Figure:
              location='bottom', shrink=0.6, aspect=30)
     _key(drawn, top.add_subplot(grid[0, 1]))
     _curve(top.add_subplot(grid[1, 1]), drawn.few)
-    for k in range(len(drawn.paths)):
-        _route(drawn, overview, k)
+    paths = [path[:, :2] for path in drawn.paths]
+    for k, width in enumerate(stripe_widths(paths)):
+        overview.plot(*paths[k].T, **{**_style(k), 'linewidth': width}, solid_joinstyle='round',
+                      zorder=4)
+    for k, place in enumerate(badge_places(paths, drawn.few.worst_xy)):
+        number_badge(overview, k + 1, place, _style(k)['color'])
     overview.plot(*drawn.few.worst_xy, marker='o', markersize=9, color=AMBUSHER,
                   markeredgecolor='white', zorder=9)
     for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
         if k < panels:
-            draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k])
-            _route(drawn, axes, k)
+            draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k], small=True)
+            axes.plot(*paths[k].T, **_style(k), solid_joinstyle='round', zorder=4)
         else:
             axes.set_axis_off()
     return figure
 
 
 def _style(k: int) -> dict[str, Any]:
-    return {'color': ROUTES[k % len(ROUTES)], 'linewidth': 1.9, 'path_effects': HALO,
+    return {'color': ROUTES[k % len(ROUTES)], 'linewidth': ROUTE_WIDTH, 'path_effects': HALO,
             'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
-
-
-def _route(drawn: FewDrawn, axes: Axes, k: int) -> None:
-    """Draw a route with its number where it is farthest from the others and the ambush."""
-    path = drawn.paths[k][:, :2]
-    axes.plot(*path.T, **_style(k), solid_joinstyle='round', zorder=4)
-    others = [other[:, :2] for other in (*drawn.paths[:k], *drawn.paths[k + 1 :])]
-    others = others or [path[[0, -1]]]
-    away, _ = cKDTree(np.concatenate((*others, [drawn.few.worst_xy]))).query(path)
-    at = away.argmax() if away.any() else len(path) // 2
-    number_badge(axes, k + 1, path[at], _style(k)['color'])
 
 
 def _key(drawn: FewDrawn, axes: Axes) -> None:

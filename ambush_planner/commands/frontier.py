@@ -109,10 +109,11 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
     """
     figure = Figure(figsize=(WIDTH, 6.2), layout='constrained')
     panels = figure.subplots(3, 2, sharex='col', sharey='row')
+    words = {'max_detour': 'detour', 'risk_slack': 'slack'}
     convoy, style = PROBABILITY(0.6), {'marker': 'o', 'markersize': 5, 'zorder': 3}
     for (value, exposure, entropy), name, fixed, title in (
-        (panels[:, 0], 'max_detour', max_detour, f'Longer detour (risk_slack {risk_slack:g})'),
-        (panels[:, 1], 'risk_slack', risk_slack, f'More risk (max_detour {max_detour:g})'),
+        (panels[:, 0], 'max_detour', max_detour, f'Longer routes (slack {risk_slack:g})'),
+        (panels[:, 1], 'risk_slack', risk_slack, f'More risk (detour {max_detour:g})'),
     ):
         solved = [row for row in rows if row.swept == name and not row.error]
         solved.sort(key=lambda row: getattr(row, name))
@@ -121,23 +122,24 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
                            **style)
         lines = value.plot(x, [row.value for row in solved], color=AMBUSHER, **style)
         exposure.plot(x, [_relative_exposure(row) for row in solved], color=convoy, **style)
-        entropy.plot(x, [row.route_entropy for row in solved], color=convoy, **style)
+        entropy.plot(x, [row.route_entropy / math.log(10.0) for row in solved], color=convoy,
+                     **style)
         for axes in (value, exposure, entropy):
             axes.axvline(fixed, color='0.6', linestyle='--', linewidth=1.2, zorder=1)
             axes.grid(color='0.92')
             axes.margins(y=0.15)
-        value.annotate(f'{name} {fixed:g}', (fixed, 1.0), xycoords=('data', 'axes fraction'),
+        value.annotate(f'{words[name]} {fixed:g}', (fixed, 1.0), xycoords=('data', 'axes fraction'),
                        xytext=(4, -14), textcoords='offset points', path_effects=HALO)
         value.set_title(title, loc='left')
     for axes, label in zip(panels[:, 0], (
-        'mean loss\nby the best ambush', 'exposure, relative to\nthe least exposed route',
-        'route entropy [nats]',
+        'mean loss\nby the best ambush', 'danger on the way, relative\nto the least risky route',
+        'equally likely routes\n(a power of 10)',
     ), strict=True):
         axes.set_ylabel(label)
         bottom, top = axes.get_ylim()
         axes.set_ylim(max(0.0, min(bottom, 0.8 * top)), top)  # small changes look small
-    panels[2, 0].set_xlabel('max_detour: mean over shortest length')
-    panels[2, 1].set_xlabel('risk_slack: share of value given up')
+    panels[2, 0].set_xlabel('detour: mean over shortest length')
+    panels[2, 1].set_xlabel('slack: share of the value given up')
     panels[0, 0].legend([*lines, *bound], ['value', 'lower bound'], frameon=False)
     return figure
 

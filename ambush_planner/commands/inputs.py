@@ -306,7 +306,8 @@ def _in_metres(text: str) -> str:
 
 _FIELDS = {each.name: f'{group}.{each.name}' for group, part in vars(SolveOptions()).items()
            for each in dataclasses.fields(part)}
-_PHRASES = {' (game.secured_radius -1)': ' (leave out --held)',
+_PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
+            ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)': ' (strategy.time_limit)',
             'max_planning_time': 'strategy.time_limit'}
 # Qualified names, and those that are no ordinary words.

@@ -25,7 +25,7 @@ _LEGEND = (
            markeredgewidth=2.0, color=AMBUSHER, label='worst place, and how far he reaches'),
     Line2D([], [], color=_HIT, linewidth=3.6, label='50 % of departures, hit there'),
     Line2D([], [], color=_CONVOY, linewidth=1.2, label='10 % of departures, not hit there'),
-    figures.SITES, figures.HELD_GROUND, figures.OBSTACLE, figures.UNKNOWN,
+    figures.SITES,
 )
 
 
@@ -54,8 +54,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
          f'{_less(strategy.value, driven.value)}\na fresh route each time\n'
          f'no strategy is below {strategy.lower_bound:.3g}'),
     ):
-        figures.frame(axes, risk_map, name)
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        figures.frame(axes, risk_map, name, (low, high))
         risk = figures.draw_risk_map(axes, risk_map)
         figures.draw_ends(axes, strategy)
         figures.scale_bar(axes)
@@ -70,7 +69,9 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     figures.draw_sites(panels[2], strategy)
     figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
                      anchor=(0.0, 1.0))
-    figure.legend(handles=_LEGEND, ncols=2, loc='outside lower left', frameon=False)
+    shown = [*_LEGEND, *[figures.HELD_GROUND] * bool(strategy.game.held.radii.any()),
+             *figures.ground_key(risk_map)]
+    figure.legend(handles=shown, ncols=2, loc='outside lower left', frameon=False)
     return figure
 
 

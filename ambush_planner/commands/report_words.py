@@ -94,7 +94,8 @@ def tiles(section: Section) -> list[tuple[str, str]]:
     strategy, rows = section.strategy, evaluate(section.strategy)
     fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
     several = strategy.game.ambushers > 1
-    different = len({each.path_poses.tobytes() for each in section.departures})
+    different = len({each.drawn_from.network.points[each.route].tobytes()
+                     for each in section.departures})
     mean, least = (travel(strategy, length)
                    for length in (strategy.expected_length, strategy.shortest_length))
     return [

@@ -213,6 +213,7 @@ def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
                  'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}
         style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
         layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
+        axes.set(xlabel='', ylabel='')
 
 
 def _summary(ground: TerrainMap) -> str:
