@@ -12,7 +12,6 @@ import hashlib
 import os
 import pickle
 import threading
-import warnings
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
@@ -24,7 +23,7 @@ from ..errors import InvalidOption
 from ..maps.risk_map import RiskMap
 from .options import PlanningOptions
 from .plan import Plan
-from .trip import plan_trip
+from .trip import _plan_trip
 
 # Number of maps that a process keeps.
 _KEPT_MAPS = 4
@@ -171,7 +170,5 @@ def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
             return _MapMissing()
         risk_map = _maps[key]
     start_xy, goal_xy, options, stops, order = rest
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # the gap is in the answer
-        plan = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops, order=order)
+    plan = _plan_trip(risk_map, start_xy, goal_xy, options, stops, order, None)  # no warnings
     return replace(plan, risk_map=None) if answer is None else answer(plan)
