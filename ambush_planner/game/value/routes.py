@@ -328,7 +328,6 @@ class Routes:
         for route in self.routes:
             for leg, way in zip(*self._legs_of(route), strict=True):
                 self._add_way(leg, way)
-        self._newest = None
         try:
             self._solve_legs()
         except TimeLimit:
@@ -341,7 +340,7 @@ class Routes:
 
     def _solve_legs(self) -> None:
         """Solve the legs' program in rounds, in which ways join, until its value is proved."""
-        precision = LOOSE
+        precision, self._newest = LOOSE, None
         centre: Mixture | None = None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
         for rounds in range(LEG_ROUNDS):
