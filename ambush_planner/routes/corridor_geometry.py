@@ -100,6 +100,22 @@ def limit_to_cells(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray,
     return CorridorWidths(np.maximum(widths, 0.0), np.maximum(beyond, 0.0))
 
 
+def open_ground(uv: FloatArray, risk_map: RiskMap, clearance: float,
+                clear_of_edge: bool) -> FloatArray:
+    """Radii (N,) around places that keep the clearance from obstacles and, if asked, the edge."""
+    to_edge = np.minimum(uv, np.array(risk_map.size) - uv).min(axis=1)
+    far = clear_of_cells(uv, rim_cells(risk_map), clearance, risk_map.resolution)
+    return np.minimum(far, to_edge - (clearance if clear_of_edge else 0.0))
+
+
+def clear_of_cells(uv: FloatArray, centres: FloatArray, clearance: float,
+                   resolution: float) -> FloatArray:
+    """Radii (N,) around places that keep the clearance from cells with ``centres`` (C, 2)."""
+    if not len(centres):
+        return np.full(len(uv), np.inf)
+    return np.asarray(cKDTree(centres).query(uv)[0] - clearance - 0.75 * resolution)
+
+
 def _frame(uv: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Start (P, 2), unit direction (P, 2) and length (P,) of each pair."""
     start = uv[pairs[:, 0]]

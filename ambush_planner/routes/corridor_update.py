@@ -15,7 +15,13 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..maps.risk_map import RiskMap, to_map_axes
-from .corridor_geometry import CorridorWidths, largest_widths, limit_to_cells, limit_to_map
+from .corridor_geometry import (
+    CorridorWidths,
+    clear_of_cells,
+    largest_widths,
+    limit_to_cells,
+    limit_to_map,
+)
 from .corridors import Corridors, link_keys
 
 # Radius around a moved end in which nodes are examined [lengths of its longest link].
@@ -42,7 +48,9 @@ def with_new_obstacles(corridors: Corridors, cells: FloatArray, clearance: float
     near = np.flatnonzero(away <= reach)
     narrowed = limit_to_cells(CorridorWidths(corridors.widths[near], corridors.beyond[near]),
                               corridors.uv, corridors.links[near], cells, clearance, resolution)
-    return _with_widths(corridors, near, narrowed)
+    still = np.minimum(corridors.open_ground,
+                       clear_of_cells(corridors.uv, cells, clearance, resolution))
+    return _with_widths(replace(corridors, open_ground=still), near, narrowed)
 
 
 def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
@@ -67,13 +75,15 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
         corridors = _linked(corridors, node, neighbours, tube is None)
     links, uv = corridors.links, corridors.uv.copy()
     uv[node] = to_map_axes(corridors.origin, place)
+    still = corridors.open_ground.copy()
+    still[node] = 0.0
     at = np.flatnonzero((links == node).any(axis=1))
     distance = np.hypot(*(uv - uv[node]).T)
     nodes = np.flatnonzero(distance <= SEARCH_RADIUS * distance[links[at]].max())
     local_uv, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
     measured = largest_widths(local_uv, pairs, tube, corridors.reach)
     measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
-    return _with_widths(replace(corridors, uv=uv), at, measured)
+    return _with_widths(replace(corridors, uv=uv, open_ground=still), at, measured)
 
 
 def _linked(corridors: Corridors, node: int, neighbours: IndexArray,

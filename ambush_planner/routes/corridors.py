@@ -26,7 +26,13 @@ from ..game.discs import HeldGround
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap, to_map_axes
 from ..network.network import Network
-from .corridor_geometry import CorridorWidths, largest_widths, limit_to_map, widths_between_nodes
+from .corridor_geometry import (
+    CorridorWidths,
+    largest_widths,
+    limit_to_map,
+    open_ground,
+    widths_between_nodes,
+)
 
 # Cosine of the smallest turn that a shortcut may skip.
 SHORTCUT_COSINE = 0.5
@@ -66,6 +72,8 @@ class Corridors:
         Distance within which ambushes hit drawn routes [m]; 0: no corners are cut.
     held
         Discs in map axes; parts of drawn routes in them are not hit.
+    open_ground : (N,) float
+        Radius around each place that is free of obstacles [m]; at most the truth.
     """
 
     network: Network
@@ -78,6 +86,7 @@ class Corridors:
     tube: float
     reach: float
     held: HeldGround
+    open_ground: FloatArray
     _keys: IndexArray
 
     def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
@@ -154,7 +163,8 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     links = links[order]
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
                      np.full(len(links), tube is None and most == np.inf),
-                     np.inf if tube is None else tube, reach, held, link_keys(links, len(uv)))
+                     np.inf if tube is None else tube, reach, held,
+                     open_ground(uv, risk_map, clearance, clear_of_edge), link_keys(links, len(uv)))
 
 
 def held_in_map_axes(held: HeldGround, origin: tuple[float, float, float]) -> HeldGround:

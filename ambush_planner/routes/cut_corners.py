@@ -5,10 +5,14 @@ A chord between the two edges at a corner can be driven instead of the corner if
 the reach R of the chord is within R of the edges: then no ambush with this reach hits the chord and
 not the route (docs/theory.md, Proposition 9.2). Held ground protects by where the convoy is, so a
 corner is only cut if the edges around it are, as far as they count, either outside or inside.
+
+Before, nodes that are near each other are joined by straight lines where the ground is open: what
+meets such a line from within a little less than the reach meets an end of it (Proposition 9.3).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +21,8 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..game.discs import HeldGround
 from .corridors import Corridors
 
+# Maximum length of lines that skip nodes [ambush reaches, without the tube].
+SKIP = 0.4
 # Least share of an edge between its two cuts, if these do not meet.
 APART = 0.25
 # Smallest cut [edges]: shorter chords would leave no room for round turns at their ends.
@@ -33,7 +39,8 @@ class CutRoutes:
     (K - 1,) from each point to the next have a ``length``, a ``unit`` vector, and the ``widths``
     (K - 1, 2) of their left and right strips; not ``joined`` ones lead from a line to the next.
     ``room`` (K - 1, 2) is how much wider the strips are free of obstacles, and ``quarters`` (K, 2)
-    are the radii of the left and right quarters at the points.
+    are the radii of the left and right quarters at the points. ``tubes`` (K - 1,) limit how far
+    paths may be from each segment.
     """
 
     points: FloatArray
@@ -44,6 +51,7 @@ class CutRoutes:
     room: FloatArray
     quarters: FloatArray
     bounds: IndexArray
+    tubes: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,19 +77,27 @@ class _Corners:
 
 def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
     """The lines of the routes (K,)."""
+    if corridors.reach > 0.0:
+        routes = [_skipping(corridors, route) for route in routes]
     bounds = np.cumsum([0, *map(len, routes)])
     route = np.concatenate(routes)
     nodes = corridors.uv[route]
     joined = np.ones(len(route) - 1, dtype=bool)  # False from one route to the next
     joined[bounds[1:-1] - 1] = False
-    links = np.zeros(len(joined), dtype=np.int64)
-    links[joined] = corridors.links_along(route[:-1][joined], route[1:][joined])
     unit, length = _directions(nodes, joined)
+    links, known = corridors.links_along(route[:-1], route[1:]), np.zeros(len(joined), dtype=bool)
+    links = np.minimum(links, len(corridors.links) - 1)
+    known = (corridors.links[links] == np.stack((route[:-1], route[1:]), axis=1)).all(axis=1)
+    tubes = np.where(known, corridors.tube, skipping_tube(corridors, length))
     free = corridors.widths[links]
-    widths = np.minimum(free, corridors.tube)
+    beyond = corridors.beyond[links].copy()
+    away = np.maximum(corridors.open_ground[route[:-1]], corridors.open_ground[route[1:]]) - length
+    free[~known] = np.minimum(away, 2.0 * corridors.tube)[~known, None]
+    beyond[~known] = tubes[~known, None, None]
+    widths = np.minimum(free, tubes[:, None])
     quarters = np.zeros((len(route), 2))
-    quarters[1:-1] = np.minimum(corridors.beyond[links[:-1], 1], corridors.beyond[links[1:], 0])
-    whole = CutRoutes(nodes, joined, unit, length, widths, free - widths, quarters, bounds)
+    quarters[1:-1] = np.minimum(beyond[:-1, 1], beyond[1:, 0])
+    whole = CutRoutes(nodes, joined, unit, length, widths, free - widths, quarters, bounds, tubes)
     if corridors.reach == 0.0:
         return whole
     left = cross(unit[:-1], unit[1:]) > 0.0
@@ -92,9 +108,39 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
         _side(free, left), _side(widths, ~left),
         np.where(left, quarters[1:-1, 1], quarters[1:-1, 0]),
         half, np.sqrt(np.maximum(1.0 - half**2, 0.0)))
-    most = _cuts(corners, corridors.reach, corridors.held)
+    tube = np.minimum(tubes[:-1], tubes[1:])
+    most = _cuts(corners, corridors.reach - corridors.tube + tube, corridors.held)
     most[~(joined[:-1] & joined[1:])] = 0.0
-    return _with_chords(whole, corners, *_shared(most, length), corridors.tube)
+    return _with_chords(whole, corners, *_shared(most, length), tube)
+
+
+def _skipping(corridors: Corridors, route: IndexArray) -> IndexArray:
+    """The route without nodes that straight lines can skip."""
+    most = SKIP * (corridors.reach - corridors.tube)
+    uv, at = corridors.uv[route], corridors.open_ground[route]
+    inside = [np.hypot(*(uv - centre).T) < radius
+              for centre, radius in zip(*corridors.held, strict=True)]
+    side = np.array(inside).T.tolist() if inside else [[]] * len(route)
+    points, wide = uv.tolist(), (at - corridors.tube).tolist()
+    kept, last = [0], len(route) - 1
+    while kept[-1] < last:
+        k = kept[-1]
+        ahead = k + 1
+        while ahead < last and side[ahead + 1] == side[k]:
+            far = math.dist(points[k], points[ahead + 1])
+            if far > most or far > max(wide[k], wide[ahead + 1]):
+                break
+            ahead += 1
+        kept.append(ahead)
+    return route[kept]
+
+
+def skipping_tube(corridors: Corridors, length: FloatArray) -> FloatArray:
+    """How far from lines of a length (K,) that skip nodes paths may be [m]."""
+    most = corridors.reach - corridors.tube
+    half = np.minimum(length / 2, corridors.reach)
+    tubes: FloatArray = np.maximum(np.sqrt(corridors.reach**2 - half**2) - most, 0.0)
+    return tubes
 
 
 def _directions(points: FloatArray, joined: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -109,7 +155,7 @@ def _side(widths: FloatArray, left: BoolArray) -> FloatArray:
     return np.where(left[:, None], pairs[:, :, 0], pairs[:, :, 1])
 
 
-def _cuts(corners: _Corners, reach: float, held: HeldGround) -> FloatArray:
+def _cuts(corners: _Corners, reach: FloatArray, held: HeldGround) -> FloatArray:
     """How far from each corner (C,) a chord between its edges may begin and end [m]."""
     sine, cosine = corners.sine, corners.cosine
     depth = free_depth(corners.nodes, corners.edge.min(axis=1), sine, cosine, reach, held)
@@ -120,7 +166,7 @@ def _cuts(corners: _Corners, reach: float, held: HeldGround) -> FloatArray:
 
 
 def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine: FloatArray,
-               reach: float, held: HeldGround) -> FloatArray:
+               reach: FloatArray | float, held: HeldGround) -> FloatArray:
     """How far from corners (C, 2) a shorter line may pass without being hit more [m].
 
     Where an ambush hits a cut line but not the edges first is on the corner's axis: it must be
@@ -159,10 +205,10 @@ def _shared(most: FloatArray, length: FloatArray) -> tuple[FloatArray, BoolArray
 
 
 def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: BoolArray,
-                 tube: float) -> CutRoutes:
+                 tube: FloatArray) -> CutRoutes:
     """Replace each corner with cuts (C, 2) over 0 by a chord; at some edges, chords ``meet``."""
     at = np.flatnonzero(cuts[:, 0] > 0.0)
-    inside, outside, room, ends = _chord_widths(corners, cuts, at, tube)
+    inside, outside, room, ends = _chord_widths(corners, cuts, at, tube[at])
     chords, count = at + 1, np.ones(len(whole.points), dtype=np.int64)
     count[chords] = 2
     last = np.cumsum(count) - 1
@@ -190,11 +236,11 @@ def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: Bo
     unit, length = _directions(points, joined[kept[:-1]])
     begins = np.cumsum(kept)[first[whole.bounds[:-1]]] - 1
     return CutRoutes(points, joined[kept[:-1]], unit, length, widths[kept[:-1]], rooms[kept[:-1]],
-                     quarters, np.append(begins, len(points)))
+                     quarters, np.append(begins, len(points)), np.empty(0))
 
 
 def _chord_widths(corners: _Corners, cuts: FloatArray, at: IndexArray,
-                  tube: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+                  tube: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Widths (K,) of the chords' strips on the inner and outer side, and quarters at their ends.
 
     ``at`` (K,) are their corners. The third is how much wider the inner strips are free, the last
