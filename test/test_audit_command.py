@@ -47,7 +47,8 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
     code, text = run(capsys, good, '-o', out)
     assert code == 0 and 'Nothing suspicious' in text and 'FINDING' not in text
     assert '12 departures, 2023-11-15 22:13:20 UTC to 2023-11-26 22:13:20 UTC' in text
-    assert re.search(r'a mean loss of [\d.]+\. With honest draws, 12 departures .* \(0\.373\)', text)
+    assert re.search(r'a mean loss of [\d.]+\. With honest draws, 12 departures .* \(0\.373\)',
+                     text)
     assert [path.name for path in out.iterdir()] == ['audit.png'] and set(good.iterdir()) == before
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
     assert stat.S_IMODE((out / 'audit.png').stat().st_mode) == 0o600
