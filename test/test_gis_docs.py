@@ -65,8 +65,8 @@ def test_every_command_of_the_page_works(tmp_path):
     assert shown[:4] == printed[:4] and len(shown) == 11
     for one, other in zip(shown, printed, strict=True):
         assert words(one) == words(other)
-        rest, _, bound = one.partition('better than')
-        its_rest, _, its_bound = other.partition('better than')
+        rest, _, bound = one.partition('gets below')
+        its_rest, _, its_bound = other.partition('gets below')
         assert numbers(rest) == pytest.approx(numbers(its_rest), rel=0.02)
         # Which bound rules the others out depends on which of several optimal ambushers was found,
         # and so on the processor. It is never more than the slack below the value of the place.
