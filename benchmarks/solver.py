@@ -131,8 +131,7 @@ def replanned(name: str, changes: int) -> Answer:
         else:
             seconds.append(time.process_time() - begin)
             gaps.append(gap_of(plan.strategy))
-            multipliers = plan.strategy.multipliers
-            warm = WarmStart(plan.network, multipliers) if multipliers else None
+            warm = WarmStart.of(plan.strategy)
         risk_map = changed(problem.scenario.risk_map, rng)  # may close the only way
     return {'seconds': sum(seconds), 'status': 'solved', 'cold': seconds[0], 'warm': seconds[1:],
             'gaps': gaps[1:]}

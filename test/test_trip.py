@@ -143,7 +143,8 @@ def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order
     assert other.stops_xy == in_best_order.stops_xy
     assert np.array_equal(other.strategy.edge_probability, in_best_order.strategy.edge_probability)
     # And the network of a trip can be built again.
-    again = trip_network(risk_map, START, GOAL, OPTIONS.network, other.stops_xy, 'best')
+    again = trip_network(risk_map, START, GOAL, OPTIONS, other.stops_xy, 'best',
+                         other.network.refined)
     assert np.array_equal(again.points, other.network.points[: len(again.points)])
     assert np.array_equal(again.edges, other.network.edges[: len(again.edges)])
 

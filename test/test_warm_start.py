@@ -44,7 +44,7 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     before = solve_on_network(ground(seed), options)
     newest = ground(seed, changed)
     cold = solve_on_network(newest, options)
-    warm = solve_on_network(newest, options, WarmStart(before.network, before.multipliers))
+    warm = solve_on_network(newest, options, WarmStart.of(before))
     assert np.array_equal(warm.network.edges, cold.network.edges)
     # With a reach, the cells that became sites may differ.
     room = 3e-3 if reach else 1e-5
@@ -57,10 +57,10 @@ def test_multipliers_come_from_the_nearest_node():
     made = plan_trip(ground(1), *ENDS, PlanningOptions(network=NetworkOptions(spacing=1.0)))
     two_nodes = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     ends = Network(np.array(ENDS), np.zeros(2), [[0, 1]], 0, 1)
-    found = WarmStart(ends, two_nodes).on(made.network)
+    found = WarmStart(ends, two_nodes, ends.refined).on(made.network)
     nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
         *(made.network.points - ENDS[1]).T)
     assert np.array_equal(found.sites, np.where(nearer, 1.0, 2.0))
     assert found.budgets == (3.0, 4.0)
     multipliers = made.strategy.multipliers
-    assert WarmStart(made.network, multipliers).on(made.network) is multipliers
+    assert WarmStart.of(made.strategy).on(made.network) is multipliers

@@ -37,7 +37,7 @@ class Budget:
     limit
         Largest mean cost; ``inf``: no limit. It is raised to leave the least margin.
     least
-        Cost of the best route of the whole network.
+        Cost of the best route of the whole network, or of the shortest way over the ground.
     name, unit
         For messages, as in BudgetInfeasible if the best playable route exceeds the limit.
     """
@@ -51,11 +51,16 @@ class Budget:
 
     @classmethod
     def length(cls, game: Game, factor: float) -> Budget:
-        """A budget of ``factor`` times the network's shortest route, in m or s."""
+        """A budget of ``factor`` times the shortest way, in m or s.
+
+        It is that over the ground (``Network.ground_length``), if known, else on the network, whose
+        shortest route is always within the budget.
+        """
         network = game.network
-        least = least_cost(network, network.travel_costs)
-        return cls(game, network.travel_costs, _times(factor, least), least, 'length',
-                   network.travel_unit)
+        shortest = least_cost(network, network.travel_costs)
+        least = network.ground_length or shortest
+        return cls(game, network.travel_costs, max(_times(factor, least), shortest), least,
+                   'length', network.travel_unit)
 
     @classmethod
     def exposure(cls, game: Game, factor: float) -> Budget:

@@ -18,11 +18,13 @@ from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph, read_roads
 from ..option_checks import check_at_least, check_flag, check_whole, none_for
+from .grading import Grading
 from .layout import FreeSpace, connect_nodes
 from .network import Network
-from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
+from .passages import MAX_NODE_DISTANCE, pass_nodes, passage_nodes, widest_cell_path
 from .road_network import road_length, road_trip_graph, roads_on_map
 from .shortest_paths import reachable_from
+from .shortest_way import GroundLengths
 from .trip_graph import TripGraph, position_errors
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
@@ -58,6 +60,10 @@ class NetworkOptions:
         Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
+    refine
+        Most rounds in which a plan with a reach refines its network where the ambusher waits, after
+        a first one on a graded network; 0: one plan on the plain lattice. None: until a round gains
+        little. Only for 'uniform_delaunay' and 'graph'.
 
     Raises
     ------
@@ -74,11 +80,12 @@ class NetworkOptions:
     graph: str | RoadGraph | Any = None
     node_crossings: bool = False
     join_distance: float = 50.0
+    refine: int | None = 0
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, str) or self.method not in METHODS:
             raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        none_for(self, spacing=0.0, graph='')
+        none_for(self, spacing=0.0, graph='', refine=-1)
         if self.spacing is not None:
             check_at_least('spacing', self.spacing, 0.0, 'm')
         check_at_least('clearance', self.clearance, 0.0, 'm')
@@ -86,6 +93,8 @@ class NetworkOptions:
         check_whole('target_nodes', self.target_nodes, 2)
         for name in ('clear_of_edge', 'node_crossings'):
             check_flag(name, getattr(self, name))
+        if self.refine is not None:
+            check_whole('refine', self.refine, 0)
         check_at_least('join_distance', self.join_distance, 0.0, 'm')
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
             given = '' if self.graph is None else self.graph
@@ -144,8 +153,13 @@ def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
 
 
 def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-                     options: NetworkOptions, stops: Iterable[npt.ArrayLike] = ()) -> TripGraph:
-    """Place the nodes and join them; raises as ``build_network``."""
+                     options: NetworkOptions, stops: Iterable[npt.ArrayLike] = (),
+                     grading: Grading | None = None) -> TripGraph:
+    """Place the nodes and join them; raises as ``build_network``.
+
+    A graded network has nodes in all passes that are wide enough for the clearance, and its length
+    budgets are multiples of the shortest way over the ground.
+    """
     field = ObstacleField(risk_map, options.clear_of_edge)
     positions = _checked_positions(risk_map, field, [start_xy, *stops, goal_xy], options)
     # Distinct positions, start and goal last.
@@ -158,11 +172,14 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
                                dict(zip(names, positions, strict=True)),
                                chosen_spacing(risk_map, options), options.clearance,
                                options.join_distance)
-    space = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
-    start = places.index(positions[0])
-    uv, pairs = connect_nodes(space, np.empty((0, 2)))
+    space = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options, grading)
+    start, passes = places.index(positions[0]), np.empty((0, 2))
+    if grading:
+        passes = pass_nodes(risk_map, field, options.clearance, space.wanted)
+        passes = passes[field.clear_points(passes, options.clearance)]
+    uv, pairs = connect_nodes(space, passes)
     if unreachable := _unreachable_ends(pairs, len(uv), len(ends), start):
-        uv, pairs = _add_passage_nodes(space, start, unreachable)
+        uv, pairs = _add_passage_nodes(space, start, unreachable, passes)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)
@@ -170,7 +187,10 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     alpha[first:] = 0.0
     visits = tuple(first + places.index(position) for position in positions)
     both = np.concatenate((pairs, pairs[:, ::-1]))
-    return TripGraph(points, alpha, both, visits)
+    if grading is None:
+        return TripGraph(points, alpha, both, visits)
+    return TripGraph(points, alpha, both, visits, None, grading.refined,
+                     GroundLengths(field, options.clearance, uv, both))
 
 
 def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> list[int]:
@@ -180,18 +200,19 @@ def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> l
     return np.flatnonzero(~reachable_from(both, count, first + start)[first:]).tolist()
 
 
-def _add_passage_nodes(space: FreeSpace, start: int,
-                       unreachable: list[int]) -> tuple[FloatArray, IndexArray]:
+def _add_passage_nodes(space: FreeSpace, start: int, unreachable: list[int],
+                       nodes: FloatArray) -> tuple[FloatArray, IndexArray]:
     """Add nodes in narrow passages on paths over cells from end ``start`` to unreachable ends.
 
-    Raises NoRoute if no such path exists or the added nodes do not connect the ends.
+    They come after the ``nodes`` (K, 2) beyond the lattice so far. Raises NoRoute if no such path
+    exists or the added nodes do not connect the ends.
     """
-    options, nodes = space.options, np.empty((0, 2))
+    options = space.options
     for end in unreachable:
         path, margin = _cell_path_between(space, start, end)
         if options.method != 'uniform_grid8':  # which has no place for further nodes
             nodes = np.concatenate((nodes, passage_nodes(path, margin, space.spacing)))
-            nodes = np.unique(nodes, axis=0) if len(unreachable) > 1 else nodes
+            nodes = np.unique(nodes, axis=0)
     nodes = nodes[space.field.clear_points(nodes, options.clearance)]
     uv, pairs = connect_nodes(space, nodes)
     still = _unreachable_ends(pairs, len(uv), len(space.uv_ends), start)

@@ -8,18 +8,20 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
-from .connectivity import delaunay_pairs, grid8_pairs, lattice_delaunay_pairs, without_slivers
+from .connectivity import delaunay_pairs, grid8_pairs, without_slivers
+from .grading import Grading
 from .node_sampling import (
     all_cells,
+    graded_points,
     gradient_points,
     lattice_points,
     lattice_shape,
     mirrored_points,
-    nearest_cells,
     random_points,
 )
 
@@ -29,13 +31,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """The map, options and distinct ends ``uv_ends`` (E, 2) in map axes [m] of a network."""
+    """The map, options and distinct ends ``uv_ends`` (E, 2) in map axes [m] of a network.
+
+    ``grading`` makes the lattice finer in places.
+    """
 
     risk_map: RiskMap
     field: ObstacleField
     uv_ends: FloatArray
     spacing: float
     options: NetworkOptions
+    grading: Grading | None = None
+
+    def wanted(self, uv: FloatArray) -> FloatArray:
+        """The spacing (K,) that is wanted at points (K, 2) in map axes [m]."""
+        if self.grading is None:
+            return np.full(len(uv), self.spacing)
+        points, ends = (self.risk_map.to_world(each) for each in (uv, self.uv_ends))
+        return self.grading.wanted(points, ends, self.spacing)
 
 
 def connect_nodes(space: FreeSpace, extra: FloatArray) -> tuple[FloatArray, IndexArray]:
@@ -53,35 +66,35 @@ def _nodes_and_pairs(space: FreeSpace,
                      others: FloatArray) -> tuple[FloatArray, IndexArray, IndexArray]:
     """Nodes in map axes, the joined pairs, and the triangles that may be flat.
 
-    ``others`` (K, 2), which include the ends, are the last nodes.
+    ``others`` (K, 2), which include the ends, are the last nodes. Each end replaces the node of the
+    lattice or the samples that is nearest.
     """
-    options, spacing = space.options, space.spacing
-    if options.method in ('random_delaunay', 'gradient_delaunay'):
-        return _sampled_nodes_and_pairs(space, others)
-    none = np.empty((0, 3), dtype=np.int64)
-    shape = lattice_shape(space.risk_map, spacing)
-    uv = lattice_points(all_cells(shape), spacing, options.method)
-    free = space.field.clear_points(uv, options.clearance).reshape(shape)
-    if free.size == 0:
-        ends = range(len(space.uv_ends))
-        return space.uv_ends, np.array(list(combinations(ends, 2))), none
-    taken = nearest_cells(shape, spacing, options.method, space.uv_ends)
-    free[tuple(taken.T)] = False
-    uv = np.concatenate((uv[free.ravel()], others))
+    options, clearance = space.options, space.options.clearance
+    uv = _points(space)
+    free, ends = space.field.clear_points(uv, clearance), space.uv_ends
+    if not len(uv):
+        return ends, np.array(list(combinations(range(len(ends)), 2))), np.empty((0, 3), int)
+    taken = cKDTree(uv).query(ends)[1]
+    free[taken] = False
+    nodes = np.concatenate((uv[free], others))
     if options.method == 'uniform_grid8':
-        return uv, _grid8_with_ends(free, taken), none
-    return uv, *lattice_delaunay_pairs(free, others / spacing, options.method)
+        shape = lattice_shape(space.risk_map, space.spacing)
+        cells = np.stack(np.divmod(taken, shape[1]), axis=1)
+        return nodes, _grid8_with_ends(free.reshape(shape), cells), np.empty((0, 3), int)
+    mirrored = mirrored_points(space.risk_map, space.spacing, nodes)
+    return nodes, *delaunay_pairs(nodes, mirrored, space.spacing)
 
 
-def _sampled_nodes_and_pairs(space: FreeSpace,
-                             others: FloatArray) -> tuple[FloatArray, IndexArray, IndexArray]:
-    options = space.options
-    sample = random_points if options.method == 'random_delaunay' else gradient_points
-    uv = sample(space.risk_map, space.spacing, options.seed)
-    uv = uv[space.field.clear_points(uv, options.clearance)]
-    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in space.uv_ends if len(uv)}
-    uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), others))
-    return uv, *delaunay_pairs(uv, mirrored_points(space.risk_map, space.spacing, uv))
+def _points(space: FreeSpace) -> FloatArray:
+    """The lattice (K, 2), in obstacles, too, or the clear samples."""
+    options, risk_map, spacing = space.options, space.risk_map, space.spacing
+    if space.grading:
+        return graded_points(risk_map, spacing, space.wanted)
+    if options.method in ('random_delaunay', 'gradient_delaunay'):
+        sample = random_points if options.method == 'random_delaunay' else gradient_points
+        uv = sample(risk_map, spacing, options.seed)
+        return uv[space.field.clear_points(uv, options.clearance)]
+    return lattice_points(all_cells(lattice_shape(risk_map, spacing)), spacing, options.method)
 
 
 def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:

@@ -49,6 +49,11 @@ class Network(Shown):
         a later one.
     seconds : (M,) float, >= 0, optional
         Driving time of each edge [s]. Budgets are then of time instead of length.
+    refined : (K, 3) float
+        Places (x, y) around which the network is finer, and the spacing of nodes there [m].
+    ground_length : float, optional
+        Length of the shortest way over the ground [m], of which length budgets are multiples.
+        None: that of the network's shortest route.
 
     Raises
     ------
@@ -64,6 +69,8 @@ class Network(Shown):
     places: IndexArray = field(default_factory=_by_default)
     leg: IndexArray = field(default_factory=_by_default)
     seconds: FloatArray | None = None
+    refined: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    ground_length: float | None = None
 
     def __post_init__(self) -> None:
         points = _floats('points', self.points)
@@ -87,6 +94,7 @@ class Network(Shown):
         if self.seconds is not None:
             seconds = _seconds(self.seconds, len(edges))
             object.__setattr__(self, 'seconds', frozen_array(seconds[~outside], np.float64))
+        object.__setattr__(self, 'refined', frozen_array(self.refined, np.float64))
         object.__setattr__(self, 'points', points)
         object.__setattr__(self, 'alpha', alpha)
         object.__setattr__(self, 'edges', frozen_array(edges[~outside], np.int64))

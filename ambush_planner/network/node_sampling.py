@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Node positions: on a lattice, at random, or at random and denser where alpha changes."""
+"""Node positions: on a lattice, plain or graded, at random, or denser where alpha changes."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,6 +20,10 @@ MAX_SHIFT = 0.25
 PATTERN_SEED = 2
 # Rows and columns after which the pattern of offsets repeats.
 PERIOD = 32
+# Cells of this many times the wanted spacing are divided into four.
+DIVIDED = 1.42
+# Most nodes that grading adds.
+MAX_GRADED = 30_000
 # Distance from the map's edge within which nodes have a mirror image beyond it [spacings].
 MIRROR_DISTANCE = 4.0
 
@@ -36,10 +43,10 @@ def shifts(method: str) -> FloatArray:
     return np.asarray(moves, dtype=np.float64)
 
 
-def lattice_shape(risk_map: RiskMap, spacing: float) -> tuple[int, int]:
-    """Rows and columns of the lattice whose nodes (i + 0.5) * spacing lie on the map."""
+def lattice_shape(risk_map: RiskMap, spacing: float, place: float = 0.5) -> tuple[int, int]:
+    """Rows and columns of the lattice whose cells' points (i + place) * spacing lie on the map."""
     width, height = risk_map.size
-    rows, columns = (int(np.floor(side / spacing - 0.5 + 1e-9)) + 1 for side in (height, width))
+    rows, columns = (int(np.floor(side / spacing - place + 1e-9)) + 1 for side in (height, width))
     return rows, columns
 
 
@@ -56,16 +63,34 @@ def all_cells(shape: tuple[int, int]) -> IndexArray:
     return np.stack(np.divmod(np.arange(shape[0] * shape[1]), shape[1]), axis=1)
 
 
-def nearest_cells(shape: tuple[int, int], spacing: float, method: str,
-                  uv: FloatArray) -> IndexArray:
-    """(row, column) of the lattice node nearest to each position (K, 2) in map axes [m]."""
-    around = all_cells((5, 5)) - 2
-    near = np.floor(uv[:, ::-1] / spacing).astype(np.int64)[:, None] + around
-    near = np.clip(near, 0, np.array(shape) - 1)
-    places = lattice_points(near.reshape(-1, 2), spacing, method).reshape(*near.shape)
-    nearest = np.argmin(((places - uv[:, None]) ** 2).sum(axis=2), axis=1)
-    cells: IndexArray = near[np.arange(len(uv)), nearest]
-    return cells
+def graded_points(risk_map: RiskMap, spacing: float,
+                  wanted: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Nodes (K, 2) in map axes [m] of 'uniform_delaunay' lattices, finer where that is ``wanted``.
+
+    The cells of the plain lattice are divided into four, again and again, as long as they are
+    larger than the spacing that is wanted there; each cell that remains has a node. All spacings
+    are larger if there would be more than ``MAX_GRADED`` nodes beyond the plain lattice's.
+    """
+    plain = math.prod(lattice_shape(risk_map, spacing))
+    coarser = 1.0
+    while True:
+        points = _divided(risk_map, spacing, wanted, coarser)
+        if len(points) <= plain + MAX_GRADED:
+            return points
+        coarser *= 1.5
+
+
+def _divided(risk_map: RiskMap, spacing: float,
+             wanted: Callable[[FloatArray], FloatArray], coarser: float) -> FloatArray:
+    cells, side, points = all_cells(lattice_shape(risk_map, spacing, 0.0)), spacing, []
+    while len(cells):
+        centres = (cells[:, ::-1] + 0.5) * side
+        divided = DIVIDED * coarser * wanted(np.asarray(centres, dtype=np.float64)) < side
+        whole = ~divided & (centres <= np.array(risk_map.size) + 1e-9 * side).all(axis=1)
+        points.append(lattice_points(cells[whole], side, 'uniform_delaunay'))
+        parts = np.indices((2, 2)).reshape(2, -1).T
+        cells, side = (cells[divided][:, None] * 2 + parts).reshape(-1, 2), side / 2.0
+    return np.concatenate(points)
 
 
 def random_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label
+from scipy.ndimage import binary_opening, distance_transform_edt, label
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
@@ -17,6 +20,11 @@ from ..maps.risk_map import RiskMap
 MAX_NODE_DISTANCE = 1.1
 # Additional cost of the narrowest cells, relative to that of the widest.
 NARROW_COST = 10.0
+# Least distance of the obstacles on either side of a pass, in margins; 2 in a straight corridor.
+# In the corner of a room it is less.
+OPPOSITE = 1.6
+# Distance of nodes along a passage, as a share of its margin.
+NODE_DISTANCE = 0.7
 
 
 def widest_cell_path(risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArray,
@@ -47,11 +55,38 @@ def passage_nodes(path: FloatArray, margin: FloatArray, spacing: float) -> Float
     kept: list[int] = []
     before = -2
     for k in np.flatnonzero(margin < MAX_NODE_DISTANCE * spacing).tolist():
-        near = k == before + 1 and np.hypot(*(path[k] - path[kept[-1]])) < 0.7 * margin[k]
+        near = k == before + 1 and np.hypot(*(path[k] - path[kept[-1]])) < NODE_DISTANCE * margin[k]
         if not near:
             kept.append(k)
         before = k
     return path[kept]
+
+
+def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
+               wanted: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Nodes (K, 2) in map axes along the middle of all passes that the lattice may miss.
+
+    Those are narrower than ``MAX_NODE_DISTANCE`` times the spacing that is ``wanted`` on each side.
+    """
+    passable = np.pad(~risk_map.obstacles, 1, constant_values=not field.clear_of_edge)
+    distance, nearest = distance_transform_edt(passable, return_indices=True)
+    ridge = passable & ~binary_opening(passable, np.ones((2, 2)))  # one cell wide
+    for axis in (0, 1):
+        one, other = (tuple(slice(k, n - 1 + k) if each == axis else slice(None)
+                            for each, n in enumerate(passable.shape)) for k in (0, 1))
+        between = np.hypot(*(each[one] - each[other] for each in nearest))
+        far = between > OPPOSITE * np.maximum(distance[one], distance[other])
+        ridge[one] |= far & (distance[one] >= distance[other])
+        ridge[other] |= far & (distance[one] < distance[other])
+    cells = np.argwhere(ridge[1:-1, 1:-1])
+    uv = _centres(risk_map, cells)
+    margin = (distance[1:-1, 1:-1][tuple(cells.T)] - 0.5) * risk_map.resolution - clearance
+    narrow = (margin > 0.0) & (margin < MAX_NODE_DISTANCE * wanted(uv))
+    order = np.flatnonzero(narrow)[np.argsort(-margin[narrow], kind='stable')]
+    uv, kept = uv[order], np.ones(len(order), dtype=bool)
+    for k, near in enumerate(cKDTree(uv).query_ball_point(uv, NODE_DISTANCE * margin[order])):
+        kept[k] = not any(other < k and kept[other] for other in near)
+    return uv[kept]
 
 
 def _free_cells(risk_map: RiskMap, field: ObstacleField, clearance: float) -> BoolArray:

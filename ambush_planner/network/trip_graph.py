@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ..errors import (
     StopOutsideMap,
 )
 from .network import Network
+from .shortest_way import GroundLengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,10 @@ class TripGraph:
         The nodes of start, stops and goal in the given order; equal positions share a node.
     seconds : (E,), optional
         Driving time of each edge [s].
+    refined : (K, 3)
+        As in ``Network``.
+    ground : optional
+        Lengths over the ground between nodes, of which length budgets are multiples.
     """
 
     points: FloatArray
@@ -44,11 +49,13 @@ class TripGraph:
     edges: IndexArray
     visits: tuple[int, ...]
     seconds: FloatArray | None = None
+    refined: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    ground: GroundLengths | None = None
 
     def network(self, visits: Sequence[int]) -> Network:
         """The network for driving from each of these nodes to the next: all places for each leg."""
         last = len(visits) - 2
-        return self._layered(visits[0], visits[-1], [
+        return self._layered([visits], visits[0], visits[-1], [
             ({source}, {target: min(leg + 1, last)})
             for leg, (source, target) in enumerate(pairwise(visits))])
 
@@ -58,14 +65,18 @@ class TripGraph:
         bits = {stop: 1 << k for k, stop in enumerate(stops)}
         sets = sorted(range(1 << len(stops)), key=lambda visited: (visited.bit_count(), visited))
         leg = {visited: k for k, visited in enumerate(sets)}
-        return self._layered(source, target, [
+        orders = [(source, *order, target) for order in permutations(stops)]
+        return self._layered(orders, source, target, [
             ({stop for stop in stops if visited & bits[stop]} or {source},
              {stop: leg[visited | bits[stop]] for stop in stops if not visited & bits[stop]}
              or {target: leg[visited]}) for visited in sets])
 
-    def _layered(self, source: int, target: int,
+    def _layered(self, orders: Sequence[Sequence[int]], source: int, target: int,
                  legs: Sequence[tuple[AbstractSet[int], Mapping[int, int]]]) -> Network:
-        """The network with all places for each leg, from where it begins to where others do."""
+        """The network with all places for each leg, from where it begins to where others do.
+
+        ``orders`` are the sequences of start, stops and goal that its routes can follow.
+        """
         count, layers, used = len(self.points), [], []
         for leg, (begins, ends) in enumerate(legs):
             inside = ~np.isin(self.edges[:, 0], list(ends))
@@ -79,9 +90,13 @@ class TripGraph:
         edges, number = np.concatenate(layers), len(legs)
         order = np.lexsort((edges[:, 1], edges[:, 0]))
         seconds = None if self.seconds is None else self.seconds[np.concatenate(used)[order]]
+        shortest = None
+        if self.ground is not None:
+            between = self.ground.between
+            shortest = min(sum(between(*pair) for pair in pairwise(visits)) for visits in orders)
         return Network(np.tile(self.points, (number, 1)), np.tile(self.alpha, number), edges[order],
                        source, target + (number - 1) * count, np.tile(np.arange(count), number),
-                       np.repeat(np.arange(number), count), seconds)
+                       np.repeat(np.arange(number), count), seconds, self.refined, shortest)
 
 
 def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:
@@ -100,7 +115,8 @@ def with_copies(network: Network, node: IndexArray, edges: IndexArray) -> Networ
     if seconds is not None:
         seconds = np.append(seconds, seconds[copied_edges(network, of, edges)])
     return Network(network.points[of], network.alpha[of], every, network.source, network.target,
-                   network.places[of], network.leg[of], seconds)
+                   network.places[of], network.leg[of], seconds, network.refined,
+                   network.ground_length)
 
 
 def copied_edges(network: Network, of: IndexArray, edges: IndexArray) -> IndexArray:

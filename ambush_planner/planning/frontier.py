@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy.typing as npt
 
+from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
 from ..game.slack import within
@@ -17,7 +18,7 @@ from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from .options import PlanningOptions
 from .solving import WarmStart, solve_on_network
-from .trip import trip_network
+from .trip import plan_trip, trip_network
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
@@ -84,17 +85,20 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
                   slacks: Sequence[float] = SLACKS,
                   on_row: Callable[[FrontierRow], None] | None = None, *,
                   stops: Sequence[npt.ArrayLike] = (),
-                  order: str = 'given') -> tuple[FrontierRow, ...]:
+                  order: str = 'given',
+                  refined: FloatArray | None = None) -> tuple[FrontierRow, ...]:
     """The rows of ``frontier`` for the plans of a trip: their values are those of ``plan_trip``.
 
-    ``stops`` and their ``order`` are as in ``Plan.stops_xy``. Raises the errors of ``plan_trip``
-    that do not depend on the budgets.
+    ``stops`` and their ``order`` are as in ``Plan.stops_xy``, ``refined`` as in ``Network``; by
+    default, it is that of the plan. Raises the errors of ``plan_trip``.
     """
-    network = trip_network(risk_map, start_xy, goal_xy, options.network, stops, order)
+    if refined is None:
+        refined = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops,
+                            order=order).network.refined
+    network = trip_network(risk_map, start_xy, goal_xy, options, stops, order, refined)
 
     def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
-        warm = WarmStart(before.network, before.multipliers) if (
-            before and before.multipliers) else None
+        warm = WarmStart.of(before) if before else None
         return solve_on_network(risk_map, network, replace(options, strategy=budgets), warm)
 
     return _rows(solved, detours, slacks, options.strategy, on_row)

@@ -25,7 +25,7 @@ from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
 from .options import PlanningOptions
 from .solving import WarmStart, solve_on_network
-from .trip import Position, trip_network
+from .trip import Position, plan_trip, trip_network
 
 # Candidates of one step if none are given, and their least distance, as a share of the radius.
 MAX_CANDIDATES, APART = 16, 0.7
@@ -80,15 +80,16 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     """
     _check(risk_map, radius, count, candidates or {})
     options = options or PlanningOptions()
-    network = trip_network(risk_map, start_xy, goal_xy, options.network, list(stops), 'given')
+    plan = plan_trip(risk_map, start_xy, goal_xy, options, stops=(stops := list(stops)))
+    network = trip_network(risk_map, start_xy, goal_xy, options, stops, 'given',
+                           plan.network.refined)
 
     def solved(held: tuple[HeldPlace, ...], after: Strategy | None = None) -> Strategy:
-        warm = WarmStart(after.network, after.multipliers) if (
-            after and after.multipliers) else None
+        warm = WarmStart.of(after) if after else None
         game = replace(options.game, held_places=held)
         return solve_on_network(risk_map, network, replace(options, game=game), warm)
 
-    before = strategy = solved(options.game.held_places)
+    before = strategy = plan.strategy
     steps: list[Held] = []
     while len(steps) < count and strategy.value > 0.0:
         taken = [step.name for step in steps]

@@ -6,11 +6,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from ..arrays import FloatArray
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, chosen_spacing
+from ..network.grading import Grading
 from ..option_checks import check_at_least, none_for
 
 # Maximum distance of a place from the site that stands for it, as a share of the reach.
@@ -21,6 +23,9 @@ MAX_PARTS = 5
 DEFAULT_TUBE, TUBE_OF_REACH = 0.35, 0.1
 # Largest distance of paths from the line of a road, unless a tube is set [m].
 ROAD_TUBE = 1.0
+# Of a graded network: the least spacing around the ends, and the radius of the discs around
+# refined places, in reaches.
+FINEST, AROUND = 1.0 / 6.0, 1.25
 # Maximum start tolerance, as a share of the reach: what held ground loses by it stays small.
 MAX_TOLERANCE = 0.25
 
@@ -99,6 +104,21 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
         return replace(game, secured_radius=game.held_radius)
     held = game.secured_radius - start_tolerance(options, spacing)
     return replace(game, secured_radius=max(held, 0.0))
+
+
+def grading(risk_map: RiskMap, options: PlanningOptions,
+            refined: FloatArray) -> Grading | None:
+    """How fine the network is where, with ``Network.refined`` (K, 3); None: it is plain."""
+    network, reach = options.network, options.game.ambush_radius
+    if reach == 0.0 or network.method != 'uniform_delaunay' or network.refine == 0:
+        return None
+    held = _driven_game(options, node_spacing(risk_map, network)).held_radius
+    return Grading(finest_spacing(risk_map, FINEST * reach), held, refined, AROUND * reach)
+
+
+def finest_spacing(risk_map: RiskMap, wanted: float) -> float:
+    """The spacing [m]: nodes nearer to each other than half a cell show no more of the ground."""
+    return max(wanted, risk_map.resolution / 2.0)
 
 
 def holds_anywhere(options: PlanningOptions) -> bool:

@@ -33,6 +33,7 @@ from .solving import WarmStart
 if TYPE_CHECKING:
     from .few_routes import FewRoutes
     from .frontier import FrontierRow
+    from .refinement import Round
 
 # Number of routes drawn to count the different paths.
 DRAWN = 1000
@@ -60,6 +61,8 @@ class PlanRequest:
         Stops [m] and their order, as ``plan_trip`` takes them.
     warm
         A similar strategy to start the search from.
+    rounds
+        Most rounds of refinement after the first plan; None: as ``network.refine`` says.
     """
 
     values: npt.NDArray[np.int8]
@@ -73,6 +76,7 @@ class PlanRequest:
     stops_xy: tuple[tuple[float, float], ...] = ()
     order: str = 'given'
     warm: WarmStart | None = None
+    rounds: int | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,7 +90,8 @@ class Plan(Shown):
     of few routes that departures draw from, None if they draw from the strategy.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
     'best' or 'heuristic'. If it is 'random', ``order`` is the given one, and each route has its own
-    (``network.visited``).
+    (``network.visited``). ``refinement`` has the rounds in which the network was refined, the first
+    plan's first.
     """
 
     network: Network
@@ -101,6 +106,7 @@ class Plan(Shown):
     order_found: str = 'given'
     risk_map: RiskMap | None = None
     few: FewRoutes | None = None
+    refinement: tuple[Round, ...] = ()
 
     @property
     def value(self) -> float:
@@ -230,7 +236,7 @@ class Plan(Shown):
         return trip_frontier(self.risk_map, start, self.goal_xy, self.options,
                              DETOURS if detours is None else detours,
                              SLACKS if slacks is None else slacks,
-                             stops=self.stops_xy, order=order)
+                             stops=self.stops_xy, order=order, refined=self.network.refined)
 
     @cached_property
     def driven_length(self) -> float:

@@ -24,14 +24,26 @@ from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Another strategy to start from: its network and its multipliers."""
+    """Another strategy to start from: its network and its multipliers, if it has any.
+
+    ``refined`` (K, 3) is that of the new network.
+    """
 
     network: Network
-    multipliers: Multipliers
+    multipliers: Multipliers | None
+    refined: FloatArray
 
-    def on(self, network: Network) -> Multipliers:
+    @classmethod
+    def of(cls, strategy: Strategy, refined: FloatArray | None = None) -> WarmStart:
+        """Start from a strategy; by default its network's places are refined again."""
+        network = strategy.network
+        return cls(network, strategy.multipliers, network.refined if refined is None else refined)
+
+    def on(self, network: Network) -> Multipliers | None:
         """The multipliers for another network: each site's from the nearest node."""
         points = self.network.points
+        if self.multipliers is None:
+            return None
         if np.array_equal(points, network.points):
             return self.multipliers
         _, nearest = cKDTree(points).query(network.points)
@@ -41,6 +53,8 @@ class WarmStart:
     def sites_beyond(self, network: Network) -> FloatArray:
         """Positions (K, 2) of binding sites without edges that another network lacks [m]."""
         own = self.network
+        if self.multipliers is None:
+            return np.empty((0, 2))
         binding = self.multipliers.sites[own.representatives] > 0.0
         binding[own.places[own.edges]] = False
         places = np.unique(own.points[own.representatives[binding]], axis=0)

@@ -25,15 +25,16 @@ from ..game.strategy import Strategy
 from ..game.value.cut import solve_by_min_cut
 from ..game.value.routes import LEG_SEARCH, Progress, no_progress
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, build_trip_graph
+from ..network.construction import build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from ..network.trip_graph import TripGraph
 from .concerns import concerns
 from .few_routes import few_routes
-from .options import PlanningOptions, solved_game
+from .options import PlanningOptions, grading, solved_game
 from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
+from .refinement import Planned, refine
 from .solving import WarmStart, solve_on_network
 
 ORDERS = ('given', 'best', 'random')
@@ -128,7 +129,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
 def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                options: PlanningOptions, asked: list[npt.ArrayLike], order: str,
-               warm: WarmStart | None, progress: Progress = no_progress) -> Plan:
+               warm: WarmStart | None, progress: Progress = no_progress,
+               rounds: int | None = None) -> Plan:
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
     if not isinstance(risk_map, RiskMap):
@@ -143,17 +145,31 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
         raise InvalidOption(f"loads belong to legs, so order must be 'given', got {order!r}")
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
-                             [asked[k] for k in place])
-    chosen, found = tuple(range(len(asked))), order
-    if order == 'random':
-        strategy = solve_on_network(risk_map, _in_any_order(graph), options, warm, progress)
-    elif order == 'given' or len(asked) < 2:
-        strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm, progress)
-    else:
-        strategy, chosen, found = _StopOrderSearch(risk_map, graph, options, progress).run()
+    visited = [asked[k] for k in place]
+
+    def plan_once(refined: FloatArray, similar: WarmStart | None,
+                  before: Planned | None) -> Planned:
+        graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network, visited,
+                                 grading(risk_map, options, refined))
+        rest = _with_time_left(options, begin)
+        if order == 'best' and len(asked) > 1 and before is None:
+            return _StopOrderSearch(risk_map, graph, rest, progress).run()
+        chosen, found = before[1:] if before else (tuple(range(len(asked))), order)
+        network = _in_any_order(graph) if order == 'random' else _in_order(graph, chosen)
+        return Planned(solve_on_network(risk_map, network, rest, similar, progress), chosen, found)
+
+    (strategy, chosen, found), done = refine(plan_once, risk_map, options, warm, rounds)
     made = make_plan(risk_map, strategy, options, begin)
-    return replace(made, order=tuple(place[k] for k in chosen), order_found=found)
+    return replace(made, order=tuple(place[k] for k in chosen), order_found=found, refinement=done)
+
+
+def _with_time_left(options: PlanningOptions, begin: float) -> PlanningOptions:
+    """The options with what the time limit leaves; raises TimeLimit if that is nothing."""
+    left = begin + options.strategy.time_limit - time.monotonic()
+    if left <= 0.0:
+        raise TimeLimit(f'the time limit of {options.strategy.time_limit:g} s passed before the '
+                        'network was solved')
+    return replace(options, strategy=replace(options.strategy, time_limit=left))
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
@@ -163,19 +179,24 @@ def plan_from_request(request: PlanRequest) -> Plan:
     """
     risk_map, goal_xy = risk_map_and_goal(request)
     made = _plan_trip(risk_map, request.start_xy, goal_xy, request.options,
-                      list(request.stops_xy), request.order, request.warm)
+                      list(request.stops_xy), request.order, request.warm, rounds=request.rounds)
     return replace(made, risk_map=None)  # too large to send to another process
 
 
 def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-                 options: NetworkOptions, visited: Sequence[npt.ArrayLike], order: str) -> Network:
-    """The network of a plan with its stops as in ``Plan.stops_xy``."""
+                 options: PlanningOptions, visited: Sequence[npt.ArrayLike], order: str,
+                 refined: FloatArray) -> Network:
+    """The network of a plan with its stops as in ``Plan.stops_xy`` and ``Network.refined``."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
-    graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
-    if order == 'random':
-        return _in_any_order(graph)
+    graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
+                             [visited[k] for k in places], grading(risk_map, options, refined))
+    return _in_any_order(graph) if order == 'random' else _in_order(graph, np.argsort(places))
+
+
+def _in_order(graph: TripGraph, order: Sequence[int] | IndexArray) -> Network:
+    """The network with the stops in an order (K,)."""
     nodes = graph.visits
-    return graph.network([nodes[0], *(nodes[1 + k] for k in np.argsort(places)), nodes[-1]])
+    return graph.network([nodes[0], *(nodes[1 + k] for k in order), nodes[-1]])
 
 
 def _in_any_order(graph: TripGraph) -> Network:
@@ -218,7 +239,7 @@ class _StopOrderSearch:
             steps = np.hypot(*(heads - tails).T)
         self._lengths = self._end_distances(graph.edges, steps, len(graph.points))
 
-    def run(self) -> tuple[Strategy, tuple[int, ...], str]:
+    def run(self) -> Planned:
         """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
         count = len(self._visits) - 2
         few = count <= MAX_COMPARED
@@ -239,11 +260,11 @@ class _StopOrderSearch:
         orders, legs, lengths = orders[fits], legs[:, fits], lengths[fits]
         if not few:
             strategy = self._solve(orders[0], float(lengths[0]), limit)
-            return strategy, tuple(orders[0].tolist()), 'heuristic'
+            return Planned(strategy, tuple(orders[0].tolist()), 'heuristic')
         return self._best_order(orders, legs, lengths, limit)
 
     def _best_order(self, orders: IndexArray, legs: IndexArray, lengths: FloatArray,
-                    limit: float) -> tuple[Strategy, tuple[int, ...], str]:
+                    limit: float) -> Planned:
         """Solve the most promising order until no other can be better."""
         slack, bounds = self._options.strategy.slack, self._cut_bounds(orders, legs)
         left = np.ones(len(orders), dtype=bool)
@@ -265,13 +286,9 @@ class _StopOrderSearch:
             except TimeLimit:
                 if best is None:
                     raise
-                return *best, 'heuristic'
+                return Planned(*best, 'heuristic')
         assert best is not None  # the shortest order fits its budget
-        return *best, 'best'
-
-    def _network(self, order: IndexArray) -> Network:
-        nodes = self._graph.visits
-        return self._graph.network([nodes[0], *(nodes[1 + k] for k in order), nodes[-1]])
+        return Planned(*best, 'best')
 
     def _solve(self, order: IndexArray, length: float, limit: float) -> Strategy:
         """The strategy for one order, within the common budget."""
@@ -280,7 +297,7 @@ class _StopOrderSearch:
             raise TimeLimit('the time limit passed before an order of the stops was solved')
         detour = max(limit / length, 1.0)
         options = replace(self._options.strategy, max_detour=detour, time_limit=left)
-        return solve_on_network(self._map, self._network(order),
+        return solve_on_network(self._map, _in_order(self._graph, order),
                                 replace(self._options, strategy=options), progress=self._progress)
 
     def _cut_bounds(self, orders: IndexArray, legs: IndexArray) -> FloatArray:
@@ -288,7 +305,7 @@ class _StopOrderSearch:
         costs, bounds = np.zeros(self._lengths.shape), np.zeros(len(orders))
         if self._game.reach > 0.0:
             return bounds
-        game, k = make_game(self._network(orders[0]), self._game), self._game.ambushers
+        game, k = make_game(_in_order(self._graph, orders[0]), self._game), self._game.ambushers
         options = replace(self._game, ambushers=1)
         for pair in permutations(range(len(self._ends)), 2):
             try:
@@ -338,6 +355,10 @@ class _StopOrderSearch:
         return costs
 
     def _end_distances(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:
+        """Lengths (E, E) between the ends: over the ground, if known, else on the network."""
+        if self._graph.ground is not None:
+            return np.array([[self._graph.ground.between(one, other) for other in self._ends]
+                             for one in self._ends])
         rows = [distances_from(edges, weights, count, end)[self._ends] for end in self._ends]
         return np.asarray(rows)
 

@@ -37,7 +37,7 @@ NUMBERS = (
     'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
     'edge_entropy', 'route_entropy',
 )
-_NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg')
+_NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg', 'refined')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
 # What a plan adds to the game's options [m]: tube, what a site stands for, and held ground.
 _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'held_radius'}
@@ -68,6 +68,8 @@ def strategy_file(strategy: Strategy) -> bytes:
         arrays[_BY_LEG] = strategy.ambusher.by_leg
     if strategy.network.seconds is not None:
         arrays['seconds'] = strategy.network.seconds
+    if strategy.network.ground_length is not None:
+        arrays['ground_length'] = strategy.network.ground_length
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
@@ -79,11 +81,13 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations and
     multipliers are not recorded.
     """
-    content = arrays_in(BytesIO(data), (*_NETWORK, 'seconds', *_PROBABILITIES, *NUMBERS, *_PLANNED,
-                                        *_CIRCULATION, _BY_LEG, _REASON))
+    content = arrays_in(BytesIO(data), (*_NETWORK, 'seconds', 'ground_length', *_PROBABILITIES,
+                                        *NUMBERS, *_PLANNED, *_CIRCULATION, _BY_LEG, _REASON))
+    ground_length = content.get('ground_length')
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
                       int(content['target']), content['places'], content['leg'],
-                      content.get('seconds'))
+                      content.get('seconds'), content['refined'],
+                      None if ground_length is None else float(ground_length))
     planned: dict[str, Any] = {name: float(content[name]) for name in _PLANNED}
     game = make_game(network, replace(options, **planned))
     stated = {name: float(content[name]) for name in NUMBERS}

@@ -197,7 +197,8 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
                      trip: RecordedTrip, order: str) -> list[str]:
     """Build the network again and compare it bit for bit; then compare the game's budgets."""
     recorded = strategy.network
-    laid = trip_network(risk_map, trip.start, trip.goal, planning.network, trip.stops, order)
+    laid = trip_network(risk_map, trip.start, trip.goal, planning, trip.stops, order,
+                        recorded.refined)
     played = solved_game(risk_map, planning)
     network = add_hiding_places(laid, risk_map, planning, played)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
@@ -210,7 +211,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     if ends(recorded) != ends(network) or not all(
         np.array_equal(getattr(recorded, name), getattr(network, name))
         for name in ('points', 'edges', 'alpha', 'places', 'leg')
-    ):
+    ) or recorded.ground_length != network.ground_length:
         return ['network: it does not follow from the recorded map, trip and parameters']
     if strategy.game.options != played:
         return ['strategy: its reach or held ground is not that of the parameters']

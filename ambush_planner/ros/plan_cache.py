@@ -223,12 +223,10 @@ class PlanCache:
         self._queue.close()
 
     def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
-        """Return the multipliers of a plan for the same trip on an earlier map, if any."""
+        """Return what is known from a plan for the same trip on an earlier map, if any."""
         for each in reversed(self._plans):
-            multipliers = each.plan.strategy.multipliers
-            other_map = each.trip.map is not trip.map
-            if multipliers is not None and other_map and each.answers(trip, parameters):
-                return WarmStart(each.plan.network, multipliers)
+            if each.trip.map is not trip.map and each.answers(trip, parameters):
+                return WarmStart.of(each.plan.strategy)
         return None
 
     def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:

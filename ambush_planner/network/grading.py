@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far apart the nodes of a graded network are, place by place.
+
+A disc of radius R covers 2 R + h of the width of routes that run through nodes h apart, so nodes
+belong where few discs cover all routes: around the rims of held ground, where routes fan out, and
+where the ambusher waits (docs/theory.md, section 10).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import FloatArray
+
+# Growth of the wanted spacing per distance from the rim of held ground, and from refined discs.
+END_GROWTH, PLACE_GROWTH = 0.25, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Grading:
+    """The spacing of nodes that is wanted at each place.
+
+    Parameters
+    ----------
+    finest
+        Least spacing around the ends [m].
+    rim
+        Radius of the held ground around start, stops and goal [m].
+    refined : (K, 3), around
+        Places (x, y) and the spacing [m] within this radius [m] of each.
+    """
+
+    finest: float
+    rim: float
+    refined: FloatArray
+    around: float
+
+    def wanted(self, points: FloatArray, ends: FloatArray, spacing: float) -> FloatArray:
+        """Spacing (K,) [m] at points (K, 2), for ``ends`` (E, 2); at most the plain network's."""
+        rim = np.abs(cKDTree(ends).query(points)[0] - self.rim)
+        wanted = np.maximum(END_GROWTH * rim, self.finest)
+        for finest in np.unique(self.refined[:, 2]):
+            places = self.refined[self.refined[:, 2] == finest, :2]
+            beyond = PLACE_GROWTH * (cKDTree(places).query(points)[0] - self.around)
+            wanted = np.minimum(wanted, np.maximum(beyond, finest))
+        return np.minimum(wanted, spacing)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Graded networks, passes, lengths over the ground, and rounds of refinement."""
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from ambush_planner import (
+    GameOptions,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    StrategyOptions,
+    plan_trip,
+)
+from ambush_planner.game.budget import least_cost
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.network.construction import build_trip_graph
+from ambush_planner.network.passages import pass_nodes
+from ambush_planner.network.shortest_way import ON_LATTICE, taut_length
+from ambush_planner.planning.options import grading
+from ambush_planner.planning.solving import WarmStart
+from ambush_planner.planning.trip import trip_network
+
+START, GOAL = (4.0, 20.0), (56.0, 20.0)
+NONE = np.empty((0, 3))
+
+
+def yard(alpha=1.0, walls=()):
+    """A yard of 60 m x 40 m; walls are (column, first row, last row) with gaps elsewhere."""
+    obstacles = np.zeros((40, 60), dtype=bool)
+    for column, first, last in walls:
+        obstacles[first:last, column] = True
+    losses = np.broadcast_to(np.asarray(alpha, dtype=float), obstacles.shape)
+    return RiskMap(np.where(obstacles, 0.0, losses), obstacles, 1.0)
+
+
+def planning(refine, reach=4.0, spacing=4.0, **strategy):
+    return PlanningOptions(network=NetworkOptions(refine=refine, spacing=spacing),
+                           game=GameOptions(ambush_radius=reach),
+                           strategy=StrategyOptions(**strategy))
+
+
+def network_of(risk_map, options, refined=NONE):
+    return trip_network(risk_map, START, GOAL, options, (), 'given', refined)
+
+
+def test_the_network_is_fine_around_held_ground_and_refined_places():
+    options = planning(1)
+    refined = np.array([[30.0, 30.0, 0.8]])
+    network = network_of(yard(), options, refined)
+    apart = cKDTree(network.points).query(network.points, 2)[0][:, 1]
+    fine = grading(yard(), options, refined)
+    for centre, radius, most in ((START, fine.rim, 1.4), ((30.0, 30.0), 0.0, 1.6)):
+        there = np.abs(np.hypot(*(network.points - centre).T) - radius) < 1.5
+        assert there.sum() > 4 and np.median(apart[there]) < most
+    middle = (np.abs(network.points - (30.0, 10.0)) < 6.0).all(axis=1)
+    assert np.median(apart[middle]) > 2.0
+    assert np.array_equal(network.refined, refined)
+    assert np.array_equal(network.points, network_of(yard(), options, refined).points)
+
+
+@pytest.mark.parametrize('options', [planning(0), planning(1, reach=0.0), PlanningOptions(
+    network=NetworkOptions(method='lattice_delaunay', spacing=4.0, refine=1),
+    game=GameOptions(ambush_radius=4.0))])
+def test_without_a_reach_and_for_the_papers_methods_networks_are_plain(options):
+    network = network_of(yard(), options)
+    assert len(network.points) <= 15 * 10 and network.ground_length is None
+
+
+def test_a_pass_of_one_cell_is_in_the_network():
+    """Two ways through a wall: a wide one, and one of a cell that a lattice of 4 m would miss."""
+    walls = [(30, 0, 18), (30, 19, 25)]
+    risk_map, options = yard(1.0, walls), planning(1)
+    graph = build_trip_graph(risk_map, START, GOAL, options.network, (),
+                             grading(risk_map, options, NONE))
+    crossing = graph.points[graph.edges]
+    at_wall = crossing[(crossing[:, 0, 0] < 30.5) & (crossing[:, 1, 0] >= 30.5)].mean(axis=1)
+    assert ((at_wall[:, 1] > 18.0) & (at_wall[:, 1] < 19.0)).any()
+
+
+@examples(20)
+@given(st.integers(0, 10**6), st.sampled_from((0.05, 0.2, 0.35)), st.sampled_from((0.0, 0.4)))
+def test_nodes_of_passes_are_clear_and_narrow(seed, share, clearance):
+    rng = np.random.default_rng(seed)
+    obstacles = rng.random((20, 30)) < share
+    risk_map = RiskMap(np.where(obstacles, 0.0, 1.0), obstacles, 1.0)
+    field = ObstacleField(risk_map)
+    nodes = pass_nodes(risk_map, field, clearance, lambda uv: np.full(len(uv), 3.0))
+    assert field.clear_points(nodes, clearance).all()
+    assert len(nodes) == len(np.unique(nodes, axis=0))
+
+
+def test_the_taut_length_is_that_of_a_string():
+    """Around the end of one wall: by hand, two straight pieces over its corner."""
+    risk_map = yard(1.0, [(30, 0, 30)])
+    field, corners = ObstacleField(risk_map), np.array([(30.0, 30.0), (31.0, 30.0)])
+    hand = (np.hypot(*(corners[0] - START)) + 1.0 + np.hypot(*(corners[1] - GOAL)))
+    for spacing in (2.0, 3.0, 5.0):
+        network = network_of(risk_map, planning(1, spacing=spacing))
+        assert network.ground_length == pytest.approx(ON_LATTICE * hand, rel=4e-3)
+    way = np.array([START, (30.5, 39.0), GOAL])
+    assert taut_length(field, way, 0.0) == pytest.approx(hand, rel=4e-3)
+
+
+def test_the_budget_is_the_same_in_all_rounds_and_never_below_the_shortest_route():
+    risk_map = yard(np.linspace(1.0, 4.0, 40)[:, None], [(30, 0, 16), (30, 22, 34)])
+    plan = plan_trip(risk_map, START, GOAL, planning(2, max_detour=1.1))
+    again = plan_trip(risk_map, START, GOAL, planning(1, max_detour=1.1))
+    assert plan.strategy.length_budget == pytest.approx(again.strategy.length_budget, rel=1e-3)
+    assert plan.strategy.expected_length <= plan.strategy.length_budget * (1.0 + 1e-6)
+    tight = plan_trip(risk_map, START, GOAL, planning(1, max_detour=1.0)).strategy
+    shortest = least_cost(tight.network, tight.network.lengths)
+    assert tight.length_budget >= shortest * (1.0 - 1e-9)
+
+
+def test_refinement_lowers_the_value_and_keeps_the_best_round():
+    risk_map = yard(np.linspace(1.0, 4.0, 40)[:, None], [(30, 0, 14), (30, 26, 36)])
+    plain, seen = plan_trip(risk_map, START, GOAL, planning(0)), []
+    plan = plan_trip(risk_map, START, GOAL, planning(3), progress=lambda *each: seen.append(each))
+    assert 1 <= len(plan.refinement) <= 4 and plan.refinement[0].nodes > 0
+    assert plan.value == min(each.value for each in plan.refinement) < plain.value
+    assert all(each.lower_bound <= each.value for each in plan.refinement)
+    assert seen
+
+
+def test_a_later_plan_keeps_the_refined_places():
+    risk_map = yard(np.linspace(1.0, 4.0, 40)[:, None], [(30, 0, 14), (30, 26, 36)])
+    refined = np.array([[30.0, 20.0, 0.8]])
+    options = planning(1)
+    first = plan_trip(risk_map, START, GOAL, options)
+    warm = WarmStart.of(first.strategy, refined)
+    later = plan_trip(risk_map, (5.0, 21.0), GOAL, options, warm=warm)
+    assert (later.network.refined == refined[0]).all(axis=1).any()
