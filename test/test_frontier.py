@@ -100,7 +100,8 @@ def map_file(tmp_path):
 
 def test_command_writes_table_and_picture(map_file, tmp_path):
     done = run(
-        map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.1, 1.4, '--slacks', 0.2,
+        map_file, *ENDS, '-o', tmp_path / 'f.csv', tmp_path / 'f.png', '--detours', 1.1, 1.4,
+        '--slacks', 0.2,
         '--set', 'network.spacing=15', 'game.ambush_radius=20',
     )
     assert done.code == 0, done.err
@@ -115,9 +116,9 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'arguments', 'reason'), [
-    ('map.yaml', ('--detour', '0.5'), 'max_detour'),
-    ('map.yaml', ('--detours', '0.5'), 'max_detour'),
-    ('map.yaml', ('--goal', '95', '95'), 'one position'), ('map.yaml', ('-o', 'f.png'), '.csv'),
+    ('map.yaml', ('--detour', '0.5'), '--detour must'),
+    ('map.yaml', ('--detours', '0.5'), '--detour must'),
+    ('map.yaml', ('--goal', '95', '95'), 'one position'), ('map.yaml', ('-o', 'f.txt'), '.csv'),
     ('half.npz', (), "no 'obstacles'"), ('no.npz', (), 'no.npz'), ('not', (), 'not'),
 ])
 def test_bad_input_ends_with_one_line(map_file, tmp_path, name, arguments, reason):
