@@ -33,7 +33,7 @@ def test_shell_blocks_parse_and_name_what_exists():
     quoted = '\n'.join(f"bash -n <<'END_OF_BLOCK'\n{text}END_OF_BLOCK" for text in scripts)
     assert not run_script(quoted, ROOT).stderr
     text = '\n'.join(DOCUMENTS.values())
-    files = [*re.findall(r'--share ambush_planner\)/([\w./]+)', text),
+    files = [*re.findall(r'--share ambush_planner\)/([\w./]+\.\w+)', text),
              *(f'launch/{name}' for name in re.findall(r'ros2 launch ambush_planner (\S+)', text))]
     assert files and all((ROOT / name).is_file() for name in files)
     scripts = {each.split(' = ')[0] for each in
