@@ -73,7 +73,7 @@ def test_every_command_of_the_page_works(tmp_path):
         if bound:
             value = numbers(its_rest)[1]
             assert 0.98 * value < float(its_bound) < 1.02 * float(bound)
-    assert 'reprojected from EPSG:4326 to EPSG:32616' in done.stderr
+    assert 'UTM zone 16N (EPSG:32616)' in done.stderr
     for shown in (text for kind, text in BLOCKS if kind == 'text'):
         if 'pip install' not in shown and 'ros2' not in shown:
             assert set(words(shown).split()) <= set(words(done.stdout).split()), shown
