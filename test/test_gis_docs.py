@@ -79,7 +79,7 @@ def test_every_command_of_the_page_works(tmp_path):
             assert set(words(shown).split()) <= set(words(done.stdout).split()), shown
     names = r'\b(?:routes|route|route_2|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
     files = set(re.findall(names, ' '.join(text for kind, text in BLOCKS if kind == 'sh')))
-    assert len(files) == 17 and all((tmp_path / file).stat().st_size for file in files), files
+    assert len(files) == 18 and all((tmp_path / file).stat().st_size for file in files), files
     assert len(list((tmp_path / 'week.departures').iterdir())) == 5
     assert (tmp_path / 'report/report.html').stat().st_size and (tmp_path / 'audit/audit.png')
 
