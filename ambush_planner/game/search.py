@@ -245,7 +245,7 @@ class Search:
         bound = 0.0
         if self.program.bound > 0.0:  # else a search for what he proves can take minutes
             bound = lower_bound(game, ambusher, self.problem.budgets, self.program.faces,
-                                self.problem.judged)
+                                self.problem.judged, best.value / ceiling(1.0, self.slack))
         if best.copies is None:
             per_hit = np.zeros(game.node_count)
             per_hit[game.sites] = weights[kept]

@@ -76,12 +76,14 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget
 
 
 def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
-                faces: Faces | None = None, deadline: float = math.inf) -> float:
+                faces: Faces | None = None, deadline: float = math.inf,
+                enough: float = math.inf) -> float:
     """Value that no strategy within the budgets can beat, as the ambusher proves it.
 
     By the closed curves of his circulation if he has one, else by the best response, as far as that
     is found by ``deadline`` (``time.monotonic``). ``faces`` are the network's, if they are known.
-    Raises SolverFailed if he is no ambusher of the game.
+    The proof by curves ends at a bound of ``enough``. Raises SolverFailed if he is no ambusher of
+    the game.
     """
     ambusher.check(game, budgets)
     game = game.without_copies()  # whatever can be driven can be driven on the trip's own nodes
@@ -97,9 +99,10 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     charge = game.loss * ambusher.q
     if not used:
         return curve_bound(faces, 0.0 * game.network.lengths, 0.0, charge, 0.0,
-                           ambusher.circulation)
+                           ambusher.circulation, enough)
     budget, price = budgets[used[0]], ambusher.prices[used[0]]
-    return curve_bound(faces, budget.cost, budget.limit, charge, price, ambusher.circulation)
+    return curve_bound(faces, budget.cost, budget.limit, charge, price, ambusher.circulation,
+                       enough)
 
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:

@@ -18,6 +18,8 @@ other curves leave.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -32,12 +34,13 @@ NEGLIGIBLE = 1e-7
 
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray, price: float,
-                given: Circulation) -> float:
+                given: Circulation, enough: float = math.inf) -> float:
     """What a circulation proves about strategies with a mean ``cost`` (M,) of at most ``limit``.
 
     ``charge`` (N,) is q_j alpha_j at each node. Flow beyond a charge, or beyond a link's share of
-    the price, counts for nothing. Raises SolverFailed if the circulation is that of another
-    network.
+    the price, counts for nothing. Curves that wind more than once count once if that proves
+    ``enough``; else the rest of the charges may prove more, which takes seconds. Raises
+    SolverFailed if the circulation is that of another network.
     """
     game, given = faces.game, given.at(charge > 0.0)
     if len(given.through) != len(faces.left):
@@ -60,7 +63,9 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
     gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
     kept = np.flatnonzero(size > NEGLIGIBLE * size.max(initial=0.0))
     total, winding, once = _curves(tail[kept], head[kept], gain[kept], size[kept])
-    if winding > 0.0:
+    if winding > 0.0 and total + winding - price * limit >= enough:
+        total += winding
+    elif winding > 0.0:
         used = np.zeros(len(size))
         used[kept] = once
         across, into = np.split(used, [len(arcs[0])])
