@@ -65,9 +65,9 @@ With --slots, a time of departure is drawn for each route: an ambusher can wait 
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
 "shortest_length", "driven_length", "shortest_route_loss", "spotter": {{"x", "y", "loss",
-"factor"}}, "seconds", "few": null, or with --routes {{"value", "lower_bound", "candidates",
-"worst_xy", "shares", "costs", "curve", "draws"}}, "slots": null, or with --slots {{"value",
-"lower_bound", "shares", "drawn"}}}}
+"factor"}}, "refinement": [{{"nodes", "value", "lower_bound", "seconds"}}], "seconds", "few": null,
+or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
+"draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """ + cli.EXIT_CODES
 _TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 
@@ -174,6 +174,9 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
     else:
         console.fact('mean length', f'{distance(plan.driven_length)} as driven' + (
             '' if few else f' (along the network {distance(strategy.expected_length)}, {ratio})'))
+    if len(plan.refinement) > 1:
+        values = ' ... '.join(f'{each.value:.4g}' for each in plan.refinement)
+        console.fact('refined', f'value {values}, on {plan.refinement[-1].nodes} nodes at last')
     if few:
         price = few.value / few.lower_bound if few.lower_bound else math.inf
         console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '
@@ -196,6 +199,7 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
         for text in assumptions(plan):
             console.fact('assumption', text)
     console.result = {
+        'refinement': [each._asdict() for each in plan.refinement],
         'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,

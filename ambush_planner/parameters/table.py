@@ -76,6 +76,11 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'network.target_nodes': Declaration(
         _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
         2, 1_000_000),
+    'network.refine': Declaration(
+        0,
+        'With a reach and uniform_delaunay: rounds in which the network, fine around start, stops '
+        'and goal, is refined where the ambusher waits; -1: as long as the value falls by over '
+        '2 %; 0: one plan on a plain network.', -1, 20),
     'network.clearance': Declaration(
         _NETWORK.clearance, 'Distance that routes keep from obstacle cells [m].'),
     'network.clear_of_edge': Declaration(

@@ -96,8 +96,12 @@ def _coarse(plan: Plan) -> list[str]:
     reach, spacing = plan.options.game.ambush_radius, plan.spacing
     if plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
         return []
+    if len(plan.refinement) > 1:
+        before, last = plan.refinement[-2:]
+        return [f'the last round of refinement brought {before.value:.4g} to {last.value:.4g}; '
+                'on a finer network the value can be lower still']
     return [f'the convoy drives between nodes {distance(spacing)} apart, {spacing / reach:.2f} '
-            'times the reach; on a finer network (network.spacing) the value can be lower']
+            'times the reach; on a finer network (network.refine -1) the value can be lower']
 
 
 def is_sound(plan: Plan) -> bool:

@@ -124,7 +124,7 @@ def parameter_values(plan: Plan, occupancy: OccupancyOptions, order: str) -> dic
     options = plan.options
     values: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
     values |= {'max_planning_time': options.strategy.time_limit, 'trip.order': order,
-               'strategy.max_gap': options.max_gap}
+               'strategy.max_gap': options.max_gap, 'network.refine': -1}
     for group, part_of in (('map', occupancy), ('network', options.network),
                            ('game', options.game), ('strategy', options.strategy),
                            ('route', options.drive)):
