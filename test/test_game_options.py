@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the options of game and route change in what the node answers, held against geometry."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drive_samples import STEP, distance_to, excess
@@ -40,7 +42,7 @@ def test_an_ambush_that_meets_the_path_meets_the_route_with_its_tube(tmp_path, t
 def short_of_time(game, options, ground, *_):
     """The result of a solve at the time limit: a strategy that is 4 % over the best."""
     rough = StrategyOptions(max_detour=options.max_detour, risk_slack=0.05)
-    raise TimeLimit('time is up', solve_game(game, rough, ground))
+    raise TimeLimit('time is up', replace(solve_game(game, rough, ground), reason='time'))
 
 
 @pytest.mark.parametrize('max_gap', [0.1, 0.01])

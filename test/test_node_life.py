@@ -103,4 +103,4 @@ def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned
                            parameters=SimpleNamespace(max_gap=0.1))
     (reported,) = status_to_ros(Status(last=last), 'name', pose(0, 0).header.stamp).status
     assert (reported.level == DiagnosticStatus.WARN) is warned
-    assert ('0.9996, its plan 0.504' in reported.message) is warned
+    assert ('0.9996, its plan had 0.504' in reported.message) is warned

@@ -14,7 +14,9 @@ WRONG = (None, '2', [1.0], True, 1j, np.nan, -2)
 def numbers(record) -> list[str]:
     """Names of the fields of a record that take numbers."""
     defaults = {name: getattr(record(), name) for name in record.__dataclass_fields__}
-    return [name for name, value in defaults.items() if type(value) in (int, float)]
+    # Rounds of refinement may be None: as many as pay.
+    return [name for name, value in defaults.items()
+            if type(value) in (int, float) and name != 'refine']
 
 
 @pytest.mark.parametrize('record', RECORDS)

@@ -84,7 +84,8 @@ def test_two_ways_round_a_wall_are_driven_alike():
     alpha, obstacles = np.ones((20, 40)), np.zeros((20, 40), dtype=bool)
     obstacles[6:14, 8:32] = True
     risk_map = RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
-    plan = plan_trip(risk_map, START, GOAL, OPTIONS)
+    held = GameOptions(ambush_radius=2.0, secured_radius=4.0)  # where the ways part
+    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=held))
     paths = [np.array([START, (8.0, y), (32.0, y), GOAL]) for y in (4.0, 16.0, 3.5)]
     best = PathMixtures(risk_map, plan, paths).best()
     assert best.value == pytest.approx(0.5, rel=1e-3)

@@ -52,7 +52,8 @@ def interface():
         graph = interface_of(node)
         published, subscribed = graph.publishers, graph.subscribers
         shown = {topic: subscribed[topic] for topic in (LATCHED_INPUT, *CLICKED)}
-        shown |= {topic: kind for topic, kind in published.items() if kind in DISPLAYS.values()}
+        shown |= {topic: kind for topic, kind in published.items()
+                  if kind in DISPLAYS.values() and topic != '/plan'}  # the path, for Nav2's layout
         yield SimpleNamespace(
             published=published, subscribed=subscribed, shown=shown,
             services=graph.services,

@@ -62,8 +62,6 @@ PLANS = {
     'floats': lambda: plan_trip(floats(), START, GOAL, OPTIONS),
     'refined': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=NetworkOptions(
         spacing=3.0, refine=None))),
-    'refined stops': lambda: plan_trip(ground(), START, GOAL, replace(
-        OPTIONS, network=NetworkOptions(spacing=3.0, refine=1)), stops=[(12.0, 4.0)]),
     'few': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1),
     'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, order='random',
                                stops=[(12.0, 4.0), (28.0, 16.0)]),

@@ -79,10 +79,15 @@ def _find_law(search: Search) -> Incumbent | None:
     law.measure(search.level())
     if search.problem.ground is None:  # otherwise other places may cost the flow more
         keep()
-    while law.rounds < ROUNDS and not search.problem.late:
-        if not law.round(program.q, program.prices, program.bound):
+    for _ in range(ROUNDS):
+        if search.problem.late or not law.round(program.q, program.prices, program.bound):
             break
-        _join(search, law.chain, ceiling(program.bound, JOINING * search.slack), APART, law=law)
+        above = ceiling(program.bound, JOINING * search.slack)
+        if _join(search, law.chain, above, APART, law=law) and program.bound == 0.0:
+            search.evaluations += law.evaluations
+            law = _law_around(search, program.flow)  # without edges that those places hit
+            law.measure(search.level())
+            continue
         law.measure(search.level())
         keep()
         grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
@@ -16,7 +17,7 @@ from ..game.slack import within
 from ..game.strategy import Strategy, StrategyOptions, solve
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
-from .options import PlanningOptions
+from .options import PlanningOptions, grading
 from .solving import WarmStart, solve_on_network
 from .trip import plan_trip, trip_network
 
@@ -93,8 +94,10 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     default, it is that of the plan. Raises the errors of ``plan_trip``.
     """
     if refined is None:
-        refined = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops,
-                            order=order).network.refined
+        refined = np.empty((0, 3))
+        if grading(risk_map, options, refined):
+            refined = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops,
+                                order=order).network.refined
     network = trip_network(risk_map, start_xy, goal_xy, options, stops, order, refined)
 
     def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:

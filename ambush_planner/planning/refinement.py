@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
-from ..errors import AmbushPlannerError
+from ..errors import TimeLimit
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from .options import PlanningOptions, finest_spacing, grading, node_spacing
@@ -72,15 +72,17 @@ def refine(plan_once: PlanOnce, risk_map: RiskMap, options: PlanningOptions,
     most = options.network.refine if rounds is None else rounds
     most = ROUNDS if most is None else most
     begin = time.monotonic()
+    end = begin + options.strategy.time_limit
     refined = warm.refined if warm else np.empty((0, 3))
     best = newest = plan_once(refined, warm, None)
     done = [_round(newest, begin)]
-    while len(done) <= most and (places := next_places(newest.strategy, risk_map,
-                                                       options)) is not None:
+    while len(done) <= most and time.monotonic() < end:
+        if (places := next_places(newest.strategy, risk_map, options)) is None:
+            break
         begin, before = time.monotonic(), best.strategy.value
         try:
             newest = plan_once(places, WarmStart.of(newest.strategy, places), newest)
-        except AmbushPlannerError:  # at the time limit, or the finer network has no room for a law
+        except TimeLimit:
             break
         done.append(_round(newest, begin))
         if newest.strategy.value < before:

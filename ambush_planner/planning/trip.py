@@ -164,11 +164,8 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
 
 
 def _with_time_left(options: PlanningOptions, begin: float) -> PlanningOptions:
-    """The options with what the time limit leaves; raises TimeLimit if that is nothing."""
-    left = begin + options.strategy.time_limit - time.monotonic()
-    if left <= 0.0:
-        raise TimeLimit(f'the time limit of {options.strategy.time_limit:g} s passed before the '
-                        'network was solved')
+    """The options with what the time limit leaves [s], or next to nothing."""
+    left = max(begin + options.strategy.time_limit - time.monotonic(), 1e-6)
     return replace(options, strategy=replace(options.strategy, time_limit=left))
 
 
