@@ -28,6 +28,7 @@ from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope='module')
@@ -123,7 +124,7 @@ def test_error_of_a_node_that_cannot_start_has_its_last_lines(tmp_path):
 
 def test_interrupted_demo_stops_its_node(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.commands.cli', 'demo', '-o', str(tmp_path)],
+        [sys.executable, '-m', 'examples.demo', '-o', str(tmp_path)], cwd=ROOT,
         env={**os.environ, 'ROS_LOG_DIR': str(tmp_path)}, stderr=subprocess.PIPE, text=True,
     )
     while 'departure 1 of 8' not in process.stderr.readline():
