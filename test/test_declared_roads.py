@@ -265,6 +265,8 @@ def test_features_of_other_kinds_are_counted(tmp_path):
     (('--set', 'network.graph=a.gpkg'), 'no effect without .*network.method=graph'),
     (('--node-crossings',), 'no effect without .*network.method=graph'),
     (('--set', 'network.join_distance=9'), 'no effect without .*network.method=graph'),
+    (('--slope-limit', '0.5'), '--slope-limit goes with --terrain'),
+    (('--weapon-range', '90'), '--weapon-range goes with --terrain'),
 ])
 def test_options_without_an_effect_are_errors(option, words, tmp_path):
     done = run_here(plan, tmp_path / 'm.npz', '--start', 1, 1, '--goal', 8, 8, '-o',

@@ -4,6 +4,7 @@
 import json
 import re
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timezone
 
 import numpy as np
@@ -16,10 +17,12 @@ from ambush_planner import (
     Network,
     NetworkOptions,
     PlanningOptions,
+    Problem,
     RiskMap,
     plan_trip,
     read_risk_map,
     solve,
+    solve_many,
 )
 from ambush_planner.commands import plan
 
@@ -94,3 +97,17 @@ def test_geojson_is_cut_at_180_degrees(tmp_path):
             assert east - west < 0.01 and -180.0 <= west and east <= 180.0
     metres = whole[whole.layer == 'routes'].to_crs(crs).length.sum()
     assert metres == pytest.approx(drawn.routes.length.sum(), rel=1e-3)
+
+
+def test_solve_warns_of_a_certain_loss():
+    network = Network(points=[(0, 0), (1, 0), (2, 0)], alpha=[0, 3, 0], edges=[(0, 1), (1, 2)],
+                      source=0, target=2)
+    with pytest.warns(AmbushPlannerWarning, match='an ambush at node 1 hits every route.*costs 3'):
+        solve(network)
+
+
+def test_solve_many_warns_of_what_its_plans_say():
+    risk_map = RiskMap(np.zeros((8, 16)), np.zeros((8, 16), dtype=bool), 1.0)
+    with ThreadPoolExecutor(1) as pool, pytest.warns(AmbushPlannerWarning,
+                                                     match='problem 0: .*the value is 0'):
+        solve_many([Problem(risk_map, (1.0, 4.0), (15.0, 4.0))], pool)

@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InvalidOption
+from ..maps.occupancy import OccupancyOptions
+from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import agreed_crs
 from ..planning.concerns import assumptions, concerns, is_sound, main_assumption
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
@@ -37,6 +40,7 @@ from .inputs import (
     planned,
     risk_map_from,
 )
+from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
 Plan on a map. Save the plan and draw from it each day, or draw routes for a quick look.
@@ -85,6 +89,9 @@ def parser() -> argparse.ArgumentParser:
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
     number.add_argument('--routes', type=cli.number(1, MAX_ROUTES, int), metavar='K', help='find '
                         'the best mixture of at most K routes, to brief, or draw by hand')
+    made.add_argument('--terrain', action='store_true',
+                      help='MAP is an elevation model, whose risk is found as by ambush risk')
+    add_terrain(made.add_argument_group('with --terrain'))
     made.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
     made.add_argument('--slots', nargs='+', default=(), metavar='HH:MM',
                       help='also draw the time of departure, one of these')
@@ -110,9 +117,13 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise cli.UsageError('--window needs --slots HH:MM ...')
     if arguments.equal and arguments.routes is None:
         raise cli.UsageError('--equal needs --routes K')
+    if not arguments.terrain and (given := terrain_options_in(arguments)):
+        raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
+                             'MAP is an elevation model')
     check_outputs(arguments.output)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
-    risk_map = risk_map_from(arguments.map, options.map, console)
+    risk_map = (_of_terrain(arguments, options.map, console) if arguments.terrain
+                else risk_map_from(arguments.map, options.map, console))
     rng = np.random.default_rng(arguments.seed)
     plan = planned(arguments, risk_map, options.planning, console, order=arguments.order,
                    routes=arguments.routes, equal=arguments.equal, rng=rng)
@@ -133,7 +144,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         drawn = replace(drawn, slots=[slots[k] for k in chosen])
     tell_overwritten(arguments.output, console)
     write_routes(arguments.output, drawn,
-                 saved_plan(plan, options.map, arguments.order, day, arguments.map)
+                 saved_plan(plan, options.map, arguments.order, day,
+                            None if arguments.terrain else arguments.map)
                  if len(quick) < len(arguments.output) else None)
     _tell(plan, day, arguments, console)
     if few:
@@ -144,6 +156,13 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.warn(text)
     tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
+
+
+def _of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
+                console: cli.Console) -> RiskMap:
+    elevation, ground = terrain_of(arguments, arguments.map, None, console)
+    return ground.risk_map(elevation.corner,
+                           replace(options, crs=agreed_crs(elevation.crs, options.crs)))
 
 
 def checked_slots(slots: Sequence[str]) -> list[str]:

@@ -14,15 +14,8 @@ from matplotlib.figure import Figure
 from ..colours import ROUTES
 from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
 from ..maps import (
-    Elevation,
     TerrainMap,
-    TerrainOptions,
-    ViewOptions,
-    elevation_from_raster,
-    mask_from_raster,
-    terrain_map,
 )
-from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
@@ -30,6 +23,7 @@ from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
 from .inputs import add_crs, add_map_output, crs_text
+from .terrain import add_terrain, terrain_of, terrain_options_in
 from .terrain_figure import terrain_figure
 
 DESCRIPTION = """\
@@ -74,34 +68,14 @@ def parser() -> argparse.ArgumentParser:
     terrain = made.add_argument_group('with an elevation model')
     terrain.add_argument('--roads', type=Path, metavar='FILE',
                          help='raster of roads: cells other than 0')
-    for name, default, text in (
-        ('--resolution', None, "cell size [m] (default: the DEM's)"),
-        ('--weapon-range', 300.0, 'range of weapons [m] (default: 300)'),
-        ('--vehicle-height', 2.5, 'height of vehicles [m] (default: 2.5)'),
-        ('--person-height', 1.7, 'eye height of a person [m] (default: 1.7)'),
-        ('--slope-limit', 0.42, 'maximum drivable slope (rise/run, default: 0.42)'),
-        ('--road-factor', 0.5, 'risk on roads relative to open ground (default: 0.5)'),
-    ):
-        terrain.add_argument(name, type=float, metavar='X', help=text)
-        _DEFAULTS[_field(name)] = default
-    terrain.add_argument('--weights', type=float, nargs=4,
-                         metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
-                         help='weights of the four shares (default: 0.4 0.2 0.2 0.2)')
+    add_terrain(terrain)
     add_crs(terrain)
     return made
 
 
-def _field(option: str) -> str:
-    return option[2:].replace('-', '_')
-
-
-# Defaults of the options of an elevation model.
-_DEFAULTS: dict[str, Any] = {'weights': (0.4, 0.2, 0.2, 0.2)}
-
-
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    given = [name for name in ('roads', 'datum', 'crs', *_DEFAULTS)
-             if getattr(arguments, name) not in (None, '')]
+    given = [name for name in ('roads', 'datum', 'crs') if getattr(arguments, name)]
+    given += terrain_options_in(arguments)
     if arguments.source.suffix.lower() in ('.yaml', '.yml'):
         if given:
             raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with an elevation model; '
@@ -113,7 +87,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.source.suffix.lower() != '.npz':
         cli.require(('pyproj', 'rasterio'))
-    elevation, ground = _terrain(arguments, console)
+    elevation, ground = terrain_of(arguments, arguments.source, arguments.roads, console)
     grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
@@ -122,22 +96,6 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
                      ground.heights)
     console.line(_summary(ground))
     return _told(files, LEAST, MOST, [], console)
-
-
-def _terrain(arguments: argparse.Namespace, console: cli.Console) -> tuple[Elevation, TerrainMap]:
-    """The elevation model, and its risk map."""
-    for name, default in _DEFAULTS.items():
-        if getattr(arguments, name) is None:
-            setattr(arguments, name, default)
-    views = ViewOptions(weapon_range=arguments.weapon_range,
-                        vehicle_height=arguments.vehicle_height,
-                        person_height=arguments.person_height)
-    options = TerrainOptions(view=views, slope_limit=arguments.slope_limit,
-                             weights=tuple(arguments.weights), road_factor=arguments.road_factor)
-    raster = read_raster(arguments.source, crs=arguments.crs or None)
-    elevation = elevation_from_raster(raster, arguments.resolution or 0.0)
-    roads = arguments.roads and mask_from_raster(read_raster(arguments.roads, 'roads'), elevation)
-    return elevation, terrain_map(elevation, options, roads, console.bar('lines of sight'))
 
 
 def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:

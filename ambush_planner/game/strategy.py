@@ -32,6 +32,8 @@ from .value.routes import Progress, no_progress
 # How much earlier than the time limit a search ends, as a share of it and at most [s]; and how
 # much later at most its judge, as a share and at least [s].
 EARLY, LATER = (0.05, 1.0), (0.03, 0.5)
+# Share of the routes that a single ambush hits from which they count as all.
+ALL_ROUTES = 0.99
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
 
@@ -338,9 +340,14 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
                              'build_network makes one of a RiskMap, and plan_trip does it all')
     found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
                        warm=warm)
+    loss = found.game.loss
+    certain = (found.ambush_probability > 0.0) & (ALL_ROUTES * loss <= found.value) & (loss > 0.0)
     if not found.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
              'held ground (secured_radius)')
+    elif found.game.options.ambushers == 1 and certain.any():
+        warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
+             f'costs {found.value:.4g}')
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..game.game import Game
 from ..game.slack import Reason
-from ..game.strategy import within_slack
+from ..game.strategy import ALL_ROUTES, within_slack
 from ..words import distance
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
@@ -29,8 +29,6 @@ _WHY: dict[Reason, str] = {
     'stalled': 'no closer strategy or bound was found, and more time would not help; a larger '
                'network.spacing or fewer stops may',
 }
-# Share of the routes that a single ambush hits from which they count as all.
-ALL_ROUTES = 0.99
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
 MAX_SPACING = 0.25
 # Maximum share of the way on held ground that goes without saying.

@@ -19,8 +19,9 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, warn
 from ..maps.risk_map import RiskMap
+from .concerns import concerns
 from .options import PlanningOptions
 from .plan import Plan
 from .trip import _plan_trip
@@ -127,6 +128,8 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
                     continue
                 if isinstance(found, Plan):  # which was sent without its map
                     found = replace(found, risk_map=problem.risk_map)
+                    for text in concerns(found):
+                        warn(f'problem {index}: {text}')
                 results[index] = Solved(index, found, error)
                 if on_result is not None:
                     on_result(results[index])
@@ -170,5 +173,5 @@ def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
             return _MapMissing()
         risk_map = _maps[key]
     start_xy, goal_xy, options, stops, order = rest
-    plan = _plan_trip(risk_map, start_xy, goal_xy, options, stops, order, None)  # no warnings
+    plan = _plan_trip(risk_map, start_xy, goal_xy, options, stops, order, None)
     return replace(plan, risk_map=None) if answer is None else answer(plan)
