@@ -178,8 +178,11 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
         passes = pass_nodes(risk_map, field, options.clearance, space.wanted)
         passes = passes[field.clear_points(passes, options.clearance)]
     uv, pairs = connect_nodes(space, passes)
+    if len(passes) and _unreachable_ends(pairs, len(uv), len(ends), start):
+        # Their triangles can cut the lattice's only way; ways are kept before passes.
+        uv, pairs = connect_nodes(space, np.empty((0, 2)))
     if unreachable := _unreachable_ends(pairs, len(uv), len(ends), start):
-        uv, pairs = _add_passage_nodes(space, start, unreachable, passes)
+        uv, pairs = _add_passage_nodes(space, start, unreachable)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)
@@ -200,14 +203,13 @@ def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> l
     return np.flatnonzero(~reachable_from(both, count, first + start)[first:]).tolist()
 
 
-def _add_passage_nodes(space: FreeSpace, start: int, unreachable: list[int],
-                       nodes: FloatArray) -> tuple[FloatArray, IndexArray]:
+def _add_passage_nodes(space: FreeSpace, start: int,
+                       unreachable: list[int]) -> tuple[FloatArray, IndexArray]:
     """Add nodes in narrow passages on paths over cells from end ``start`` to unreachable ends.
 
-    They come after the ``nodes`` (K, 2) beyond the lattice so far. Raises NoRoute if no such path
-    exists or the added nodes do not connect the ends.
+    Raises NoRoute if no such path exists or the added nodes do not connect the ends.
     """
-    options = space.options
+    options, nodes = space.options, np.empty((0, 2))
     for end in unreachable:
         path, margin = _cell_path_between(space, start, end)
         if options.method != 'uniform_grid8':  # which has no place for further nodes

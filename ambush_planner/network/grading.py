@@ -40,8 +40,8 @@ class Grading:
 
     def wanted(self, points: FloatArray, ends: FloatArray, spacing: float) -> FloatArray:
         """Spacing (K,) [m] at points (K, 2), for ``ends`` (E, 2); at most the plain network's."""
-        rim = np.abs(cKDTree(ends).query(points)[0] - self.rim)
-        wanted = np.maximum(END_GROWTH * rim, self.finest)
+        beyond = cKDTree(ends).query(points)[0] - self.rim
+        wanted = np.maximum(END_GROWTH * beyond, self.finest)
         for finest in np.unique(self.refined[:, 2]):
             places = self.refined[self.refined[:, 2] == finest, :2]
             beyond = PLACE_GROWTH * (cKDTree(places).query(points)[0] - self.around)
