@@ -39,7 +39,7 @@ _METRES = {name: metres for names, metres in (
 _HEIGHTS_BY_NAME = re.compile(r'(?i)elevation|height|altitude|bathymetry|\b(d[est]m|alti)\b')
 # Range of heights on Earth outside the sea [m].
 LOWEST, HIGHEST = -430.0, 9000.0
-# At least so many cells of one exact value, this far below or above all others [m], are a hole.
+# A hole has at least this many cells of one exact value, this far from all others [m].
 HOLE_CELLS, HOLE_DEPTH = 9, 50.0
 
 

@@ -493,7 +493,7 @@ class Dispatcher:
             self._departures.submit(partial(self._try, each), each.answer)
 
     def _prepare(self) -> None:
-        with suppress(AmbushPlannerError):  # whoever asks gets the reason
+        with suppress(AmbushPlannerError):  # each caller gets the reason
             self._refuse_unless_active()
             parameters = self._settings.agreeing()
             robot = parameters.robot

@@ -41,7 +41,7 @@ class CorridorWidths:
 
 def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float | None,
                    reach: float) -> CorridorWidths:
-    """Widths up to the ``tube`` [m] from routes with cut corners, whose chords may lie beside them.
+    """Widths up to the ``tube`` [m] from routes with cut corners, whose chords may leave them.
 
     Without a tube: up to the nearest other nodes.
     """
