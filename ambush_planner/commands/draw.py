@@ -71,7 +71,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--date', type=_date, metavar='YYYY-MM-DD',
                       help='day of the departure, or of the first one (default: today)')
     made.add_argument('--days', type=cli.number(1, 366, int), metavar='COUNT',
-                      help='one departure a day, for this many days')
+                      help='one departure a day, this many days')
     made.add_argument('--slot', metavar='HH:MM', help='time of departure (default: drawn, if the '
                       'plan has slots)')
     add_speed(made)

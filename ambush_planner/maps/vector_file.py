@@ -45,7 +45,7 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
     x and y [m]. Features of other kinds and without a geometry are left out; parts of one feature
     have its index.
 
-    Warns of features that are not read; ``refused`` says why that is an error instead. Raises InvalidFeatures
+    Warns of unread features; ``refused`` says why that is an error instead. Raises InvalidFeatures
     if there are none, or if several layers have some.
     """
     name, _, layer = str(source).partition('|layername=')
