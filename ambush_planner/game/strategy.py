@@ -345,7 +345,7 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     if not found.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
              'held ground (secured_radius)')
-    elif found.game.options.ambushers == 1 and certain.any():
+    elif found.reason == 'complete' and found.game.options.ambushers == 1 and certain.any():
         warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
              f'costs {found.value:.4g}')
     return found
