@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from plain import plain_options
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from recording_samples import new_route_call
@@ -13,7 +14,6 @@ from std_msgs.msg import Header
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
-from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.parameters.table import PARAMETERS
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
@@ -50,7 +50,7 @@ def parameters(**changes):
 def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
     risk_map = risk_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
-        network=NetworkOptions(spacing=SPACING),
+        network=plain_options(spacing=SPACING),
         game=GameOptions(ambush_radius=reach, secured_radius=SECURED),
         strategy=StrategyOptions(solver=solver),
     )

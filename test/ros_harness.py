@@ -39,8 +39,8 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ALL_LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
-# About 100 nodes: a solve takes milliseconds.
-SMALL = {'network.spacing': 1.0}
+# About 100 nodes, which are not refined: a solve takes milliseconds.
+SMALL = {'network.spacing': 1.0, 'network.refine': 0}
 # A solve of minutes, which the tests cancel.
 LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
 # Higher ones are the demo's (examples/demo/node_process.py). The graph shows the node of an earlier

@@ -21,10 +21,10 @@ from games import (
     unbalanced,
     value_by_routes,
 )
+from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
-    NetworkOptions,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
@@ -89,7 +89,7 @@ class Case(NamedTuple):
 
 
 def solved(risk_map, start, goal, reach, secured, detour, tube):
-    options = PlanningOptions(network=NetworkOptions(spacing=SPACING),
+    options = PlanningOptions(network=plain_options(spacing=SPACING),
                               game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour),
                               drive=DriveOptions(tube=tube))
@@ -147,7 +147,7 @@ def test_if_no_law_is_found_the_flow_of_the_program_is_the_strategy(monkeypatch)
 
 def test_a_plan_that_has_proved_nothing_in_time_does_not_search_for_a_bound():
     # An ambusher at all places alike proves little, and that by a search that takes minutes.
-    options = PlanningOptions(network=NetworkOptions(spacing=SPACING), drive=DriveOptions(tube=0.3),
+    options = PlanningOptions(network=plain_options(spacing=SPACING), drive=DriveOptions(tube=0.3),
                               game=GameOptions(ambush_radius=3.0),
                               strategy=StrategyOptions(time_limit=1e-6))
     with pytest.raises(TimeLimit) as late:
@@ -204,7 +204,7 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
     values[rng.random(values.shape) < 0.06] = 100
     values[8:13, [1, 2, 3, 4, -5, -4, -3, -2]] = 0
     game = GameOptions(ambush_radius=2.0, ambush_in_obstacles=hides)
-    options = PlanningOptions(network=NetworkOptions(spacing=SPACING), game=game,
+    options = PlanningOptions(network=plain_options(spacing=SPACING), game=game,
                               drive=DriveOptions(tube=0.0))
     plan = plan_trip(risk_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5), options)
     changed, raised = ChangedGround(plan, OccupancyMap(values, 1.0), occupancy), 0
@@ -229,7 +229,7 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
 def test_a_flow_whose_chain_costs_too_much_is_led_within_the_slack():
     """Cells as large as the reach: no law near the program's flow was within its limits."""
     alpha = np.random.default_rng(1).uniform(1.0, 5.0, (20, 30))
-    options = PlanningOptions(network=NetworkOptions(spacing=2.0),
+    options = PlanningOptions(network=plain_options(spacing=2.0),
                               game=GameOptions(ambush_radius=2.0))
     ground = RiskMap(alpha, np.zeros((20, 30), bool), 2.0)
     found = plan_trip(ground, (4.0, 20.0), (56.0, 20.0), options)

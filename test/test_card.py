@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plain import plain_options
 
 pytest.importorskip('matplotlib', reason='the map on a card needs matplotlib')
 
@@ -14,7 +15,7 @@ from commands import run_here
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
+from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.occupancy import risk_from_occupancy
@@ -118,7 +119,7 @@ def test_one_of_few_routes(tmp_path):
     """Without a speed there are no times."""
     start, stop, goal = (12.5, 147.5), (180.0, 260.0), (387.5, 152.5)
     ground = risk_from_occupancy(occupancy(), 5.0)
-    options = PlanningOptions(network=NetworkOptions(spacing=20.0), game=GameOptions(
+    options = PlanningOptions(network=plain_options(spacing=20.0), game=GameOptions(
         ambush_radius=25.0, secured_radius=0.0))
     plan = plan_trip(ground, start, goal, options, stops=[stop], routes=3, rng=1)
     plan.save(tmp_path / 'few.plan', n=0)

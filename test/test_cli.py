@@ -87,7 +87,8 @@ def test_broken_pipe_is_silent(tmp_path):
 def test_solvers_print_nothing_between_our_lines(tmp_path):
     """HiGHS 1.16 greets a process that uses it for the first time."""
     write_map(tmp_path / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
-    line = 'plan map.yaml --start 15 15 --goal 285 185 --reach 15 -o r.csv --json'
+    line = ('plan map.yaml --start 15 15 --goal 285 185 --reach 15 --set network.refine=0 -o r.csv '
+            '--json')
     plan = subprocess.run([*ENTRY, *line.split()], cwd=tmp_path, capture_output=True, timeout=120,
                           text=True)
     assert json.loads(plan.stdout)['verdict'] == 'holds', plan.stderr
@@ -130,7 +131,7 @@ LINES = {
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
                 '--set network.spacing=40',
     'judge': 'map.yaml trips.csv --start 15 15 --goal 285 185 -o judged.png --reach 20 '
-             '--set network.spacing=40',
+             '--set network.spacing=40 network.refine=0',
     'hold': 'map.yaml --start 15 15 --goal 285 185 -o hold.csv --radius 40 -k 1 '
             '--candidates to.csv --set network.spacing=40',
     'plan': 'map.yaml --start 15 15 --goal 285 185 -o made.plan --set network.spacing=40',

@@ -3,10 +3,10 @@
 
 import numpy as np
 import pytest
+from plain import plain_options
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.maps.risk_map import RiskMap
-from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.concerns import concerns
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
 from ambush_planner.planning.trip import plan_trip
@@ -18,7 +18,7 @@ def plan(radius, held, alpha=1.0, tolerance=0.0, obstacles=None):
     """A plan across open ground of 30 m x 20 m."""
     cells = np.full((20, 30), alpha)
     risk_map = RiskMap(cells, np.zeros(cells.shape, bool) if obstacles is None else obstacles, 1.0)
-    options = PlanningOptions(network=NetworkOptions(spacing=1.5),
+    options = PlanningOptions(network=plain_options(spacing=1.5),
                               game=GameOptions(ambush_radius=radius, secured_radius=held),
                               drive=DriveOptions(start_tolerance=tolerance))
     return plan_trip(risk_map, START, GOAL, options)

@@ -4,9 +4,10 @@
 import numpy as np
 import pytest
 from games import HUNT
+from plain import plain_options
 from scipy.spatial import cKDTree
 
-from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
+from ambush_planner import GameOptions, RiskMap, StrategyOptions
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
 from ambush_planner.planning.plan import depart, departure_paths
 from ambush_planner.planning.trip import plan_trip
@@ -49,7 +50,7 @@ def planned(ground, reach, tube, tracking_error=0.0, spacing=SPACING, secured=SE
     return plan_trip(
         RiskMap(alpha, obstacles, SIDE / 50), (3.0, 50.0), (97.0, 50.0),
         PlanningOptions(
-            network=NetworkOptions(spacing=spacing),
+            network=plain_options(spacing=spacing),
             game=GameOptions(ambush_radius=reach, secured_radius=secured),
             strategy=StrategyOptions(max_detour=1.3),
             drive=DriveOptions(tube=tube, tracking_error=tracking_error),

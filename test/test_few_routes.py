@@ -8,12 +8,12 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 from test_path_mixtures import GOAL, OPTIONS, START, ground
 
 from ambush_planner import (
     GameOptions,
     InvalidOption,
-    NetworkOptions,
     PlanningOptions,
     StrategyOptions,
     plan_trip,
@@ -25,7 +25,7 @@ from ambush_planner.planning.random_draws import OUTCOMES, nearest_counts, rando
 from ambush_planner.routes.driven_path import driven_paths
 
 # 16 different routes, so that all sets of two can be tried.
-COARSE = PlanningOptions(network=NetworkOptions(spacing=5.0), game=GameOptions(ambush_radius=2.5),
+COARSE = PlanningOptions(network=plain_options(spacing=5.0), game=GameOptions(ambush_radius=2.5),
                          strategy=StrategyOptions(max_detour=1.1), drive=DriveOptions(tube=1.75))
 
 

@@ -102,7 +102,7 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
     done = run(
         map_file, *ENDS, '-o', tmp_path / 'f.csv', tmp_path / 'f.png', '--detours', 1.1, 1.4,
         '--slacks', 0.2,
-        '--set', 'network.spacing=15', 'game.ambush_radius=20',
+        '--set', 'network.spacing=15', 'network.refine=0', 'game.ambush_radius=20',
     )
     assert done.code == 0, done.err
     with (tmp_path / 'f.csv').open(newline='') as file:

@@ -10,6 +10,7 @@ from commands import run_here
 from games import examples, planar_network, routes_of, value_by_routes
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
@@ -29,7 +30,7 @@ from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
-OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.0),
+OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
                           game=GameOptions(ambush_radius=2.0, secured_radius=6.0),
                           strategy=StrategyOptions(risk_slack=SLACK))
 CANDIDATES = {'corner': (3.0, 18.0), 'north gate': (15.5, 15.0), 'south gate': (15.5, 5.0),
@@ -152,7 +153,7 @@ def inputs(tmp_path, yard):
 def run(folder, *options):
     return run_here(hold, folder / 'map.yaml', '--start', 3, 10, '--goal', 27, 10, '--reach', 2,
                     '--held', 6, '-o', folder / 'hold.csv', folder / 'hold.png', '--set',
-                    'network.spacing=2', *options)
+                    'network.spacing=2', 'network.refine=0', *options)
 
 
 def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):

@@ -9,6 +9,7 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 
 pytest.importorskip('geopandas', reason='files of tracks take the extra "gis"')
 pytest.importorskip('matplotlib', reason='the picture needs matplotlib')
@@ -20,7 +21,7 @@ from commands import run_here
 from gpxpy import gpx
 from track_samples import GOAL, HABIT, START, driven, habit
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap
+from ambush_planner import GameOptions, PlanningOptions, RiskMap
 from ambush_planner.commands import judge as command
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.track_file import InvalidFeatures, Track, read_tracks
@@ -30,7 +31,7 @@ from ambush_planner.planning.path_mixtures import MAX_GAP
 CRS = 'EPSG:32616'
 ORIGIN = np.array([740000.0, 4050000.0])
 REACH, NEAR = 2.0, 2.6
-OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.5),
+OPTIONS = PlanningOptions(network=plain_options(spacing=2.5),
                           game=GameOptions(ambush_radius=REACH))
 ENDS = np.array(START), np.array(GOAL)
 find = partial(find_trips, start=ENDS[0], goal=ENDS[1], near=NEAR, reach=REACH)
@@ -192,7 +193,7 @@ def test_unusable_files_are_refused(name, text, reason, tmp_path):
 
 
 PLACES = ('--start', *START, '--goal', *GOAL)
-QUICK = ('--reach', REACH, '--set', 'network.spacing=2.5')
+QUICK = ('--reach', REACH, '--set', 'network.spacing=2.5', 'network.refine=0')
 
 
 def run(tmp_path, *arguments):
@@ -243,7 +244,8 @@ def test_recordings_are_judged(tmp_path):
     np.savez(tmp_path / 'map.npz', alpha=risk_map.alpha, obstacles=risk_map.obstacles,
              resolution=risk_map.resolution, origin=risk_map.origin)
     done = run(tmp_path, tmp_path / 'runs', '--start', *start, '--goal', *goal,
-               '--reach', 2 * risk_map.resolution, '--set', 'network.target_nodes=200')
+               '--reach', 2 * risk_map.resolution, '--set', 'network.target_nodes=200',
+               'network.refine=0')
     assert done.code == 0, done.err
     assert done.out.startswith('3 trips within')
 

@@ -9,12 +9,12 @@ import pytest
 from games import drawn_routes, examples, hit_once, meets
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
-from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.planning.moved_start import (
@@ -35,7 +35,7 @@ START, GOAL = (1.0, 3.0), (9.0, 3.0)
 def ground_on(values, radius=0.0, stops=(), spacing=1.1, **strategy):
     """A plan across a map of 10 m x 6 m, in which -1 and 100 are obstacles."""
     grid = OccupancyMap(values, 0.25)
-    options = PlanningOptions(network=NetworkOptions(spacing=spacing),
+    options = PlanningOptions(network=plain_options(spacing=spacing),
                               game=GameOptions(ambush_radius=radius),
                               strategy=StrategyOptions(**strategy))
     plan = plan_trip(risk_from_occupancy(values, 0.25), START, GOAL, options, stops=stops)

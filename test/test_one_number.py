@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from commands import run_here
+from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
-    NetworkOptions,
     PlanningOptions,
     Problem,
     plan_trip,
@@ -27,9 +27,9 @@ from ambush_planner.recordings.attachments import strategy_file, strategy_from_f
 
 YARD = Path(__file__).parents[1] / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
-OPTIONS = PlanningOptions(network=NetworkOptions(target_nodes=120),
+OPTIONS = PlanningOptions(network=plain_options(target_nodes=120),
                           game=GameOptions(ambush_radius=2.0))
-SET = ('--set', 'network.target_nodes=120', 'game.ambush_radius=2')
+SET = ('--set', 'network.target_nodes=120', 'network.refine=0', 'game.ambush_radius=2')
 
 
 @pytest.fixture(scope='module')

@@ -9,12 +9,12 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 from scipy.optimize import linprog
 
 from ambush_planner import (
     GameOptions,
     InvalidOption,
-    NetworkOptions,
     PlanningOptions,
     RiskMap,
     plan_trip,
@@ -23,7 +23,7 @@ from ambush_planner.errors import BudgetInfeasible
 from ambush_planner.planning.path_mixtures import MAX_GAP, PathMixtures
 
 START, GOAL = (3.0, 10.0), (37.0, 10.0)
-OPTIONS = PlanningOptions(network=NetworkOptions(spacing=2.0), game=GameOptions(ambush_radius=2.0))
+OPTIONS = PlanningOptions(network=plain_options(spacing=2.0), game=GameOptions(ambush_radius=2.0))
 
 
 def ground(seed=0, walls=True):

@@ -132,7 +132,8 @@ ENDS = ('--start', -195, -50, '--goal', 190, 105)
 
 def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     files = [tmp_path / name for name in ('r.geojson', 'r.gpkg', 'r.csv')]
-    options = ('--set', 'game.secured_radius=40', 'game.ambush_radius=30', 'network.spacing=30')
+    options = ('--set', 'game.secured_radius=40', 'game.ambush_radius=30', 'network.spacing=30',
+               'network.refine=0')
     done = run_here(plan, plain, *ENDS, '--via', -50, 95, '-n', 5, '-o', *files, *options)
     assert done.code == 0, done.err
     assert all(word in done.out for word in ('value', 'shortest', 'mean length', 'assumption'))
@@ -160,7 +161,8 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 
-FEW = ('--reach', 30, '--set', 'network.spacing=25', '--crs', 'EPSG:32616', '--routes')
+FEW = ('--reach', 30, '--set', 'network.spacing=25', 'network.refine=0', '--crs', 'EPSG:32616',
+       '--routes')
 
 
 def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
@@ -271,7 +273,8 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
     (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
     (('--routes', 3, '--reach', 30, '--set', 'game.ambushers=2'), 2, 'ambushers must be 1'),
-    (('--routes', 100, '--reach', 30, '--detour', 1, '--set', 'network.spacing=60'), 2,
+    (('--routes', 100, '--reach', 30, '--detour', 1, '--set', 'network.spacing=60',
+      'network.refine=0'), 2,
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
     (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
     (('--equal',), 2, '--equal needs --routes K'),

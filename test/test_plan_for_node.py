@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain import plain_options
 from ros_harness import stage
 
-from ambush_planner import GameOptions, InvalidOption, NetworkOptions, PlanningOptions, plan_trip
+from ambush_planner import GameOptions, InvalidOption, PlanningOptions, plan_trip
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import recordings_in
@@ -18,7 +19,7 @@ from ambush_planner.ros.plan_from_file import read_plan_for_node
 
 START, GOAL, STOP = (3.0, 10.0), (33.0, 10.0), (12.0, 4.0)
 OPTIONS = PlanningOptions(
-    network=NetworkOptions(spacing=3.0, seed=3),
+    network=plain_options(spacing=3.0, seed=3),
     game=GameOptions(ambush_radius=2.5, held_places=[(25.0, 15.0, 2.0)]))
 
 

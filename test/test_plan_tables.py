@@ -3,18 +3,18 @@
 
 import numpy as np
 import pytest
+from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
     InvalidOption,
-    NetworkOptions,
     PlanningOptions,
     RiskMap,
     evaluate,
     plan_trip,
 )
 
-OPTIONS = PlanningOptions(network=NetworkOptions(spacing=20.0),
+OPTIONS = PlanningOptions(network=plain_options(spacing=20.0),
                           game=GameOptions(ambush_radius=20.0))
 
 

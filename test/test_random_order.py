@@ -9,13 +9,13 @@ import pytest
 from games import examples, least_weight, routes_of, unbalanced, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from plain import plain_options
 from test_trip import FREE, GOAL, OPTIONS, START, STOPS, roads_of, there_and_back
 
 from ambush_planner import (
     GameOptions,
     InvalidNetwork,
     InvalidOption,
-    NetworkOptions,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
@@ -130,7 +130,7 @@ def risk_map():
     return RiskMap(np.ones((30, 30)), np.zeros((30, 30), bool), 10.0)
 
 
-GAME = PlanningOptions(network=NetworkOptions(spacing=45.0),
+GAME = PlanningOptions(network=plain_options(spacing=45.0),
                        game=GameOptions(ambush_radius=25.0, secured_radius=40.0))
 CORNERS = ((150.0, 270.0), (150.0, 30.0))
 

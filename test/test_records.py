@@ -12,10 +12,10 @@ import pytest
 from games import examples, networks, random_map, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
-    NetworkOptions,
     PlanningOptions,
     Problem,
     SolverFailed,
@@ -90,7 +90,7 @@ def test_records_of_plans(seed, reach, stops):
     values = np.rint(10.0 * random_map(seed, 14, 0.0).alpha - 10.0).astype(np.int8)
     on = OccupancyMap(values, 1.0, (0.0, 0.0, 0.0))
     risk_map = risk_from_occupancy(values, 1.0)
-    options = PlanningOptions(network=NetworkOptions(spacing=2.0), strategy=OPTIONS,
+    options = PlanningOptions(network=plain_options(spacing=2.0), strategy=OPTIONS,
                               game=GameOptions(ambush_radius=reach))
     start, goal, middle = (1.0, 6.0), (13.0, 8.0), [(7.0, 10.0)] * stops
     with warnings.catch_warnings():

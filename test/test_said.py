@@ -10,12 +10,12 @@ from datetime import datetime, timezone
 import numpy as np
 import pytest
 from commands import run_here
+from plain import plain_options
 
 from ambush_planner import (
     AmbushPlannerWarning,
     GameOptions,
     Network,
-    NetworkOptions,
     PlanningOptions,
     Problem,
     RiskMap,
@@ -48,7 +48,7 @@ def files(tmp_path):
     (60.0, 20.0, 'one place covers every'), (15.0, 10.0, '2 nodes decide the value'),
 ])
 def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, files):
-    options = PlanningOptions(network=NetworkOptions(spacing=spacing),
+    options = PlanningOptions(network=plain_options(spacing=spacing),
                               game=GameOptions(ambush_radius=reach))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter('always')
@@ -56,7 +56,8 @@ def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, fil
     texts = [str(each.message) for each in said if each.category is AmbushPlannerWarning]
     assert [each.filename for each in said] == [__file__] * len(said)
     done = run_here(plan, files / 'MAP.NPZ', '--start', *START, '--goal', *GOAL, '--reach', reach,
-                    '--set', f'network.spacing={spacing}', '-o', files / 'R.CSV', files / 'R.PNG')
+                    '--set', f'network.spacing={spacing}', 'network.refine=0', '-o',
+                    files / 'R.CSV', files / 'R.PNG')
     names = {'--held': 'game.secured_radius', '--detour': 'strategy.max_detour'}  # as typed
     said_there = re.sub('|'.join(names), lambda found: names[found[0]], done.err)
     assert re.findall(r'Warning: (.*)\.\n', said_there) == texts, done.err
@@ -83,7 +84,7 @@ def test_geojson_is_cut_at_180_degrees(tmp_path):
     risk_map = ground(crs, (east - 100.0, north - 50.0))
     start, goal = (tuple(np.add(at, risk_map.origin[:2])) for at in (START, GOAL))
     made = plan_trip(risk_map, start, goal, PlanningOptions(
-        network=NetworkOptions(spacing=20.0), game=GameOptions(ambush_radius=20.0)))
+        network=plain_options(spacing=20.0), game=GameOptions(ambush_radius=20.0)))
     drawn = Drawn(made.strategy, risk_map, made.paths(3, 0), [datetime.now(timezone.utc)] * 3)
     write_routes([tmp_path / 'A.GeoJSON'], drawn)
     document = json.loads((tmp_path / 'A.GeoJSON').read_text())

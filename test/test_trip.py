@@ -10,6 +10,7 @@ import pytest
 from games import examples, hit_once, least_weight, routes_of, unbalanced, value_by_routes
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 from scipy.spatial import Delaunay
 
 from ambush_planner import (
@@ -116,7 +117,7 @@ def as_given(risk_map):
 
 
 def test_the_best_order_is_the_best_of_all(risk_map):
-    asked = PlanningOptions(network=NetworkOptions(spacing=40.0),
+    asked = PlanningOptions(network=plain_options(spacing=40.0),
                             game=GameOptions(ambush_radius=15.0, secured_radius=20.0))
     best = plan_trip(risk_map, START, GOAL, asked, stops=STOPS, order='best')
     assert best.order_found == 'best'

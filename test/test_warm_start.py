@@ -6,6 +6,7 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from plain import plain_options
 
 from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
 from ambush_planner.game.search import Multipliers
@@ -38,7 +39,7 @@ def solve_on_network(risk_map, options, warm=None):
 )
 def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     options = PlanningOptions(
-        network=NetworkOptions(spacing=1.0), game=GameOptions(ambush_radius=reach),
+        network=plain_options(spacing=1.0), game=GameOptions(ambush_radius=reach),
         strategy=StrategyOptions(max_detour=detour),
     )
     before = solve_on_network(ground(seed), options)

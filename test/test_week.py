@@ -14,6 +14,7 @@ from io import StringIO
 import numpy as np
 import pytest
 from commands import NO_ROS, documented_keys, run_here
+from plain import plain_options
 from recording_samples import read_with_mcap_ros2, read_with_rosbags
 from test_path_mixtures import GOAL, START, ground
 
@@ -38,7 +39,7 @@ from ambush_planner.recordings.verify import Verifier
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
-OPTIONS = PlanningOptions(network=NetworkOptions(spacing=3.0), game=GameOptions(ambush_radius=2.5))
+OPTIONS = PlanningOptions(network=plain_options(spacing=3.0), game=GameOptions(ambush_radius=2.5))
 SLOTS = DaySlots(('08:00', '09:30', '11:00'), mix_slots([1.0, 2.0, 3.0], [0.9, 1.9, 2.9]))
 
 
@@ -67,7 +68,7 @@ PLANS = {
                                stops=[(12.0, 4.0), (28.0, 16.0)]),
     'few stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1,
                                    stops=[(12.0, 4.0)]),
-    'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=NetworkOptions(
+    'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=plain_options(
         method='graph', graph=roads(), spacing=3.0))),
     'held': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, game=GameOptions(
         ambush_radius=2.5, held_places=[(25.0, 15.0, 3.0)]))),
