@@ -58,7 +58,7 @@ def test_multipliers_come_from_the_nearest_node():
     made = plan_trip(ground(1), *ENDS, PlanningOptions(network=NetworkOptions(spacing=1.0)))
     two_nodes = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     ends = Network(np.array(ENDS), np.zeros(2), [[0, 1]], 0, 1)
-    found = WarmStart(ends, two_nodes, ends.refined).on(made.network)
+    found = WarmStart(ends, two_nodes, np.empty((0, 2)), ends.refined).on(made.network)
     nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
         *(made.network.points - ENDS[1]).T)
     assert np.array_equal(found.sites, np.where(nearer, 1.0, 2.0))

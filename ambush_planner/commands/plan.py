@@ -69,7 +69,7 @@ With --slots, a time of departure is drawn for each route: an ambusher can wait 
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
 "shortest_length", "driven_length", "shortest_route_loss", "spotter": {{"x", "y", "loss",
-"factor"}}, "refinement": [{{"nodes", "value", "lower_bound", "seconds"}}], "seconds", "few": null,
+"factor"}}, "refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
 or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
 "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """ + cli.EXIT_CODES

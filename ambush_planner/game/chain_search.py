@@ -32,8 +32,8 @@ JOINING = 0.8
 ROUNDS, GROWTH = 25, 0.03
 
 
-def find_chain(search: Search) -> Incumbent | None:
-    """The law of most entropy within the slack, else the one of least value; None if none is."""
+def find_flow(search: Search) -> None:
+    """Find the least value at the places that matter for the program's flow."""
     search.solve_program()
     program = search.program
     for sweep in range(MAX_SWEEPS):
@@ -43,7 +43,6 @@ def find_chain(search: Search) -> Incumbent | None:
         above, apart = ceiling(program.bound, search.slack), APART * (sweep < SWEEPS - 1)
         if not _join(search, flow, above, apart, rough=sweep == 0):
             break
-    return _find_law(search)
 
 
 def _join(search: Search, chain: MarkovChain, above: float, apart: float, rough: bool = False,
@@ -58,8 +57,11 @@ def _join(search: Search, chain: MarkovChain, above: float, apart: float, rough:
     return True
 
 
-def _find_law(search: Search) -> Incumbent | None:
-    """Rounds of a law around the program's flow; each strategy on the way counts."""
+def find_chain(search: Search) -> Incumbent | None:
+    """The law of most entropy within the slack, else the one of least value; None if none is.
+
+    It is found in rounds around the program's flow; each strategy on the way counts.
+    """
     program, law, before = search.program, _law_around(search, search.program.flow), 0.0
     best: Incumbent | None = None
     rating = False, -np.inf

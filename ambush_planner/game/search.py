@@ -62,6 +62,7 @@ class Program(Protocol):
 
     bound: float
     apart: float
+    deadline: float
 
     @property
     def faces(self) -> Faces | None:
@@ -190,6 +191,11 @@ class Search:
             self.reason = 'time'
         except SolverFailed:
             self.reason = 'solver'
+
+    def go_on_until(self, deadline: float, judged: float) -> None:
+        """Move the ends of the search and of its judge (``time.monotonic``)."""
+        self.problem = replace(self.problem, deadline=deadline, judged=judged)
+        self.program.deadline = deadline
 
     def solve_program(self) -> None:
         """Let the program go on from where it is."""

@@ -15,13 +15,13 @@ import numpy as np
 
 from ..errors import SolverFailed, TimeLimit
 from .budget import Budget
-from .chain_search import find_chain
+from .chain_search import find_chain, find_flow
 from .faces import make_faces
 from .game import Game
 from .hits import hits_can_differ
-from .search import Problem, Search, Solution
+from .search import Problem, Program, Search, Solution
 from .slack import MIN_SLACK, within
-from .trip_search import find_trip
+from .trip_search import find_mixture, find_trip
 from .value.cut import Cut
 from .value.potential import Potential
 from .value.routes import Routes
@@ -40,13 +40,12 @@ def most_unpredictable(problem: Problem) -> Solution:
 
     Raises BudgetInfeasible if no strategy is within all budgets.
     """
+    if problem.game.network.legs > 1 or hits_can_differ(problem.game):
+        return find_law(find_value(problem))
     slack, best = max(problem.slack, MIN_SLACK), None
-    if problem.game.network.legs > 1:
-        routes = _routes(problem, slack)
-        search = Search(problem, routes, slack)
-        return search.solution(find_trip(search, routes) or find_chain(search))
     for program in _programs(problem, slack):
         search = Search(problem, program, slack)
+        find_flow(search)
         chain = find_chain(search)
         if chain is None and not problem.keeps_budgets(program.flow):
             continue  # a cut's flow is over a budget
@@ -57,6 +56,30 @@ def most_unpredictable(problem: Problem) -> Solution:
             break
     assert best is not None  # the flow of the last program is within the budgets
     return best
+
+
+def find_value(problem: Problem) -> Search:
+    """Find the least value within the budgets, and an ambusher who nearly proves it."""
+    slack = max(problem.slack, MIN_SLACK)
+    if problem.game.network.legs > 1:
+        routes = _routes(problem, slack)
+        search = Search(problem, routes, slack)
+        find_mixture(search, routes)
+    else:
+        search = Search(problem, _within_budgets(problem, slack, _cut_of(problem)), slack)
+        find_flow(search)
+    return search
+
+
+def find_law(search: Search) -> Solution:
+    """Find the law of a search whose value has been found."""
+    best, program = None, search.program
+    if search.problem.game.network.legs > 1:
+        assert isinstance(program, Routes)  # see find_value
+        best = find_trip(search, program)
+        if best is None:
+            find_flow(search)
+    return search.solution(best or find_chain(search))
 
 
 def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
@@ -81,7 +104,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
     return program.bound
 
 
-def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Routes]:
+def _programs(problem: Problem, slack: float) -> Iterator[Program]:
     """The program without budgets if its flow nearly keeps them, then the one within them."""
     cut = _cut_of(problem)
     if cut and cut.excess <= MAX_EXCESS:

@@ -23,9 +23,9 @@ from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .search import Ground, Multipliers, Problem
+from .search import Ground, Multipliers, Problem, Search, Solution
 from .slack import CERTIFICATE_TOLERANCE, Reason, within
-from .solver import most_unpredictable
+from .solver import find_law, most_unpredictable
 from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, no_progress
 
@@ -357,15 +357,37 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
 
     Raises the errors of ``solve``.
     """
-    deadline = time.monotonic() + options.time_limit
-    _check_losses(game.network)
-    budgets = make_budgets(game, options)
     if options.solver != 'max_entropy':
-        return _by_linear_program(game, budgets, options, deadline)
+        _check_losses(game.network)
+        deadline = time.monotonic() + options.time_limit
+        return _by_linear_program(game, make_budgets(game, options), options, deadline)
+    problem = make_problem(game, options, ground, warm, progress)
+    return _strategy_within(most_unpredictable(problem), options)
+
+
+def make_problem(game: Game, options: StrategyOptions, ground: Ground | None = None,
+                 warm: Multipliers | None = None, progress: Progress = no_progress) -> Problem:
+    """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
+    _check_losses(game.network)
+    deadline, judged = _search_ends(time.monotonic() + options.time_limit, options)
+    return Problem(game, make_budgets(game, options), options.risk_slack, deadline, ground, warm,
+                   progress, judged)
+
+
+def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
+    """The strategy of a search whose value has been found, by ``end``; raises TimeLimit."""
+    search.go_on_until(*_search_ends(end, options))
+    return _strategy_within(find_law(search), options)
+
+
+def _search_ends(end: float, options: StrategyOptions) -> tuple[float, float]:
+    """When a search and its judge end if the time limit passes at ``end``."""
     limit = options.time_limit
-    found = most_unpredictable(Problem(
-        game, budgets, options.risk_slack, deadline - min(EARLY[0] * limit, EARLY[1]), ground, warm,
-        progress, deadline + max(LATER[0] * limit, LATER[1])))
+    return end - min(EARLY[0] * limit, EARLY[1]), end + max(LATER[0] * limit, LATER[1])
+
+
+def _strategy_within(found: Solution, options: StrategyOptions) -> Strategy:
+    """The strategy; raises TimeLimit if the time passed before it was within the slack."""
     strategy = strategy_of(found.game, found.p, found.ambusher, found.budgets, found.bound)
     strategy = replace(strategy, iterations=found.evaluations, multipliers=found.multipliers,
                        entropy_bound=found.entropy_bound)

@@ -21,14 +21,7 @@ JOINING, SMALL = 0.5, 0.25
 MAX_SWEEPS, ROUNDS = 20, 25
 
 
-def find_trip(search: Search, program: Routes) -> Incumbent | None:
-    """The law of least value on labelled copies; None if there is none."""
-    _solve(search, program)
-    program.deadline = search.problem.deadline
-    return _find_law(search, program)
-
-
-def _solve(search: Search, program: Routes) -> None:
+def find_mixture(search: Search, program: Routes) -> None:
     """Let places join a mixture of routes, then prove its value: a proof takes seconds."""
     begin, end = time.monotonic(), search.problem.deadline
     if search.game.reach > 0.0 and end < math.inf:
@@ -51,10 +44,11 @@ def _solve(search: Search, program: Routes) -> None:
         apart, before = max(apart / 2.0, APART), program.value
     if time.monotonic() > program.deadline:
         _prove_until(search, program, begin + LAST_PROOF * (end - begin))
-        return
-    with search.keep_incumbent():
-        program.prove_by_legs()
-        program.solve()
+    else:
+        with search.keep_incumbent():
+            program.prove_by_legs()
+            program.solve()
+    program.deadline = end
 
 
 def _prove_until(search: Search, program: Routes, deadline: float) -> None:
@@ -63,11 +57,11 @@ def _prove_until(search: Search, program: Routes, deadline: float) -> None:
         program.prove_by_legs()
 
 
-def _find_law(search: Search, program: Routes) -> Incumbent | None:
-    """Rounds of a law on labelled copies of the ground.
+def find_trip(search: Search, program: Routes) -> Incumbent | None:
+    """The law of least value on labelled copies of the ground; None if there is none.
 
-    Places that cost it too much join it; new copies are made if it then has no strategy, or if the
-    program finds a better mixture.
+    It is found in rounds around the program's mixture. Places that cost it too much join it; new
+    copies are made if it then has no strategy, or if the program finds a better mixture.
     """
     problem, law = search.problem, None
     best: Incumbent | None = None

@@ -13,6 +13,7 @@ from ..game.strategy import ALL_ROUTES, within_slack
 from ..words import distance
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
+from .refinement import LEAST_FALL
 
 _DIFFERENT = f'different_paths_of_{DRAWN}'
 _STRATEGY_NUMBERS = (
@@ -90,14 +91,13 @@ def _held_share(plan: Plan) -> float:
 
 
 def _coarse(plan: Plan) -> list[str]:
-    """Say that a finer network could have a lower value, if the spacing is wide for the reach."""
-    reach, spacing = plan.options.game.ambush_radius, plan.spacing
-    if plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
+    """Say that a finer network could have a lower value: refinement was short, or there is none."""
+    reach, spacing, rounds = plan.options.game.ambush_radius, plan.spacing, plan.refinement
+    if len(rounds) > 1 and rounds[-1].value < (1.0 - LEAST_FALL) * rounds[-2].value:
+        return [f'the last round of refinement brought {rounds[-2].value:.4g} to '
+                f'{rounds[-1].value:.4g}; with more rounds or time the value can be lower still']
+    if rounds or plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
         return []
-    if len(plan.refinement) > 1:
-        before, last = plan.refinement[-2:]
-        return [f'the last round of refinement brought {before.value:.4g} to {last.value:.4g}; '
-                'on a finer network the value can be lower still']
     return [f'the convoy drives between nodes {distance(spacing)} apart, {spacing / reach:.2f} '
             'times the reach; on a finer network (network.refine -1) the value can be lower']
 

@@ -106,11 +106,19 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
     return replace(game, secured_radius=max(held, 0.0))
 
 
+def is_graded(options: PlanningOptions) -> bool:
+    """Whether the network is finer in some places than in others, and refined."""
+    network = options.network
+    return (options.game.ambush_radius > 0.0 and network.method == 'uniform_delaunay'
+            and network.refine != 0
+            and options.strategy.solver == 'max_entropy')
+
+
 def grading(risk_map: RiskMap, options: PlanningOptions,
             refined: FloatArray) -> Grading | None:
-    """How fine the network is where, with ``Network.refined`` (K, 3); None: it is plain."""
+    """How fine the network is at each place, with ``Network.refined`` (K, 3); None: plain."""
     network, reach = options.network, options.game.ambush_radius
-    if reach == 0.0 or network.method != 'uniform_delaunay' or network.refine == 0:
+    if not is_graded(options):
         return None
     held = _driven_game(options, node_spacing(risk_map, network)).held_radius
     return Grading(finest_spacing(risk_map, FINEST * reach), held, refined, AROUND * reach)

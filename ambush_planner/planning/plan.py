@@ -61,8 +61,6 @@ class PlanRequest:
         Stops [m] and their order, as ``plan_trip`` takes them.
     warm
         A similar strategy to start the search from.
-    rounds
-        Most rounds of refinement after the first plan; None: as ``network.refine`` says.
     """
 
     values: npt.NDArray[np.int8]
@@ -76,7 +74,6 @@ class PlanRequest:
     stops_xy: tuple[tuple[float, float], ...] = ()
     order: str = 'given'
     warm: WarmStart | None = None
-    rounds: int | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,8 +87,8 @@ class Plan(Shown):
     of few routes that departures draw from, None if they draw from the strategy.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
     'best' or 'heuristic'. If it is 'random', ``order`` is the given one, and each route has its own
-    (``network.visited``). ``refinement`` has the rounds in which the network was refined, the first
-    plan's first.
+    (``network.visited``). ``refinement`` has the rounds in which the network was refined; () if
+    it is plain.
     """
 
     network: Network

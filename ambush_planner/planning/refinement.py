@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Refine a plan's network where the ambusher waits, and plan again, while that lowers the value.
+"""Refine a plan's network where the ambusher waits, while that lowers the value.
 
 A network's value is higher than the ground's, above all where the minimum cut is: where the optimal
-ambusher waits. So the nodes around his sites come nearer to each other, and the next plan begins
+ambusher waits. So the nodes around his sites come nearer to each other, and the next round begins
 from what the one before knows. The cut moves on to coarser ground, and after two or three rounds
-the value hardly falls (docs/theory.md, section 10).
+the value hardly falls (docs/theory.md, section 10). Only the last network gets a law.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
-from ..errors import TimeLimit
-from ..game.strategy import Strategy
+from ..game.search import Search
+from ..game.slack import ceiling
 from ..maps.risk_map import RiskMap
 from .options import PlanningOptions, finest_spacing, grading, node_spacing
 from .solving import WarmStart
 
-# Most rounds after the first plan, and most nodes of a network that is refined further.
+# Most rounds after the first one, and most nodes of a network that is refined further.
 ROUNDS, MAX_NODES = 6, 30_000
+# Share of the time limit after which no round begins.
+REFINED_BY = 0.4
 # Fall of the value in a round, as a share of it, below which refinement ends.
 LEAST_FALL = 0.02
 # Sites with less of the ambusher's charge than this share are not refined. If those on ground that
@@ -42,79 +44,65 @@ APART = 0.25
 
 
 class Round(NamedTuple):
-    """A round of refinement: the nodes of its network, value, lower bound, and time [s]."""
+    """A round of refinement: the nodes of its network, the value there, and time [s].
+
+    The value is the least that was found, plus the slack that the law may use.
+    """
 
     nodes: int
     value: float
-    lower_bound: float
     seconds: float
 
 
-class Planned(NamedTuple):
-    """A strategy, the order of its stops, and how that was found."""
-
-    strategy: Strategy
-    order: tuple[int, ...]
-    order_found: str
+# Finds the value on the network with ``WarmStart.refined`` from what another search knows.
+FindValue = Callable[['WarmStart | None'], Search]
 
 
-# Plans once: with ``Network.refined`` (K, 3), a similar strategy, and the plan of the round before.
-PlanOnce = Callable[[FloatArray, 'WarmStart | None', 'Planned | None'], Planned]
+def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
+           warm: WarmStart | None) -> tuple[Search, tuple[Round, ...]]:
+    """Find the value on ever finer networks; the search of least value, and all rounds.
 
-
-def refine(plan_once: PlanOnce, risk_map: RiskMap, options: PlanningOptions,
-           warm: WarmStart | None, rounds: int | None) -> tuple[Planned, tuple[Round, ...]]:
-    """Plan, and plan again on finer networks; the plan of least value, and all rounds.
-
-    At most ``rounds`` after the first one, by default as many as ``network.refine`` allows. Raises
-    what the first plan raises.
+    Raises what the first search raises.
     """
-    most = options.network.refine if rounds is None else rounds
-    most = ROUNDS if most is None else most
+    most = ROUNDS if options.network.refine is None else options.network.refine
     begin = time.monotonic()
-    end = begin + options.strategy.time_limit
-    refined = warm.refined if warm else np.empty((0, 3))
-    best = newest = plan_once(refined, warm, None)
+    latest = begin + REFINED_BY * options.strategy.time_limit
+    best = newest = find_value(warm)
     done = [_round(newest, begin)]
-    while len(done) <= most and time.monotonic() < end:
-        if (places := next_places(newest.strategy, risk_map, options)) is None:
+    while len(done) <= most and time.monotonic() < latest:
+        if (places := next_places(newest, risk_map, options)) is None:
             break
-        begin, before = time.monotonic(), best.strategy.value
-        try:
-            newest = plan_once(places, WarmStart.of(newest.strategy, places), newest)
-        except TimeLimit:
-            break
+        begin, before = time.monotonic(), best.program.bound
+        newest = find_value(WarmStart.after(newest, places))
         done.append(_round(newest, begin))
-        if newest.strategy.value < before:
+        if newest.program.bound < before:
             best = newest
-        if newest.strategy.value > (1.0 - LEAST_FALL) * before:
+        if newest.program.bound > (1.0 - LEAST_FALL) * before:
             break
     return best, tuple(done)
 
 
-def next_places(strategy: Strategy, risk_map: RiskMap,
-                options: PlanningOptions) -> FloatArray | None:
+def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> FloatArray | None:
     """``Network.refined`` (K, 3) of the next round; None: the network is fine enough.
 
     Added are the sites where the ambusher waits on ground that is not fine.
     """
-    network, game, reach = strategy.network, strategy.game, options.game.ambush_radius
+    game, network, reach = search.game, search.game.network, options.game.ambush_radius
     grades = grading(risk_map, options, network.refined)
-    if grades is None or len(network.points) > MAX_NODES or strategy.value <= 0.0:
+    charge = search.program.q * search.loss
+    if grades is None or len(network.points) > MAX_NODES or not charge.any():
         return None
-    charge = strategy.ambush_probability * game.loss
     sites = np.flatnonzero(charge > SHARE * charge.sum())
-    narrow = charge[sites] > NARROW_SHARE * charge.sum()
+    narrow, points = charge[sites] > NARROW_SHARE * charge.sum(), search.points[sites]
     finest = np.where(narrow, *(finest_spacing(risk_map, each * reach) for each in SPACINGS))
     ends = network.points[[network.source, *network.stops, network.target]]
     rims = np.where(narrow, game.reach, 0.0)[:, None] * COMPASS[:, None]
     plain = node_spacing(risk_map, options.network)
-    spacing = np.max([grades.wanted(network.points[sites] + rim, ends, plain) for rim in rims],
-                     axis=0)
+    spacing = np.max([grades.wanted(points + rim, ends, plain) for rim in rims], axis=0)
     coarse = spacing > FINE * finest
     if charge[sites[coarse]].sum() <= COARSE_SHARE * charge.sum():
         return None
-    added = np.column_stack((network.points[sites[coarse]], finest[coarse]))
+    added = np.column_stack((points[coarse], finest[coarse]))
     every = np.concatenate((network.refined, added))
     return every[_thinned(every, APART * grades.around)]
 
@@ -127,7 +115,6 @@ def _thinned(places: FloatArray, apart: float) -> IndexArray:
     return np.sort(order[kept])
 
 
-def _round(planned: Planned, begin: float) -> Round:
-    strategy = planned.strategy
-    return Round(len(strategy.network.points), strategy.value, strategy.lower_bound,
-                 time.monotonic() - begin)
+def _round(search: Search, begin: float) -> Round:
+    return Round(len(search.problem.game.network.points),
+                 ceiling(search.program.bound, search.slack), time.monotonic() - begin)

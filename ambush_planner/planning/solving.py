@@ -10,10 +10,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, frozen_array
 from ..errors import TimeLimit
-from ..game.game import GameOptions, make_game
+from ..game.game import Game, GameOptions, make_game
 from ..game.revaluation import open_gap
-from ..game.search import Multipliers
-from ..game.strategy import Strategy, solve_game
+from ..game.search import Multipliers, Search
+from ..game.solver import find_value
+from ..game.strategy import Strategy, finish, make_problem, solve_game
 from ..game.value.routes import Progress, no_progress
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_hiding_places, with_places
@@ -24,20 +25,34 @@ from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Another strategy to start from: its network and its multipliers, if it has any.
+    """What another strategy, or another search, knows.
 
-    ``refined`` (K, 3) is that of the new network.
+    ``network`` is that of its ``multipliers``, if it has any; ``places`` (K, 2) are sites of its
+    ambusher without edges [m]; ``refined`` (K, 3) is that of the new network.
     """
 
     network: Network
     multipliers: Multipliers | None
+    places: FloatArray
     refined: FloatArray
 
     @classmethod
     def of(cls, strategy: Strategy, refined: FloatArray | None = None) -> WarmStart:
         """Start from a strategy; by default its network's places are refined again."""
-        network = strategy.network
-        return cls(network, strategy.multipliers, network.refined if refined is None else refined)
+        network, multipliers = strategy.network, strategy.multipliers
+        places = np.empty((0, 2))
+        if multipliers is not None:
+            binding = multipliers.sites[network.representatives] > 0.0
+            binding[network.places[network.edges]] = False
+            places = np.unique(network.points[network.representatives[binding]], axis=0)
+        return cls(network, multipliers, places, network.refined if refined is None else refined)
+
+    @classmethod
+    def after(cls, search: Search, refined: FloatArray) -> WarmStart:
+        """Start from a search on another network."""
+        added = np.flatnonzero(search.program.q > 0.0)
+        added = added[added >= len(search.game.sites)]
+        return cls(search.game.network, None, search.points[added], refined)
 
     def on(self, network: Network) -> Multipliers | None:
         """The multipliers for another network: each site's from the nearest node."""
@@ -51,14 +66,9 @@ class WarmStart:
         return Multipliers(sites, self.multipliers.budgets)
 
     def sites_beyond(self, network: Network) -> FloatArray:
-        """Positions (K, 2) of binding sites without edges that another network lacks [m]."""
-        own = self.network
-        if self.multipliers is None:
-            return np.empty((0, 2))
-        binding = self.multipliers.sites[own.representatives] > 0.0
-        binding[own.places[own.edges]] = False
-        places = np.unique(own.points[own.representatives[binding]], axis=0)
-        return np.asarray(places[cKDTree(network.points).query(places)[0] > 0.0])
+        """Positions (K, 2) of the places at which another network has no node [m]."""
+        away = cKDTree(network.points).query(self.places)[0] if len(self.places) else np.zeros(0)
+        return self.places[away > 0.0]
 
 
 def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
@@ -69,6 +79,31 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     matter are added to the network as nodes without edges. At the time limit, the best strategy is
     returned if it is within ``max_gap``. Raises the errors of ``solve``.
     """
+    game, ground, known = _played(risk_map, network, options, warm)
+    try:
+        return solve_game(game, options.strategy, ground, known, progress)
+    except TimeLimit as late:
+        return _within_max_gap(late, options)
+
+
+def find_value_on(risk_map: RiskMap, network: Network, options: PlanningOptions,
+                  warm: WarmStart | None = None, progress: Progress = no_progress) -> Search:
+    """The first half of ``solve_on_network``: the value, and where the ambusher waits."""
+    game, ground, known = _played(risk_map, network, options, warm)
+    return find_value(make_problem(game, options.strategy, ground, known, progress))
+
+
+def finish_on(search: Search, options: PlanningOptions, end: float) -> Strategy:
+    """The second half of ``solve_on_network``, which ends at ``end`` (``time.monotonic``)."""
+    try:
+        return finish(search, options.strategy, end)
+    except TimeLimit as late:
+        return _within_max_gap(late, options)
+
+
+def _played(risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None
+            ) -> tuple[Game, CellSearch | None, Multipliers | None]:
+    """The game on a network, the ground on which he may wait, and the multipliers known."""
     cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
     played = solved_game(risk_map, options)
     network = add_hiding_places(network, risk_map, options, played)
@@ -77,17 +112,14 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
         network = with_places(network, places, cells.at(places))
     game = make_game(network, played)
     ground = CellSearch(cells, game) if holds_anywhere(options) else None
-    try:
-        return solve_game(game, options.strategy, ground, warm.on(network) if warm else None,
-                          progress)
-    except TimeLimit as late:
-        if late.strategy is None:
-            raise
-        return _within_max_gap(late.strategy, late, options)
+    return game, ground, warm.on(network) if warm else None
 
 
-def _within_max_gap(strategy: Strategy, late: TimeLimit, options: PlanningOptions) -> Strategy:
-    """The strategy if it is within ``max_gap``; raises TimeLimit if not."""
+def _within_max_gap(late: TimeLimit, options: PlanningOptions) -> Strategy:
+    """The best strategy by the time limit if it is within ``max_gap``; raises TimeLimit if not."""
+    strategy = late.strategy
+    if strategy is None:
+        raise late
     gap = open_gap(strategy, options.strategy)
     if gap <= options.max_gap * strategy.value:
         return strategy

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, permutations
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, Tim
 from ..game.ambusher import capped_at_one
 from ..game.certificate.best_response import Ground
 from ..game.game import Game, make_game
+from ..game.search import Search
 from ..game.slack import ceiling
 from ..game.strategy import Strategy
 from ..game.value.cut import solve_by_min_cut
@@ -31,15 +33,17 @@ from ..network.shortest_paths import distances_from
 from ..network.trip_graph import TripGraph
 from .concerns import concerns
 from .few_routes import few_routes
-from .options import PlanningOptions, grading, solved_game
+from .options import PlanningOptions, grading, is_graded, solved_game
 from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
-from .refinement import Planned, refine
-from .solving import WarmStart, solve_on_network
+from .refinement import Round, refine
+from .solving import WarmStart, find_value_on, finish_on, solve_on_network
 
 ORDERS = ('given', 'best', 'random')
 # Largest number of stops for which all orders (5040) are compared, and for a random order (24).
 MAX_COMPARED, MAX_RANDOM_STOPS = 7, 4
+# Share of the time left that a round of refinement may take.
+ROUND = 0.6
 
 Position = tuple[float, float]
 
@@ -129,8 +133,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
 def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                options: PlanningOptions, asked: list[npt.ArrayLike], order: str,
-               warm: WarmStart | None, progress: Progress = no_progress,
-               rounds: int | None = None) -> Plan:
+               warm: WarmStart | None, progress: Progress = no_progress) -> Plan:
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
     if not isinstance(risk_map, RiskMap):
@@ -145,27 +148,74 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
         raise InvalidOption(f"loads belong to legs, so order must be 'given', got {order!r}")
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    visited = [asked[k] for k in place]
-
-    def plan_once(refined: FloatArray, similar: WarmStart | None,
-                  before: Planned | None) -> Planned:
-        graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network, visited,
-                                 grading(risk_map, options, refined))
-        rest = _with_time_left(options, begin)
-        if order == 'best' and len(asked) > 1 and before is None:
-            return _StopOrderSearch(risk_map, graph, rest, progress).run()
-        chosen, found = before[1:] if before else (tuple(range(len(asked))), order)
-        network = _in_any_order(graph) if order == 'random' else _in_order(graph, chosen)
-        return Planned(solve_on_network(risk_map, network, rest, similar, progress), chosen, found)
-
-    (strategy, chosen, found), done = refine(plan_once, risk_map, options, warm, rounds)
+    trip = _Trip(risk_map, start_xy, goal_xy, [asked[k] for k in place], order, options, progress)
+    strategy, chosen, found, done = trip.solve(warm, begin)
     made = make_plan(risk_map, strategy, options, begin)
     return replace(made, order=tuple(place[k] for k in chosen), order_found=found, refinement=done)
 
 
-def _with_time_left(options: PlanningOptions, begin: float) -> PlanningOptions:
-    """The options with what the time limit leaves [s], or next to nothing."""
-    left = max(begin + options.strategy.time_limit - time.monotonic(), 1e-6)
+class _Planned(NamedTuple):
+    """A strategy, the order of its stops, how that was found, and the rounds of refinement."""
+
+    strategy: Strategy
+    order: tuple[int, ...]
+    order_found: str
+    rounds: tuple[Round, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Trip:
+    """A trip on a map with its stops."""
+
+    risk_map: RiskMap
+    start_xy: npt.ArrayLike
+    goal_xy: npt.ArrayLike
+    stops: list[npt.ArrayLike]
+    order: str
+    options: PlanningOptions
+    progress: Progress
+
+    def solve(self, warm: WarmStart | None, begin: float) -> _Planned:
+        """The strategy on a network that is refined if it is graded."""
+        first = warm.refined if warm else np.empty((0, 3))
+        chosen, found, options = tuple(range(len(self.stops))), self.order, self.options
+        end = begin + options.strategy.time_limit
+        if self.order == 'best' and len(self.stops) > 1:
+            graph, rest = self.graph(first), _with_time(options, end)
+            search = _StopOrderSearch(self.risk_map, graph, rest, self.progress)
+            best = search.run()
+            if not is_graded(options):
+                return best
+            chosen, found = best.order, best.order_found
+            warm, options = WarmStart.of(best.strategy), search.within_budget(chosen)
+        if not is_graded(options):
+            network = self.network(self.graph(first), chosen)
+            strategy = solve_on_network(self.risk_map, network, _with_time(options, end), warm,
+                                        self.progress)
+            return _Planned(strategy, chosen, found)
+
+        def value_on(similar: WarmStart | None) -> Search:
+            graph = self.graph(similar.refined if similar else first)
+            rest = _with_time(options, time.monotonic() + ROUND * (end - time.monotonic()))
+            return find_value_on(self.risk_map, self.network(graph, chosen), rest, similar,
+                                 self.progress)
+
+        refined, rounds = refine(value_on, self.risk_map, options, warm)
+        return _Planned(finish_on(refined, options, end), chosen, found, rounds)
+
+    def graph(self, refined: FloatArray) -> TripGraph:
+        """The graph of drivable places with ``Network.refined`` (K, 3)."""
+        return build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
+                                self.stops, grading(self.risk_map, self.options, refined))
+
+    def network(self, graph: TripGraph, chosen: Sequence[int]) -> Network:
+        """The network with the stops in an order (K,), or in any if it is random."""
+        return _in_any_order(graph) if self.order == 'random' else _in_order(graph, chosen)
+
+
+def _with_time(options: PlanningOptions, end: float) -> PlanningOptions:
+    """The options with the time limit at ``end`` (``time.monotonic``), or next to nothing."""
+    left = max(end - time.monotonic(), 1e-6)
     return replace(options, strategy=replace(options.strategy, time_limit=left))
 
 
@@ -176,7 +226,7 @@ def plan_from_request(request: PlanRequest) -> Plan:
     """
     risk_map, goal_xy = risk_map_and_goal(request)
     made = _plan_trip(risk_map, request.start_xy, goal_xy, request.options,
-                      list(request.stops_xy), request.order, request.warm, rounds=request.rounds)
+                      list(request.stops_xy), request.order, request.warm)
     return replace(made, risk_map=None)  # too large to send to another process
 
 
@@ -185,9 +235,9 @@ def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
                  refined: FloatArray) -> Network:
     """The network of a plan with its stops as in ``Plan.stops_xy`` and ``Network.refined``."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
-    graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
-                             [visited[k] for k in places], grading(risk_map, options, refined))
-    return _in_any_order(graph) if order == 'random' else _in_order(graph, np.argsort(places))
+    trip = _Trip(risk_map, start_xy, goal_xy, [visited[k] for k in places], order, options,
+                 no_progress)
+    return trip.network(trip.graph(refined), np.argsort(places).tolist())
 
 
 def _in_order(graph: TripGraph, order: Sequence[int] | IndexArray) -> Network:
@@ -236,7 +286,7 @@ class _StopOrderSearch:
             steps = np.hypot(*(heads - tails).T)
         self._lengths = self._end_distances(graph.edges, steps, len(graph.points))
 
-    def run(self) -> Planned:
+    def run(self) -> _Planned:
         """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
         count = len(self._visits) - 2
         few = count <= MAX_COMPARED
@@ -250,18 +300,17 @@ class _StopOrderSearch:
             raise InvalidNetwork('two consecutive stops are at the same position')
         orders, legs = orders[driven], legs[:, driven]
         lengths = self._lengths[tuple(legs)].sum(axis=1)
-        limit = self._options.strategy.max_detour * float(lengths.min())
-        fits = lengths <= limit * (1.0 + ROUNDING)
+        self._limit = self._options.strategy.max_detour * float(lengths.min())
+        fits = lengths <= self._limit * (1.0 + ROUNDING)
         if np.isfinite(lengths).any():
             fits &= np.isfinite(lengths)
         orders, legs, lengths = orders[fits], legs[:, fits], lengths[fits]
         if not few:
-            strategy = self._solve(orders[0], float(lengths[0]), limit)
-            return Planned(strategy, tuple(orders[0].tolist()), 'heuristic')
-        return self._best_order(orders, legs, lengths, limit)
+            strategy = self._solve(orders[0])
+            return _Planned(strategy, tuple(orders[0].tolist()), 'heuristic')
+        return self._best_order(orders, legs, lengths)
 
-    def _best_order(self, orders: IndexArray, legs: IndexArray, lengths: FloatArray,
-                    limit: float) -> Planned:
+    def _best_order(self, orders: IndexArray, legs: IndexArray, lengths: FloatArray) -> _Planned:
         """Solve the most promising order until no other can be better."""
         slack, bounds = self._options.strategy.slack, self._cut_bounds(orders, legs)
         left = np.ones(len(orders), dtype=bool)
@@ -272,30 +321,35 @@ class _StopOrderSearch:
             k = int(np.flatnonzero(near)[np.argmin(lengths[near])])
             left[k] = False
             try:
-                strategy = self._solve(orders[k], float(lengths[k]), limit)
+                strategy = self._solve(orders[k])
                 if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
                     best = strategy, tuple(orders[k].tolist())
                 enough = best[0].value * (1.0 - ROUNDING) / ceiling(1.0, slack)
                 left &= bounds < enough
                 bounds[left] = np.maximum(bounds[left],
-                                          self._bounds(strategy, legs[:, left], limit))
+                                          self._bounds(strategy, legs[:, left]))
                 left &= bounds < enough
             except TimeLimit:
                 if best is None:
                     raise
-                return Planned(*best, 'heuristic')
+                return _Planned(*best, 'heuristic')
         assert best is not None  # the shortest order fits its budget
-        return Planned(*best, 'best')
+        return _Planned(*best, 'best')
 
-    def _solve(self, order: IndexArray, length: float, limit: float) -> Strategy:
+    def within_budget(self, order: Sequence[int] | IndexArray) -> PlanningOptions:
+        """The options with the detour of one order that is within the common budget."""
+        visits = self._visits[[0, *(np.asarray(order, dtype=np.int64) + 1), -1]]
+        detour = max(self._limit / float(self._lengths[visits[:-1], visits[1:]].sum()), 1.0)
+        strategy = replace(self._options.strategy, max_detour=detour)
+        return replace(self._options, strategy=strategy)
+
+    def _solve(self, order: IndexArray) -> Strategy:
         """The strategy for one order, within the common budget."""
-        left = self._deadline - time.monotonic()
-        if left <= 0.0:
+        if time.monotonic() > self._deadline:
             raise TimeLimit('the time limit passed before an order of the stops was solved')
-        detour = max(limit / length, 1.0)
-        options = replace(self._options.strategy, max_detour=detour, time_limit=left)
-        return solve_on_network(self._map, _in_order(self._graph, order),
-                                replace(self._options, strategy=options), progress=self._progress)
+        options = _with_time(self.within_budget(order), self._deadline)
+        return solve_on_network(self._map, _in_order(self._graph, order), options,
+                                progress=self._progress)
 
     def _cut_bounds(self, orders: IndexArray, legs: IndexArray) -> FloatArray:
         """Bounds (K,) from the minimum cuts between pairs of ends; 0 with a reach."""
@@ -318,7 +372,7 @@ class _StopOrderSearch:
             bounds = np.maximum(bounds, costs[visits[:, i], visits[:, j]])
         return bounds
 
-    def _bounds(self, strategy: Strategy, legs: IndexArray, limit: float) -> FloatArray:
+    def _bounds(self, strategy: Strategy, legs: IndexArray) -> FloatArray:
         """Bounds (K,) of orders with ``legs`` (2, K, L) by the ambusher against another one."""
         from scipy.optimize import linear_sum_assignment  # slow to load
 
@@ -329,7 +383,7 @@ class _StopOrderSearch:
         costs = self._leg_costs(game, q, price, pairs)
         by_order = np.moveaxis(costs[:, legs[0], legs[1]], 1, 0)
         best = [each[linear_sum_assignment(each, maximize=True)].sum() for each in by_order]
-        return np.array(best) - (price * limit if price > 0.0 else 0.0)
+        return np.array(best) - (price * self._limit if price > 0.0 else 0.0)
 
     def _leg_costs(self, game: Game, q: FloatArray, price: float,
                    pairs: set[tuple[int, int]]) -> FloatArray:

@@ -64,7 +64,7 @@ class Cut:
     infinite if some q exceeds 1.
     """
 
-    apart = 0.0
+    apart, deadline = 0.0, np.inf  # cuts take seconds at most
     faces: Faces | None = None
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:

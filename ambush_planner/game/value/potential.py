@@ -32,10 +32,10 @@ from .face_flows import new_flows
 # Largest relative precision of z, and of the share at which faces join.
 PRECISION = 1e-3
 # Factor by which z falls at most in one step, until a budget is exceeded.
-STEP = 0.85
+STEP = 0.92
 # While the budget is kept, z stays if more than this share of the discs' columns is new: at a lower
 # z, most of the columns that join would not be needed in the end.
-MANY = 0.1
+MANY = 0.03
 # Flow through a disc that counts as unbounded: z is infeasible.
 ENDLESS = 1e6
 # Share of a route's flow below which it is rounding.
