@@ -60,7 +60,7 @@ DOTS_PER_INCH = 200
 HELD_DASHES = (0, (4, 3))
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
 # Shares of the picture: distance within which two routes are on one road, and between numbers.
-SAME_ROAD, BADGE = 0.0005, 0.07
+SAME_ROAD, BADGE = 0.002, 0.07
 # Share of a route from which another one that follows it is drawn as a stripe.
 MIN_SHARED = 0.15
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
@@ -87,7 +87,7 @@ def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
         image = draw_risk_map(axes, risk_map)
     else:
         image = draw_map(axes, risk_map, title)
-    draw_ends(axes, strategy, named=not small)
+    draw_ends(axes, strategy, named=not small, size=0.5 if small else 1.0)
     return image
 
 
@@ -266,27 +266,31 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
     return lines
 
 
-def draw_ends(axes: Axes, strategy: Strategy, named: bool = True) -> None:
-    """Mark start, stops and goal of a strategy's network, and its held ground."""
+def draw_ends(axes: Axes, strategy: Strategy, named: bool = True, size: float = 1.0) -> None:
+    """Mark start, stops and goal of a strategy's network, and its held ground.
+
+    ``size`` is that of the marks, as a share of the usual area.
+    """
     network, options = strategy.network, strategy.game.options
     draw_places(axes, network.points[[network.source, *network.stops, network.target]],
-                options.held_radius, named)
+                options.held_radius, named, size)
     for x, y, radius in options.held_places:
         _circle(axes, (x, y), radius)
 
 
-def draw_places(axes: Axes, places: FloatArray, held_radius: float, named: bool = True) -> None:
+def draw_places(axes: Axes, places: FloatArray, held_radius: float, named: bool = True,
+                size: float = 1.0) -> None:
     """Mark start (square), stops (diamonds) and goal (star) with names; circle held ground."""
     stops = [('D', 70, f'stop {k}') for k in range(1, len(places) - 1)]
     marks = [('s', 90, 'start'), *stops, ('*', 260, 'goal')]
     if np.array_equal(places[0], places[-1]):  # a round trip
         places, marks = places[:-1], [('*', 260, 'start and goal'), *stops]
-    for (x, y), (marker, size, name) in zip(places, marks, strict=True):
-        axes.scatter(x, y, s=size if named else size / 2, marker=marker, color=colours.ENDS,
+    for (x, y), (marker, area, name) in zip(places, marks, strict=True):
+        axes.scatter(x, y, s=size * area, marker=marker, color=colours.ENDS,
                      edgecolors='black', zorder=7)
         if named:
             axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
-                          va='top', weight='bold', path_effects=HALO, zorder=8)
+                          va='top', weight='bold', path_effects=HALO, zorder=10)
         if held_radius > 0.0:
             _circle(axes, (x, y), held_radius)
 
@@ -368,7 +372,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     figure = axes.figure
     longer = strategy.expected_length / strategy.shortest_length
     title = (f'The best ambush causes a mean loss of {strategy.value:#.3g}\n'
-             f'Routes are on average {longer:.2f} times the shortest one')
+             f'Along the network, routes are on average {longer:.2f} times the shortest')
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []
     if risk_map is not None:

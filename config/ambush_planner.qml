@@ -4,10 +4,11 @@
 <qgis version="3.22" styleCategories="Symbology">
   <renderer-v2 type="RuleRenderer" symbollevels="0" enableorderby="0">
     <rules key="{all}">
-      <rule key="{routes}" symbol="0" label="routes, a colour each" filter="attribute('departure') IS NOT NULL"/>
+      <rule key="{routes}" symbol="0" label="routes, a colour each" filter="attribute('departure') IS NOT NULL OR attribute('share') IS NOT NULL"/>
       <rule key="{edges}" symbol="1" label="edges, darker if likelier" filter="attribute('probability') IS NOT NULL AND geometry_type($geometry) = 'Line'"/>
       <rule key="{sites}" symbol="2" label="ambush sites, larger if likelier" filter="attribute('probability') IS NOT NULL AND geometry_type($geometry) = 'Point'"/>
       <rule key="{held}" symbol="3" label="held ground" filter="attribute('radius') IS NOT NULL"/>
+      <rule key="{places}" symbol="5" label="start, stops and goal" filter="attribute('name') IS NOT NULL AND geometry_type($geometry) = 'Point'"/>
       <rule key="{forbidden}" symbol="4" label="forbidden ground" filter="attribute('radius') IS NULL AND geometry_type($geometry) = 'Polygon'"/>
     </rules>
     <symbols>
@@ -17,7 +18,7 @@
       </Option><data_defined_properties><Option type="Map"><Option name="properties" type="Map">
         <Option name="outlineColor" type="Map">
           <Option name="active" type="bool" value="true"/>
-          <Option name="expression" type="QString" value="color_hsl((attribute('departure') * 137) % 360, 80, 40)"/>
+          <Option name="expression" type="QString" value="color_hsl((coalesce(attribute('departure'), attribute('route')) * 137) % 360, 80, 40)"/>
           <Option name="type" type="int" value="3"/>
         </Option>
       </Option></Option></data_defined_properties></layer></symbol>
@@ -54,6 +55,12 @@
       <symbol name="4" type="fill"><layer class="SimpleFill" enabled="1"><Option type="Map">
         <Option name="color" type="QString" value="28,23,20,255"/>
         <Option name="outline_style" type="QString" value="no"/>
+      </Option></layer></symbol>
+      <symbol name="5" type="marker"><layer class="SimpleMarker" enabled="1"><Option type="Map">
+        <Option name="name" type="QString" value="diamond"/>
+        <Option name="color" type="QString" value="255,217,47,255"/>
+        <Option name="outline_color" type="QString" value="0,0,0,255"/>
+        <Option name="size" type="QString" value="4"/>
       </Option></layer></symbol>
     </symbols>
   </renderer-v2>

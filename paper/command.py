@@ -28,8 +28,9 @@ from .results import DRAWS, Results, Say, compute
 EPILOG = """\
 The folder then contains results.json, tables.md and the figures 2 to 7 of the paper with one of our
 own strategy. On the paper's 8-node network numbers can be compared; on the map, which it does not
-publish, only their order can. Takes about a minute.
-Exit code: 0 all comparisons hold; 1 one does not; 2 wrong usage; 3 a file is unusable.
+publish, only their order can. Takes about 20 s.
+Exit code: 0 all comparisons hold, or docs/paper.md says why one differs; 1 one does not hold;
+2 wrong usage; 3 a file is unusable.
 """
 BEGIN, END = '<!-- paper: begin -->', '<!-- paper: end -->'
 
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (AmbushPlannerError, OSError) as error:
         print(f'paper: {error}', file=sys.stderr)
         return 3
-    failed = [comparison.statement for comparison in comparisons if not comparison.holds]
+    failed = [each.statement for each in comparisons if not (each.holds or each.explained)]
     for statement in failed:
         print(f'paper: does not hold: {statement}', file=sys.stderr)
     return 1 if failed else 0

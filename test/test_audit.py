@@ -13,6 +13,7 @@ from scipy.stats import binom
 from ambush_planner import GameOptions, Network, Strategy, StrategyOptions, solve
 from ambush_planner.game.route_sampler import RouteSampler
 from ambush_planner.recordings.audit import MIN_DEPARTURES, NotAuditable, audit
+from ambush_planner.recordings.metadata import RecordedSlots
 
 # Probability that a correct audit fails a statistical test; all seeds are fixed.
 FALSE_ALARM = 1e-6
@@ -22,6 +23,7 @@ FALSE_ALARM = 1e-6
 class Departure:
     drawn_from: Strategy
     route: np.ndarray
+    drawn_slot: tuple[str, RecordedSlots] | None = None
 
 
 @pytest.fixture(scope='module')
@@ -108,6 +110,17 @@ def test_two_strategies_are_tested_each_under_its_own_law(terrain, paper):
     assert result.expected.sum() == pytest.approx(20 * sum(s.edge_probability.sum() for s in three))
     wrong = [Departure(terrain, route) for route in drawn(other, 60, 8)]
     assert audit([*honest, *wrong]).finding
+
+
+def test_times_of_departure_follow_their_shares_or_are_a_finding(terrain):
+    """Honest draws of routes, with honest times or with 08:00 every time."""
+    slots = RecordedSlots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1, 1.0, 1.0)
+    routes, rng = drawn(terrain, 20, 3), np.random.default_rng(4)
+    fair = [(slots.times[k], slots) for k in rng.choice(4, 20)]
+    for times, finding in ((fair, False), ([('08:00', slots)] * 20, True)):
+        result = audit([Departure(terrain, route, slot)
+                        for route, slot in zip(routes, times, strict=True)])
+        assert result.finding == finding, result.p_value
 
 
 @pytest.mark.parametrize(('wrong', 'count'), [

@@ -26,6 +26,7 @@ from ambush_planner.commands import console, report, report_words
 from ambush_planner.game.spotter import worst_spotter
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.planning.plan import path_lengths
 from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.recorded_departures import read_departures
 from ambush_planner.recordings.report_data import (
@@ -109,7 +110,9 @@ def test_the_numbers_are_those_of_the_strategy(made):
     numbers = [float(number.split()[0]) for number, _ in report_words.tiles(section)]
     assert numbers == pytest.approx(
         [strategy.value, 100.0 * rows['stochastic'].p_first, 12,
-         strategy.expected_length / strategy.shortest_length], rel=0.05)
+         np.mean(path_lengths([each.path_poses for each in section.departures]))], rel=0.05)
+    ratio = f'{strategy.expected_length / strategy.shortest_length:.3g} times the shortest'
+    assert ratio in report_words.tiles(section)[3][1]
     texts = [*report_words.certificate(section), *(text for _, text in report_words.tiles(section)),
              *(cell for row in report_words.measures(strategy) for cell in row)]
     assert all(text in page.text for text in texts)

@@ -19,11 +19,11 @@ SENSITIVITY = (
 NUMBERS = ('left_out', 'p_value', 'impossible', 'value', 'observer_loss', 'observer_range')
 EPILOG = """\
 Tests all departures together, each under the strategy that it was drawn from: does the convoy
-use every stretch as often as published? The p-value comes from 999 resamples. A p-value of at most
-0.001 is a finding, so 1 of 1000 audits of honest departures has one. Impossible steps, fixed seeds,
-and random sources that repeat or are too short are findings, too. The audit also simulates an
-observer who learns from each departure: before the next one he waits where an ambush would have
-cost the earlier ones most.
+use every stretch, and every time of departure that was drawn, as often as published? The p-value
+comes from 999 resamples. A p-value of at most 0.001 is a finding, so 1 of 1000 audits of honest
+departures has one. Impossible steps, fixed seeds, and random sources that repeat or are too short
+are findings, too. The audit also simulates an observer who learns from each departure: before the
+next one he waits where an ambush would have cost the earlier ones most.
 
 You need at least five departures from strategies without cycles. -o DIR writes audit.png: where
 the convoy should have driven, where it did, and the loss that the observer would have caused. The
@@ -53,11 +53,13 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         result = audit(departures)
     except NotAuditable as error:
         return None, findings, [f'Not enough data: {error}.']
+    timed = any(each.drawn_slot for each in departures)
     if result.impossible:
         findings.append(f'{result.impossible} steps or ends of routes cannot have been drawn: '
                         'the recorded routes are not those that were planned')
     elif result.finding:
-        findings.append('the convoy used some stretches far more or less often than published '
+        used = 'used some stretches' + ' or times of departure' * timed
+        findings.append(f'the convoy {used} far more or less often than published '
                         f'(p = {result.p_value:.3g})')
     low, high = result.observer_range
     notes = [
@@ -66,10 +68,11 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         f'have caused a mean loss of {result.observer_loss:.3g}. With honest draws, '
         f'{result.departures} departures give {low:.3g} to {high:.3g} nine times out of ten: the '
         'narrower that range, the more it says about the guarantee, which is a mean over many '
-        f'departures ({result.value:.3g}).',
+        f'departures ({result.value:.3g}).' + ' He is taken to know the times.' * timed,
     ]
     if not findings:
-        notes.insert(0, 'Nothing suspicious: the convoy used the stretches as often as published '
+        used = 'the stretches' + ' and times of departure' * timed
+        notes.insert(0, f'Nothing suspicious: the convoy used {used} as often as published '
                      f'(p = {result.p_value:.2g}).')
     if result.left_out:
         notes.append('Not audited, because their strategies have cycles: '

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from ..colours import AMBUSHER
 from ..figures import HALO, PROBABILITY, WIDTH, as_png
+from ..maps.risk_map_file import read_risk_map
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from ..recordings.durable_files import write_all_durably
 from . import cli
@@ -27,7 +28,6 @@ from .inputs import (
     add_places,
     options_from,
     places_on,
-    risk_map_from,
 )
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     check_outputs(arguments.output)
-    risk_map = risk_map_from(arguments.map, options.map, console)
+    risk_map = read_risk_map(arguments.map, options.map)
     (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)

@@ -21,6 +21,7 @@ from ..figures import WIDTH, as_png, draw_strategy, number_badge
 from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import read_risk_map
 from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, tell_overwritten
@@ -34,7 +35,6 @@ from .inputs import (
     add_places,
     options_from,
     places_on,
-    risk_map_from,
 )
 
 # Held places in the picture: a green that is none of the routes'.
@@ -78,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     given = read_places(arguments.candidates) if arguments.candidates else None
-    risk_map = risk_map_from(arguments.map, options.map, console)
+    risk_map = read_risk_map(arguments.map, options.map)
     check_outputs(arguments.output)
     start, goal, stops = places_on(arguments, risk_map)
     with console.waiting('solving games'):

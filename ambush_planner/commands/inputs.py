@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..maps.grid_references import MGRS_REFERENCE, from_mgrs, mgrs_references
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
 from ..network.trip_graph import position_errors
 from ..planning.options import DriveOptions, PlanningOptions
@@ -336,11 +334,6 @@ def _similar(name: str, names: Iterable[str]) -> str:
     near = near or ([OTHER_NAMES[name]] if name in OTHER_NAMES
                     else get_close_matches(name, names, 1))
     return f'did you mean {near[0]}?' if near else f'choose from {", ".join(sorted(names))}'
-
-
-def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> RiskMap:
-    """Read a risk map; raises as ``read_risk_map`` does, whose warnings the command shows."""
-    return read_risk_map(path, options)
 
 
 def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,

@@ -16,6 +16,7 @@ from ..errors import InvalidOption
 from ..figures import as_png
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import read_risk_map
 from ..maps.track_file import Track, read_tracks
 from ..planning.concerns import concerns, is_sound, main_assumption
 from ..planning.habits import NEAR, Habits, find_trips, judge
@@ -32,7 +33,6 @@ from .inputs import (
     add_places,
     options_from,
     places_on,
-    risk_map_from,
 )
 from .judge_figure import MIN_SHARE, judge_figure
 
@@ -73,7 +73,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise cli.UsageError('argument --detour: the tracks set the length budget; leave it out')
     if not options.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
-    risk_map = risk_map_from(arguments.map, options.map, console)
+    risk_map = read_risk_map(arguments.map, options.map)
     start, goal, _ = places_on(arguments, risk_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
     game = solved_game(risk_map, options.planning)
@@ -119,14 +119,14 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
              for k in np.argsort(-shares) if shares[k] >= MIN_SHARE]
     rows = {'driven': _numbers(habits.driven, habits, risk_map),
             'reweighted': _numbers(habits.best, habits, risk_map),
-            'optimal': {'value': strategy.value, 'mean_length': strategy.expected_length,
+            'optimal': {'value': strategy.value, 'mean_length': habits.plan.driven_length,
                         'lower_bound': strategy.lower_bound}}
     worst = ['worst at ' + ' '.join(map(str, row.get('worst_lat_lon', row['worst_xy'])))
              for row in (rows['driven'], rows['reweighted'])]
     console.line(f'{"mean loss":>21}{"mean length":>13}')
     for (name, row), text in zip(rows.items(), (
         f'{worst[0]}: {hit.sum()} of {len(hit)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
-        f'at most {detour:.3g} times the shortest; no strategy is below {strategy.lower_bound:.4g}',
+        f'no strategy is below {strategy.lower_bound:.4g}; budget {detour:.3g} times the shortest',
     ), strict=True):
         console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')
     for name, text in (

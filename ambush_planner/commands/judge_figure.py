@@ -19,6 +19,9 @@ from .console import distance
 
 # Minimum share of trips and edges that are shown.
 MIN_SHARE = 0.001
+# What the panels show around the trips, as a multiple of their size; size of start and goal, which
+# must not cover held ground.
+MARGIN, MARKS = 1.25, 0.35
 _CONVOY, _HIT = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
 _LEGEND = (
     Line2D([], [], linestyle='none', marker='o', markersize=11, markerfacecolor='none',
@@ -37,8 +40,9 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     seen = np.concatenate((*paths, *edges[p >= MIN_SHARE]))
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, 0.5 * half.max())
-    low, high = middle - 1.15 * half, middle + 1.15 * half
+    low, high = middle - MARGIN * half, middle + MARGIN * half
     low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # names and the scale bar
+    low, high = np.maximum(low, risk_map.bounds[0]), np.minimum(high, risk_map.bounds[1])
     height = figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
     figure = Figure((figures.WIDTH, height + 3.3), layout='compressed')
     figure.suptitle('Mean loss caused by an ambusher who has watched', x=0.0, ha='left')
@@ -50,13 +54,13 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
         (panels[1], 'the same, reweighted', best.value, float(best.shares @ habits.lengths),
          f'{_less(best.value, driven.value)}\nthe best {len(used)} of the {len(paths)} trips\n'
          f'shares {100 * used.min():.0f} to {100 * used.max():.0f} %'),
-        (panels[2], 'optimal', strategy.value, strategy.expected_length,
+        (panels[2], 'optimal', strategy.value, habits.plan.driven_length,
          f'{_less(strategy.value, driven.value)}\na fresh route each time\n'
          f'no strategy is below {strategy.lower_bound:.3g}'),
     ):
         figures.frame(axes, risk_map, name, (low, high))
         risk = figures.draw_risk_map(axes, risk_map)
-        figures.draw_ends(axes, strategy)
+        figures.draw_ends(axes, strategy, size=MARKS)
         figures.scale_bar(axes)
         axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),

@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InvalidOption
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import agreed_crs
+from ..maps.risk_map_file import agreed_crs, read_risk_map
 from ..planning.concerns import assumptions, concerns, is_sound, main_assumption
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
@@ -38,7 +38,6 @@ from .inputs import (
     add_places,
     options_from,
     planned,
-    risk_map_from,
 )
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
@@ -123,7 +122,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     check_outputs(arguments.output)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
     risk_map = (_of_terrain(arguments, options.map, console) if arguments.terrain
-                else risk_map_from(arguments.map, options.map, console))
+                else read_risk_map(arguments.map, options.map))
     rng = np.random.default_rng(arguments.seed)
     plan = planned(arguments, risk_map, options.planning, console, order=arguments.order,
                    routes=arguments.routes, equal=arguments.equal, rng=rng)

@@ -5,7 +5,7 @@
 const LEAST = 1e-3; // Edges with smaller probabilities are not drawn.
 const CLASSES = 12; // Number of colours and widths of edges.
 const OBSTACLE = 255;
-const PRINTED = 3; // Pixels of a printed map for each pixel on the screen.
+const PRINTED = [480, 5]; // Width of a printed map in CSS pixels, and dots for each of them.
 const TYPES = {
   cells: Uint8Array, points: Float32Array, edges: Uint32Array, chances: Float32Array,
   shown: Float32Array, sites: Float32Array, routes: Float32Array,
@@ -195,9 +195,9 @@ class View {
     this.#resize();
   }
 
-  #resize(fine = window.devicePixelRatio || 1) {
+  #resize(width = this.canvas.clientWidth, fine = window.devicePixelRatio || 1) {
     const { box: [left, bottom, right, top] } = this.data;
-    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const height = width * this.canvas.clientHeight / this.canvas.clientWidth;
     Object.assign(this, { width, height, fine });
     Object.assign(this.canvas, { width: width * fine, height: height * fine });
     this.whole = 0.97 * Math.min(width / (right - left), height / (top - bottom));
@@ -244,6 +244,7 @@ class View {
     pen.scale(cell, -cell);
     pen.drawImage(this.layers.risk.checked ? this.ground : this.bare, 0, -rows, columns, rows);
     pen.restore();
+    this.#drawGrid();
     if (this.layers.chances.checked) {
       for (const { path, colour, width } of this.stretches) this.#stroke(path, colour, width);
     }
@@ -257,6 +258,8 @@ class View {
     if (this.layers.sites.checked) this.#drawSites();
     data.ends.forEach(([x, y], k) => this.#drawEnd(x, y, ['start', 'goal'][k] || `stop ${k - 1}`));
     this.#drawScale();
+    this.#drawCoordinates();
+    this.#drawNorth();
   }
 
   #stroke(path, colour, width) {
@@ -283,8 +286,10 @@ class View {
       this.pen.fill(path);
       this.#stroke(path, 'white', 1.5);
     }
-    const likeliest = sites.findIndex((share, k) => k % 3 === 2 && share === 1) - 2;
-    if (likeliest >= 0) this.#label('ambusher', sites[likeliest], sites[likeliest + 1], -12);
+    if (!this.data.spotter) return;
+    const path = disc(...this.data.spotter, 8 / this.scale);
+    this.#stroke(path, 'white', 5);
+    this.#stroke(path, colours('ambusher')[0], 2.5);
   }
 
   #drawEnd(x, y, name) {
@@ -297,23 +302,81 @@ class View {
 
   // Write a text so many pixels below a place, unless the place is to the side of the picture.
   #label(text, x, y, below) {
-    const { pen, width, fine } = this, px = (x - this.x) * this.scale + width / 2;
-    if (px < 0 || px > width) return;
+    const px = (x - this.x) * this.scale + this.width / 2;
+    if (px < 0 || px > this.width) return;
+    this.#write(text, px, (this.y - y) * this.scale + this.height / 2 + below);
+  }
+
+  // Write a text whose base line is centred at a place of the canvas, or as near as fits.
+  #write(text, px, py, style = 'bold 14px') {
+    const { pen, width, fine } = this;
     pen.save();
     pen.setTransform(fine, 0, 0, fine, 0, 0);
-    Object.assign(pen, { font: 'bold 14px system-ui, sans-serif', textAlign: 'center',
+    Object.assign(pen, { font: `${style} system-ui, sans-serif`, textAlign: 'center',
       lineWidth: 3, strokeStyle: 'white', fillStyle: 'black' });
     const half = pen.measureText(text).width / 2 + 2;
-    const at = [Math.min(Math.max(px, half), width - half),
-      (this.y - y) * this.scale + this.height / 2 + below];
+    const at = [Math.min(Math.max(px, half), width - half), py];
     pen.strokeText(text, ...at);
     pen.fillText(text, ...at);
     pen.restore();
   }
 
+  // Round coordinates of the world in view: their distance, and those of x and of y.
+  #round() {
+    const [u, v] = this.data.origin, step = round(150 / this.scale);
+    const [left, top] = this.place(0, 0), [right, bottom] = this.place(this.width, this.height);
+    const between = (from, to) => Array.from(
+      { length: Math.floor(to / step) - Math.ceil(from / step) + 1 },
+      (_, k) => (Math.ceil(from / step) + k) * step);
+    return { step, xs: between(left + u, right + u), ys: between(bottom + v, top + v) };
+  }
+
+  #drawGrid() {
+    const { xs, ys } = this.#round(), [u, v] = this.data.origin, path = new Path2D();
+    const [left, top] = this.place(0, 0), [right, bottom] = this.place(this.width, this.height);
+    for (const x of xs) { path.moveTo(x - u, bottom); path.lineTo(x - u, top); }
+    for (const y of ys) { path.moveTo(left, y - v); path.lineTo(right, y - v); }
+    this.#stroke(path, '#0004', 1);
+  }
+
+  // Name the lines of the grid: x along the upper edge, y along the left one.
+  #drawCoordinates() {
+    const { step, xs, ys } = this.#round(), [u, v] = this.data.origin;
+    const name = (at) => (step < 1000 ? `${Number(at.toFixed(2))} m` : `${at / 1000} km`);
+    const { width, height, scale } = this;
+    for (const x of xs) {
+      const px = (x - u - this.x) * scale + width / 2;
+      if (px > 40 && px < width - 40) this.#write(name(x), px, 14, '12px');
+    }
+    for (const y of ys) {
+      const py = (this.y - y + v) * scale + height / 2;
+      if (py > 30 && py < height - 50) this.#write(name(y), 0, py + 4, '12px');
+    }
+  }
+
+  // Point to true north in the upper right corner, where the map's system says it.
+  #drawNorth() {
+    if (!this.data.degrees) return;
+    const { pen, fine, width } = this, [u, v] = this.data.origin, step = 1 / this.scale;
+    const [, here] = this.#latLon(this.x + u, this.y + v); // longitudes
+    const [, right] = this.#latLon(this.x + u + step, this.y + v);
+    const [, above] = this.#latLon(this.x + u, this.y + v + step);
+    pen.save();
+    pen.setTransform(fine, 0, 0, fine, 0, 0);
+    pen.translate(width - 20, 30);
+    pen.rotate(Math.atan2(here - above, right - here));
+    const arrow = new Path2D('M 0 16 L 0 -4 M 0 -18 L -6 -4 L 6 -4 Z');
+    Object.assign(pen, { lineWidth: 4, strokeStyle: 'white', fillStyle: 'black' });
+    pen.stroke(arrow);
+    Object.assign(pen, { lineWidth: 1.5, strokeStyle: 'black' });
+    pen.stroke(arrow);
+    pen.fill(arrow);
+    pen.restore();
+    this.#write('N', width - 20, 60);
+  }
+
   #drawScale() {
-    const long = 0.3 * this.width / this.scale, power = 10 ** Math.floor(Math.log10(long));
-    const metres = [5, 2, 1].find((n) => n * power <= long) * power;
+    const metres = round(0.3 * this.width / this.scale);
     const [x, y] = this.place(10, this.height - 10), path = new Path2D();
     path.moveTo(x, y);
     path.lineTo(x + metres, y);
@@ -324,15 +387,13 @@ class View {
 
   #far(metres) { return metres >= 1000 ? `${digits(metres / 1000)} km` : `${digits(metres)} m`; }
 
-  // Latitude and longitude of world coordinates, as text; '' if they are unknown.
-  #degrees(x, y) {
+  // Latitude and longitude of world coordinates; undefined if they are unknown.
+  #latLon(x, y) {
     const { degrees } = this.data;
-    if (!degrees) return '';
+    if (!degrees) return undefined;
     const [s, t] = [x, y].map((at, k) => (at - degrees.middle[k]) / degrees.half[k]);
     const horner = (terms, at) => terms.reduceRight((sum, term) => sum * at + term, 0);
-    const [lat, lon] = [degrees.lat, degrees.lon].map(
-      (rows) => horner(rows.map((row) => horner(row, t)), s).toFixed(5));
-    return `\n${lat}, ${lon}`;
+    return [degrees.lat, degrees.lon].map((rows) => horner(rows.map((row) => horner(row, t)), s));
   }
 
   // What an ambush at a place would cost, in words.
@@ -345,7 +406,8 @@ class View {
     const risk = Number.isNaN(found.here) ? '' : `risk ${digits(found.here)}; `;
     return `${this.#verdict(found)}\n${risk}the best ambush costs ${digits(value)}\n`
       + `${share} departures ${pass}\n`
-      + `x ${u.toFixed(places)} m, y ${v.toFixed(places)} m${this.#degrees(u, v)}`;
+      + `x ${u.toFixed(places)} m, y ${v.toFixed(places)} m`
+      + (this.#latLon(u, v) || []).map((each, k) => `${k ? ', ' : '\n'}${each.toFixed(5)}`).join('');
   }
 
   #verdict({ held, cost }) {
@@ -389,7 +451,7 @@ class View {
     this.rows.forEach((row, k) => row.addEventListener('click', (event) => {
       if (!event.target.closest('a')) this.#pick(k);
     }));
-    window.addEventListener('beforeprint', () => this.#resize(PRINTED));
+    window.addEventListener('beforeprint', () => this.#resize(...PRINTED));
     window.addEventListener('afterprint', () => this.#resize());
     const actions = { in: () => this.zoomBy(1.5), out: () => this.zoomBy(1 / 1.5),
       all: () => this.showAll() };
@@ -443,6 +505,12 @@ class View {
     event.preventDefault();
     this.tell(this.width / 2, this.height / 2);
   }
+}
+
+// The largest of 1, 2, 5, 10, ... up to a number.
+function round(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return [5, 2, 1].find((n) => n * power <= most) * power;
 }
 
 function disc(x, y, radius) {

@@ -23,7 +23,7 @@ from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .cli import count, resource
-from .console import distance, percent, rounded, when
+from .console import distance, percent, rounded
 
 # The colours of the page by their names in CSS and in the script.
 COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
@@ -106,7 +106,7 @@ def _audit(checks: Checks | None, departures: int) -> str:
 
 def _section(section: Section, folder: Path, name: str) -> str:
     departures, strategy = section.departures, section.strategy
-    times = dict.fromkeys(when(departures[k].stamp_ns) for k in (0, -1))
+    times = dict.fromkeys(words.leaving(departures[k]) for k in (0, -1))
     warnings, several = [], len({id(each.strategy) for each in departures})
     if any(each.parameters.seed >= 0 for each in departures):
         warnings.append(FIXED_SEED)
@@ -130,10 +130,12 @@ def _section(section: Section, folder: Path, name: str) -> str:
         waits='' if strategy.value > 0.0 else 'hidden',
         held=distance(data['held']), ends=words.ends(strategy),
         holds='' if data['held'] > 0.0 else 'hidden',
+        spotted='hidden' if section.spotter is None else '',
+        north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),
         measures=_table(words.measures(strategy), 'first'),
-        quantities=_table([(), *words.quantities(strategy)]),
+        quantities=_table([(), *words.quantities(section)]),
         changed=sum(bool(default) for _, _, default in settings),
         settings=_table([('setting', 'value', 'default'), *settings]),
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from ..game.bottleneck import DECISIVE_SHARE
-from ..game.spotter import worst_spotter
 from ..game.strategy import Strategy
+from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..parameters.table import PARAMETERS
 from ..planning.evaluation import evaluate
+from ..planning.plan import path_lengths
+from ..recordings import RecordedDeparture
 from ..recordings.report_data import Section
 from .console import distance, percent, rounded, travel, when
 
@@ -27,7 +27,7 @@ OPTIMAL = 1e-5
 def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
-        _guarantee(section), *_spotter(section.strategy), _optimality(section.strategy),
+        _guarantee(section), *_spotter(section), _optimality(section),
         ' '.join(filter(None, (_assumptions(section.strategy), held(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
@@ -35,34 +35,44 @@ def certificate(section: Section) -> list[str]:
 
 
 def _guarantee(section: Section) -> str:
-    strategy = section.strategy
+    strategy, (value, _) = section.strategy, section.bounds
     anywhere = strategy.game.options.widened > 0.0
     where = 'Wherever' if anywhere else 'At whichever node of the network'
     outside = f', except on the held ground around {ends(strategy)}' if held(section) else ''
+    timed = section.slots is not None
+    when_known = (' He can wait at one time of departure only; if he knows the time, it is at most '
+                  f'{rounded(strategy.value)}.') * timed
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
-            f'{rounded(strategy.value)} per departure, even if he knows the map, the probabilities '
-            'and all earlier routes. This assumes that he does not know the next route.')
+            f'{rounded(value)} per departure, even if he knows the map, the probabilities '
+            f'and all earlier routes.{when_known} This assumes that he does not know the next '
+            f'route{" and time" * timed}.')
 
 
-def _spotter(strategy: Strategy) -> list[str]:
+def _spotter(section: Section) -> list[str]:
     """What somebody is worth to him who sees whether the convoy passes; empty if nothing."""
-    if (seen := worst_spotter(strategy)) is None:
+    if (seen := section.spotter) is None:
         return []
-    return [f'A spotter can tell him more: one at the worst place, ({rounded(seen.x, 6)}, '
-            f'{rounded(seen.y, 6)}), who reports whether the convoy passes before he chooses where '
-            f'to wait, raises the mean loss to {rounded(seen.loss)}, {rounded(seen.factor)} times '
-            'as much.']
+    at = f'x {rounded(seen.x, 7)} m, y {rounded(seen.y, 7)} m'
+    try:
+        lat, lon = Coordinates(section.risk_map.crs or '').to_lat_lon((seen.x, seen.y))
+        at = f'{lat:.5f}, {lon:.5f}, {at}'
+    except InvalidCoordinates:
+        pass  # the map does not know its system
+    return [f'A spotter can tell him more: one at the worst place, {at}, who reports whether the '
+            f'convoy passes before he chooses where to wait, raises the mean loss to '
+            f'{rounded(seen.loss)}, {rounded(seen.factor)} times as much.']
 
 
-def _optimality(strategy: Strategy) -> str:
+def _optimality(section: Section) -> str:
+    strategy, (value, bound) = section.strategy, section.bounds
     length = ('' if strategy.length_budget == math.inf else
               f' with a mean length of at most {travel(strategy, strategy.length_budget)}')
-    gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
+    gap = (value - bound) / value if value > 0.0 else 0.0
     near = f'within {percent(gap)} of ' if gap > OPTIMAL else ''
     return (f'No other probabilities on this network{length} can promise less than '
-            f'{rounded(strategy.lower_bound)}: the ambusher on the map causes at least that much '
-            f'against every planner. So these are {near}the best possible. Both numbers were '
-            'computed again for this page.')
+            f'{rounded(bound)}: the ambusher on the map causes at least that much against every '
+            f'planner. So these are {near}the best possible. Both numbers were computed again for '
+            'this page.')
 
 
 def _assumptions(strategy: Strategy) -> str:
@@ -94,25 +104,27 @@ def tiles(section: Section) -> list[tuple[str, str]]:
     strategy, rows = section.strategy, evaluate(section.strategy)
     fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
     several = strategy.game.ambushers > 1
-    different = len({each.drawn_from.network.points[each.route].tobytes()
-                     for each in section.departures})
-    mean, least = (travel(strategy, length)
-                   for length in (strategy.expected_length, strategy.shortest_length))
+    different = len({each.path_poses.round(1).tobytes() for each in section.departures})
+    driven = path_lengths([each.path_poses for each in section.departures])
+    ratio = rounded(strategy.expected_length / strategy.shortest_length)
+    unit = 'time' if strategy.network.travel_unit == 's' else 'length'
+    timed = section.slots is not None
     return [
-        (rounded(strategy.value), 'mean loss per departure from the best ambush, instead of '
-         f'{rounded(fixed.v_repeated)} if you always take the shortest route'),
+        (rounded(section.bounds[0]), 'mean loss per departure from the best ambush'
+         f'{" (at one time)" * timed}, instead of {rounded(fixed.v_repeated)} if you always take '
+         'the shortest route'),
         (rounded(chance, 2), 'ambushes hit a departure, on average') if several else
-        (percent(chance), 'of departures are hit by the best ambush, instead of '
-         f'{percent(fixed.p_repeated)} on a fixed route that he has learnt'),
+        (percent(chance), f'of departures are hit by the best ambush{" at the right time" * timed},'
+         f' instead of {percent(fixed.p_repeated)} on a fixed route that he has learnt'),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),
-        (f'{rounded(strategy.expected_length / strategy.shortest_length)} times',
-         f'as long as the shortest route, on average ({mean} instead of {least})'),
+        (distance(float(driven.mean())), 'driven per departure, on average; the mean '
+         f'{unit} along the network is {ratio} times the shortest'),
     ]
 
 
 def measures(strategy: Strategy) -> list[tuple[str, ...]]:
     """Head and rows of the comparison of planners (the paper's table III: E, P_1, P_inf, V_inf)."""
-    head = ('the convoy drives', 'mean length', 'hit by the ambusher on the map',
+    head = ('the convoy drives', 'mean along the network', 'hit by the ambusher on the map',
             'hit once the habit is known', 'mean loss once it is known')
     return [head, *(
         (PLANNERS[name], travel(strategy, row.expected_length), percent(row.p_first),
@@ -121,17 +133,18 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
     )]
 
 
-def quantities(strategy: Strategy) -> list[tuple[str, str]]:
+def quantities(section: Section) -> list[tuple[str, str]]:
     """Further measures of the strategy by name."""
+    strategy, (value, bound) = section.strategy, section.bounds
     network, budget = strategy.network, strategy.length_budget
     waits = strategy.ambush_at_places
     sites = int((waits > DECISIVE_SHARE * waits.max()).sum()) if strategy.value > 0.0 else 0
     return [
-        ('mean loss, at most (value)', rounded(strategy.value, 4)),
-        ('no planner can promise less than', rounded(strategy.lower_bound, 4)),
-        ('mean length', travel(strategy, strategy.expected_length)),
-        ('shortest route', travel(strategy, strategy.shortest_length)),
-        ('limit of the mean length', travel(strategy, budget) if math.isfinite(budget) else 'none'),
+        ('mean loss, at most (value)', rounded(value, 4)),
+        ('no planner can promise less than', rounded(bound, 4)),
+        ('mean along the network', travel(strategy, strategy.expected_length)),
+        ('shortest route along it', travel(strategy, strategy.shortest_length)),
+        ('limit of that mean', travel(strategy, budget) if math.isfinite(budget) else 'none'),
         ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
         ('network', f'{len(network.points):,} nodes, {len(network.edges):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
@@ -143,11 +156,17 @@ def departures(section: Section) -> list[tuple[str, ...]]:
     varies = len({id(each.strategy) for each in section.departures}) > 1
     rows = []
     for number, each in enumerate(section.departures, start=1):
-        steps = np.diff(each.path_poses[:, :2], axis=0)
-        rows.append((str(number), when(each.stamp_ns)[:len('2000-01-01 00:00')],
-                     distance(float(np.hypot(*steps.T).sum())),
-                     *([rounded(each.strategy.value)] * varies)))
-    return [('route', 'time (UTC)', 'length', *(['mean loss'] * varies)), *rows]
+        (length,) = path_lengths([each.path_poses])
+        rows.append((str(number), leaving(each)[:len('2000-01-01 00:00')],
+                     distance(float(length)), *([rounded(each.strategy.value)] * varies)))
+    time = 'day' if section.departures[-1].metadata.day else 'time (UTC)'
+    return [('route', time, 'length', *(['mean loss'] * varies)), *rows]
+
+
+def leaving(departure: RecordedDeparture) -> str:
+    """When the convoy leaves: the day and slot that a plan's departure is for, or the time."""
+    day = departure.metadata.day
+    return f'{day.date} {day.slot}'.strip() if day else when(departure.stamp_ns)
 
 
 def settings(section: Section) -> list[tuple[str, str, str]]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +20,19 @@ from ..maps import (
 from ..maps.elevation_file import read_raster
 from . import cli
 
+# Options of an elevation model, for which ``ViewOptions`` and ``TerrainOptions`` have defaults.
+_VIEW = {'weapon_range': 'range of weapons [m] (default: 300)',
+         'vehicle_height': 'height of vehicles [m] (default: 2.5)',
+         'person_height': 'eye height of a person [m] (default: 1.7)'}
+_GROUND = {'slope_limit': 'maximum drivable slope (rise/run, default: 0.42)',
+           'road_factor': 'risk on roads relative to open ground (default: 0.5)'}
+
 
 def add_terrain(terrain: argparse._ArgumentGroup) -> None:
     """Add the options with which an elevation model becomes a risk map."""
-    for name, default, text in (
-        ('--resolution', None, "cell size [m] (default: the DEM's)"),
-        ('--weapon-range', 300.0, 'range of weapons [m] (default: 300)'),
-        ('--vehicle-height', 2.5, 'height of vehicles [m] (default: 2.5)'),
-        ('--person-height', 1.7, 'eye height of a person [m] (default: 1.7)'),
-        ('--slope-limit', 0.42, 'maximum drivable slope (rise/run, default: 0.42)'),
-        ('--road-factor', 0.5, 'risk on roads relative to open ground (default: 0.5)'),
-    ):
-        terrain.add_argument(name, type=float, metavar='X', help=text)
-        _DEFAULTS[_field(name)] = default
+    for name, text in {'resolution': "cell size [m] (default: the DEM's)", **_VIEW,
+                       **_GROUND}.items():
+        terrain.add_argument(f'--{name.replace("_", "-")}', type=float, metavar='X', help=text)
     terrain.add_argument('--weights', type=float, nargs=4,
                          metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
                          help='weights of the four shares (default: 0.4 0.2 0.2 0.2)')
@@ -39,28 +40,19 @@ def add_terrain(terrain: argparse._ArgumentGroup) -> None:
 
 def terrain_options_in(arguments: argparse.Namespace) -> list[str]:
     """The fields of the options of ``add_terrain`` that were given."""
-    return [name for name in _DEFAULTS if getattr(arguments, name) is not None]
+    return list(_given(arguments, ('resolution', *_VIEW, *_GROUND, 'weights')))
 
 
-def _field(option: str) -> str:
-    return option[2:].replace('-', '_')
-
-
-# Defaults of the options of an elevation model.
-_DEFAULTS: dict[str, Any] = {'weights': (0.4, 0.2, 0.2, 0.2)}
+def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    values = {name: getattr(arguments, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def terrain_of(arguments: argparse.Namespace, source: Path, roads: Path | None,
                console: cli.Console) -> tuple[Elevation, TerrainMap]:
     """An elevation model, and its risk map with a raster of roads."""
-    for name, default in _DEFAULTS.items():
-        if getattr(arguments, name) is None:
-            setattr(arguments, name, default)
-    views = ViewOptions(weapon_range=arguments.weapon_range,
-                        vehicle_height=arguments.vehicle_height,
-                        person_height=arguments.person_height)
-    options = TerrainOptions(view=views, slope_limit=arguments.slope_limit,
-                             weights=tuple(arguments.weights), road_factor=arguments.road_factor)
+    views = ViewOptions(**_given(arguments, _VIEW))
+    options = TerrainOptions(view=views, **_given(arguments, (*_GROUND, 'weights')))
     raster = read_raster(source, crs=arguments.crs or None)
     elevation = elevation_from_raster(raster, arguments.resolution or 0.0)
     mask = mask_from_raster(read_raster(roads, 'roads'), elevation) if roads else None

@@ -11,7 +11,8 @@ This is Pearson's statistic; the 1 keeps rarely driven edges from dominating it.
 or an edge is favoured, if routes repeat, and if they vary too little. Counts of edges are
 dependent, so T has no chi-square law: its p-value comes from resampling all departures from their
 strategies, ``(1 + #{T* >= T}) / (1 + resamples)``, as in ``scipy.stats.monte_carlo_test``, and
-holds for any number of departures and strategies.
+holds for any number of departures and strategies. Where times of departure were drawn, their counts
+have such a statistic, too; both are divided by their spread among the resamples and added.
 
 Edges and nodes of different networks are the same if they lie at the same positions: a start that
 moves by a few centimetres makes a new strategy, but most of its network stays.
@@ -32,6 +33,7 @@ from ..arrays import ROUNDING, FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
 from ..game.route_sampler import RouteSampler
 from ..game.strategy import Strategy
+from .metadata import RecordedSlots
 
 # Minimum number of departures; with fewer the test finds little but one route driven every time.
 MIN_DEPARTURES = 5
@@ -45,6 +47,8 @@ SAME_POSITION = 1e-3
 ROUTES_AT_ONCE = 20_000
 
 Steps = tuple[IndexArray, IndexArray]
+# Counts (1 + resamples, C), the recorded ones first, with their mean and variance (C,).
+_Counts = tuple[npt.NDArray[np.uint16], FloatArray, FloatArray]
 
 
 class NotAuditable(AmbushPlannerError):
@@ -102,8 +106,9 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
           resamples: int = 999) -> Audit:
     """Test departures against their strategies, and follow an observer who learns from them.
 
-    ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy) and
-    ``route`` (K,); those of one strategy share the object. A finding needs 999 ``resamples`` or
+    ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy),
+    ``route`` (K,) and ``drawn_slot`` (its time and the RecordedSlots that it was drawn from, or
+    None); those of one strategy share the strategy. A finding needs 999 ``resamples`` or
     more. Raises NotAuditable if fewer than ``MIN_DEPARTURES`` are from strategies without
     cycles.
     """
@@ -127,13 +132,15 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
             early = route < followed * size
             losses.append(group.losses(route[early], edge[early], n))
     expected, variance = _expected(groups, len(segments))
+    counts = [(passages, expected, variance)]
+    counts += _slot_counts([each.drawn_slot for each in audited if each.drawn_slot], resamples, rng)
     loss, row, node = (np.concatenate(parts) for parts in zip(*losses, strict=True))
     ambushers = [each.drawn_from.game.ambushers for each in audited]
     caused = _observe(followed, ambushers, loss, row, node)
     low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
     return Audit(departures=n, strategies=len(groups), left_out=len(departures) - n,
                  impossible=impossible,
-                 p_value=0.0 if impossible else _p_value(passages, expected, variance),
+                 p_value=0.0 if impossible else _p_value(counts),
                  segments=segments, passages=frozen_array(passages[0], np.int64),
                  expected=frozen_array(expected, np.float64),
                  value=float(np.mean([each.drawn_from.value for each in audited[1:]])),
@@ -241,11 +248,29 @@ def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatAr
     return mean, variance
 
 
-def _p_value(passages: npt.NDArray[np.uint16], expected: FloatArray, variance: FloatArray) -> float:
-    """Monte Carlo p-value of the first row of ``passages`` (1 + resamples, C)."""
-    recorded, *drawn = ((row - expected) ** 2 @ (1.0 / (variance + 1.0)) for row in passages)
-    reached = np.count_nonzero(np.array(drawn) >= recorded * (1.0 - ROUNDING))
-    return float(1 + reached) / (1 + len(drawn))
+def _slot_counts(drawn: Sequence[tuple[str, RecordedSlots]], resamples: int,
+                 rng: np.random.Generator) -> list[_Counts]:
+    """How often each time of departure was drawn; empty if none was."""
+    times = sorted({time for _, slots in drawn for time in slots.times})
+    passages = np.zeros((1 + resamples, len(times)), np.uint16)
+    expected, variance = np.zeros(len(times)), np.zeros(len(times))
+    for slot, slots in drawn:
+        column, shares = np.searchsorted(times, slots.times), np.array(slots.shares)
+        expected[column] += shares
+        variance[column] += shares * (1.0 - shares)
+        again = column[rng.choice(len(shares), resamples, p=shares)]
+        passages[np.arange(1 + resamples), [times.index(slot), *again]] += 1
+    return [(passages, expected, variance)] if drawn else []
+
+
+def _p_value(counts: Sequence[_Counts]) -> float:
+    """Monte Carlo p-value of the first rows; the statistics of several counts are added."""
+    total = np.zeros(len(counts[0][0]))
+    for passages, expected, variance in counts:
+        found = np.array([(row - expected) ** 2 @ (1.0 / (variance + 1.0)) for row in passages])
+        total += found / (float(found.std()) or 1.0)
+    reached = np.count_nonzero(total[1:] >= total[0] * (1.0 - ROUNDING))
+    return float(1 + reached) / len(total)
 
 
 def _observe(sets: int, ambushers: Sequence[int], loss: FloatArray, row: IndexArray,

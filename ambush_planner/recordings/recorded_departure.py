@@ -40,7 +40,7 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
-from .metadata import Metadata, RecordedDay, typed
+from .metadata import Metadata, RecordedDay, RecordedSlots, typed
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
 
@@ -101,6 +101,13 @@ class RecordedDeparture:
     def law(self) -> Strategy:
         """What to show of the plan: its strategy, or the mixture of its few routes."""
         return self.drawn_from if self.few else self.strategy
+
+    @property
+    def drawn_slot(self) -> tuple[str, RecordedSlots] | None:
+        """The time of departure and what it was drawn from; None if none was drawn."""
+        day, plan = self.metadata.day, self.metadata.plan
+        slots = plan.slots if plan and day and day.slot_drawn else None
+        return (day.slot, slots) if day and slots else None
 
     @property
     def stamp_ns(self) -> int:

@@ -8,6 +8,7 @@ import zlib
 from base64 import b64encode
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,11 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..game.law.acyclic import order_along
+from ..game.spotter import Spotter, worst_spotter
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
+from .metadata import RecordedSlots
 from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
@@ -47,9 +50,25 @@ class Section:
         return self.departures[-1].law
 
     @property
+    def slots(self) -> RecordedSlots | None:
+        """The times that the latest departure's was drawn from, if any."""
+        return (self.departures[-1].drawn_slot or ('', None))[1]
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Value and lower bound for an ambusher who also has to choose a time, if it is drawn."""
+        of = self.slots or self.strategy
+        return of.value, of.lower_bound
+
+    @property
     def risk_map(self) -> RiskMap:
         """The map of all departures."""
         return self.departures[-1].risk_map
+
+    @cached_property
+    def spotter(self) -> Spotter | None:
+        """What somebody at the worst place is worth who tells whether the convoy passes."""
+        return worst_spotter(self.strategy)
 
     def includes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is on this trip."""
@@ -91,6 +110,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     routes = [outline(each.path_poses[:, :2], PATH_ACCURACY * cell) - corner
               for each in section.departures]
     ends = [network.source, network.target, *network.stops]
+    seen = section.spotter
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
@@ -100,6 +120,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'reach': game.reach, 'held': game.options.held_radius,
         'shelter': game.options.held_radius - game.options.tube,
         'value': strategy.value, 'degrees': degrees,
+        'spotter': seen and (np.array((seen.x, seen.y)) - corner).tolist(),
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),
         'chances': packed(p[used], '<f4'),

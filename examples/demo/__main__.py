@@ -21,11 +21,12 @@ from ambush_planner.commands.frontier import write_frontier
 from ambush_planner.commands.report import write_report
 from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.figures import as_png
-from ambush_planner.game.strategy import Strategy, StrategyOptions
+from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.frontier import trip_frontier
 from ambush_planner.recordings import recordings_in
+from ambush_planner.recordings.report_data import Section
 
 from .figures import fixed_routes, routes_figure
 from .ground import GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
@@ -83,11 +84,14 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
     planning = replace(last.parameters.planning, strategy=budgets)
     trip = last.metadata.trip
-    rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, slacks=SLACKS)
+    rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, slacks=SLACKS,
+                         on_row=lambda row: console.step(
+                             f'detour {row.max_detour:g}, slack {row.risk_slack:g}: '
+                             f'value {row.value:.4g}'))
     write_frontier([folder / 'frontier.csv', folder / 'frontier.png'], rows, budgets.max_detour,
                    budgets.risk_slack)
     total = console.seconds
-    console.line(table(strategy, paths, seconds, total))
+    console.line(table(section, paths, seconds, total))
     console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
                  'frontier.csv, node.log and the recordings')
     console.result = {'folder': cli.place(folder), 'departures': options.departures,
@@ -153,15 +157,15 @@ def _interrupts_held(check: Callable[[], None]) -> Iterator[Callable[[], None]]:
         raise KeyboardInterrupt
 
 
-def table(strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[float],
+def table(section: Section, paths: Sequence[FloatArray], seconds: Sequence[float],
           total: float) -> str:
     """Return the numbers of the strategy and of the departures, for a terminal."""
     first, *later = seconds
     further = f', {1000 * float(np.median(later)):.0f} ms for a further one' if later else ''
     rows = [
-        *words.quantities(strategy),
+        *words.quantities(section),
         *((words.PLANNERS[name], f'mean loss {row.v_repeated:.2f} once it is known')
-          for name, row in evaluate(strategy).items() if name != 'stochastic'),
+          for name, row in evaluate(section.strategy).items() if name != 'stochastic'),
         ('different routes', f'{len({path.tobytes() for path in paths})} of {len(paths)}'),
         ('seconds', f'{total:.1f}; {first:.1f} for the first departure{further}'),
     ]
