@@ -114,7 +114,7 @@ def test_polygons_and_roads_in_their_order(folder):
     assert np.mean(made.risk_map.alpha != loss + 0.25 * thin) < 0.002  # cells that are just touched
     assert np.mean(made.risk_map.obstacles != (road | barred)) < 0.002
     assert [layer.title for layer in made.layers][::3] == [
-        'zones.geojson: loss, factor', 'zones.geojson: forbidden']
+        'zones.geojson: change by loss and factor', 'zones.geojson: forbidden']
 
 
 def test_roads_open_obstacles_that_forbidden_polygons_close_and_held_ground_costs_nothing(folder):

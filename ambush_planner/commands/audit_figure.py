@@ -12,6 +12,7 @@ from ..figures import (
     WIDTH,
     draw_map,
     draw_segments,
+    ground_legend,
     probability_bar,
     probability_scale,
     risk_bar,
@@ -46,4 +47,5 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
     observer.xaxis.set_major_locator(MaxNLocator(integer=True))
     observer.legend()
+    ground_legend(figure, risk_map)
     return figure

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import CenteredNorm
 from matplotlib.figure import Figure
 
 from ..colours import ROUTES
-from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, risk_bar
-from ..maps import (
-    TerrainMap,
-)
+from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, ground_legend, risk_bar
+from ..maps import TerrainMap
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
@@ -150,7 +149,7 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     count = len(joined.layers) + 1
     rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
     width, height = joined.risk_map.size
-    size = (0.5 * WIDTH * columns, (0.8 + 3.0 * min(height / width, 3.0)) * rows)
+    size = (0.5 * WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
     figure = Figure(size, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, layer in zip(panels, joined.layers, strict=False):
@@ -159,13 +158,17 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     risk_bar(figure, draw_map(last, joined.risk_map, 'Risk map'), last, shrink=0.7)
     for axes in panels[count:]:
         axes.set_visible(False)
+    ground_legend(figure, joined.risk_map)
     return figure
 
 
 def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     frame(axes, risk_map, layer.title)
-    image = draw_cells(axes, risk_map, np.ma.masked_invalid(layer.values), cmap='magma_r')
-    figure.colorbar(image, ax=axes, shrink=0.7)
+    less = layer.values.min() < 0.0
+    image = draw_cells(axes, risk_map, np.ma.masked_invalid(layer.values.astype(float)),
+                       cmap='PuOr_r' if less else 'magma_r', norm=CenteredNorm() if less else None)
+    if layer.values.dtype != bool:
+        figure.colorbar(image, ax=axes, shrink=0.7)
     if layer.shapes is not None:
         parts = {'column': 'part', 'cmap': 'tab10', 'legend': True,
                  'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}

@@ -6,14 +6,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..figures import WIDTH, draw_cells, draw_map, frame, risk_bar
+from ..figures import WIDTH, draw_cells, draw_map, frame, ground_legend, risk_bar
 from ..maps import Elevation, TerrainMap
 from ..maps.occupancy import OccupancyOptions
 
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
-    figure = Figure(figsize=(WIDTH, 9.8), layout='compressed')
+    figure = Figure(figsize=(WIDTH, 9.3), layout='compressed')
     *panels, last = figure.subplots(3, 2).ravel()
     risk_map = ground.risk_map(elevation.corner, OccupancyOptions(crs=elevation.crs))
     for axes, (layer, title, colours) in zip(panels, (
@@ -30,4 +30,5 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     if ground.roads.any():
         draw_cells(last, risk_map, np.ma.masked_equal(ground.roads, False), cmap='winter',
                    alpha=0.8)
+    ground_legend(figure, risk_map)
     return figure

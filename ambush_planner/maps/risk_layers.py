@@ -83,12 +83,13 @@ class InvalidLayers(AmbushPlannerError, ValueError):
 class Layer:
     """What a line contributed, for pictures.
 
-    ``values`` (H, W) are losses, numbers of incidents, or how many shapes cover a cell; ``shapes``
-    are those of a vector layer, for roads with the length of their connected ``part``.
+    ``values`` (H, W) are losses, changes of them, or numbers of incidents; booleans say which cells
+    a layer covers that changes no losses. ``shapes`` are those of a vector layer, for roads with
+    the length of their connected ``part``.
     """
 
     title: str
-    values: FloatArray
+    values: FloatArray | BoolArray
     shapes: GeoPandasBase | None = None
 
 
@@ -259,6 +260,7 @@ class _Joined:
             features = features.set_geometry(
                 features.buffer(buffer).where(buffer > 0.0, features.geometry))
             shown = features.boundary
+        before = self.loss
         for key, apply in (('loss', np.multiply), ('factor', np.power)):
             column = attribute_values(features, key, values[key])
             for each in np.unique(column):
@@ -269,8 +271,11 @@ class _Joined:
             chosen = features[attribute_values(features, key, values[key]) > 0.0]
             if len(chosen):
                 masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
-        effects = ', '.join(key for key in _SHAPES if values[key] != _SHAPES[key])
-        self.layers.append(Layer(f'{name}: {effects}', self._cover(features, roads), shown))
+        changes, others = ([key for key in keys if values[key] != _SHAPES[key]]
+                           for keys in (('loss', 'factor'), self.masks))
+        effects = [f'change by {" and ".join(changes)}'] * bool(changes) + others
+        shade = self.loss - before if changes else self._cover(features, roads) > 0.0
+        self.layers.append(Layer(f'{name}: {", ".join(effects)}', shade, shown))
 
     def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply incidents, with a remark if there are few."""
