@@ -13,6 +13,7 @@ from waiting import TIMEOUT
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings.verify import Verifier
 from ambush_planner.worker.process import WorkerProcess
 
 interfaces.install('map_msgs')
@@ -177,3 +178,26 @@ def test_a_costmap_has_obstacles_from_99_on():
             assert bool(answer.poses) == crosses
             assert running.client.get_plan(START, pose(3.0, 8.5)).poses
             running.client.diagnostics(value_is=meaning)
+
+
+def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path):
+    """Both departures are recorded with the network that they were drawn on."""
+    values = {'network.spacing': 0.0, 'network.target_nodes': 100, 'network.refine': -1,
+              'game.ambush_radius': 0.6}
+    with stage(tmp_path, values) as running:
+        client = running.client
+        running.give(risk_grid())
+        assert client.call('new_route').success
+        first = client.diagnostics(departures='1')
+        assert first['refined'] == ''
+        wait_until(lambda: client.diagnostics()['refined'], 'a refined plan')
+        refined = client.diagnostics(refining='no', state='ready')
+        assert float(refined['value']) < float(first['value'])
+        assert client.call('new_route').success
+        last = client.diagnostics(departures='2', refining='no')
+        assert last['value'] == refined['value'] == last['departure_value']
+    files = list(recordings_in(tmp_path))
+    nodes = [len(read_departure(each).strategy.network.points) for each in files]
+    assert nodes[0] < nodes[1]
+    verifier = Verifier()
+    assert not any(verifier.verify(each).problems for each in files)

@@ -63,7 +63,7 @@ class NetworkOptions:
     refine
         Most rounds in which a plan with a reach refines its network where the ambusher waits, after
         a first one on a graded network; 0: one plan on the plain lattice. None: until a round gains
-        little. Only for 'uniform_delaunay' and 'graph'.
+        little. Only for 'uniform_delaunay'.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class NetworkOptions:
     graph: str | RoadGraph | Any = None
     node_crossings: bool = False
     join_distance: float = 50.0
-    refine: int | None = 0
+    refine: int | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, str) or self.method not in METHODS:

@@ -77,7 +77,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
         2, 1_000_000),
     'network.refine': Declaration(
-        0,
+        -1,
         'With a reach and uniform_delaunay: rounds in which the network, fine around start, stops '
         'and goal, is refined where the ambusher waits; -1: as long as the value falls by over '
         '2 %; 0: one plan on a plain network.', -1, 20),

@@ -86,6 +86,12 @@ class NodeParameters:
     seed: int
     values: Mapping[str, Any]
 
+    def with_plain_network(self) -> NodeParameters:
+        """The parameters with network.refine 0."""
+        network = replace(self.planning.network, refine=0)
+        return replace(self, planning=replace(self.planning, network=network),
+                       values=MappingProxyType({**self.values, 'network.refine': 0}))
+
 
 def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -> NodeParameters:
     """Read the values of all ``PARAMETERS`` as a set; ``roads`` replace the file network.graph.

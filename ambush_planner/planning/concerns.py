@@ -179,8 +179,8 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
     if plan is None:
         return dict.fromkeys((
             *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
-            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'search_ended', 'stops',
-            'order', 'solve_seconds',
+            'edges', 'refined', 'deciding_sites', 'deciding_sites_near_ends', 'search_ended',
+            'stops', 'order', 'solve_seconds',
         ), '')
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
@@ -192,6 +192,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
         'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
         'nodes': str(len(plan.network.points)),
         'edges': str(len(plan.network.edges)),
+        'refined': ' '.join(f'{each.value:.4g}' for each in plan.refinement),
         'deciding_sites': str(len(plan.bottleneck.sites)),
         'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
         'search_ended': plan.strategy.reason,

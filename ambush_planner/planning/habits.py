@@ -18,11 +18,11 @@ from ..errors import InvalidOption
 from ..game.budget import least_cost
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track
-from ..network.construction import build_network
-from .options import PlanningOptions
+from .options import PlanningOptions, is_graded
 from .path_mixtures import PathMixture, PathMixtures
 from .plan import Plan, make_plan
 from .solving import solve_on_network
+from .trip import plan_quietly, trip_network
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
@@ -71,12 +71,16 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     begin, (start, goal) = time.monotonic(), trips[0].xy[[0, -1]]
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
-    # By length on any network: who has no times of the trips cannot hold them against a time.
-    network = replace(build_network(risk_map, start, goal, options.network), seconds=None)
-    detour = max(mean / least_cost(network, network.lengths), MIN_DETOUR)
-    options = replace(options, strategy=replace(options.strategy, max_detour=detour))
-    strategy = solve_on_network(risk_map, network, options)
-    plan = make_plan(risk_map, strategy, options, begin)
+    network = trip_network(risk_map, start, goal, options, (), 'given', np.empty((0, 3)))
+    # By length on any network: trips without times cannot be held against a time.
+    network = replace(network, seconds=None)
+    shortest = network.ground_length or least_cost(network, network.lengths)
+    budgets = replace(options.strategy, max_detour=max(mean / shortest, MIN_DETOUR))
+    options = replace(options, strategy=budgets)
+    if is_graded(options):
+        plan = plan_quietly(risk_map, start, goal, options)
+    else:
+        plan = make_plan(risk_map, solve_on_network(risk_map, network, options), options, begin)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('held ground covers everything around start and goal, so that nobody '
                             'can wait there: choose a smaller radius (--held)')

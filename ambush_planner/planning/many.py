@@ -24,7 +24,7 @@ from ..maps.risk_map import RiskMap
 from .concerns import concerns
 from .options import PlanningOptions
 from .plan import Plan
-from .trip import _plan_trip
+from .trip import plan_quietly
 
 # Number of maps that a process keeps.
 _KEPT_MAPS = 4
@@ -173,5 +173,5 @@ def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
             return _MapMissing()
         risk_map = _maps[key]
     start_xy, goal_xy, options, stops, order = rest
-    plan = _plan_trip(risk_map, start_xy, goal_xy, options, stops, order, None)
+    plan = plan_quietly(risk_map, start_xy, goal_xy, options, stops, order)
     return replace(plan, risk_map=None) if answer is None else answer(plan)

@@ -123,7 +123,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     options = options or PlanningOptions()
     if routes is not None:
         check_judged(options.game)
-    made = _plan_trip(risk_map, start_xy, goal_xy, options, list(stops), order, warm, progress)
+    made = plan_quietly(risk_map, start_xy, goal_xy, options, list(stops), order, warm, progress)
     if routes is not None:
         made = replace(made, few=few_routes(made, routes, equal, np.random.default_rng(rng)))
     for text in concerns(made):
@@ -131,9 +131,11 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     return made
 
 
-def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-               options: PlanningOptions, asked: list[npt.ArrayLike], order: str,
-               warm: WarmStart | None, progress: Progress = no_progress) -> Plan:
+def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+                 options: PlanningOptions, asked: Sequence[npt.ArrayLike] = (),
+                 order: str = 'given', warm: WarmStart | None = None,
+                 progress: Progress = no_progress) -> Plan:
+    """``plan_trip`` without its warnings."""
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
     if not isinstance(risk_map, RiskMap):
@@ -225,8 +227,8 @@ def plan_from_request(request: PlanRequest) -> Plan:
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
     risk_map, goal_xy = risk_map_and_goal(request)
-    made = _plan_trip(risk_map, request.start_xy, goal_xy, request.options,
-                      list(request.stops_xy), request.order, request.warm)
+    made = plan_quietly(risk_map, request.start_xy, goal_xy, request.options, request.stops_xy,
+                        request.order, request.warm)
     return replace(made, risk_map=None)  # too large to send to another process
 
 

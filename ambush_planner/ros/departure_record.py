@@ -32,6 +32,9 @@ from .current_map import ReceivedMessage
 from .inputs import Trip
 from .plan_cache import CachedPlan
 
+# It differs from the request's if the plan is the first one of its trip.
+_REFINE = 'network.refine'
+
 
 @dataclass(frozen=True, eq=False)
 class ServiceCall:
@@ -111,7 +114,8 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
     call = RecordedCall(departure.call.name, type_name(departure.call.kind), departure.begin_ns,
                         departure.end_ns, fields_of(departure.call.request), departure.remarks)
     return Metadata(
-        departure.id, departure.number, trip.map.frame, dict(departure.parameters.values),
+        departure.id, departure.number, trip.map.frame,
+        {**departure.parameters.values, _REFINE: departure.held.parameters.values[_REFINE]},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
         departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),

@@ -40,6 +40,7 @@ class Status:
     lifecycle: str = 'active'
     missing: tuple[str, ...] = ()
     solving: bool = False
+    refining: bool = False
     problems: Mapping[str, Problem] = field(default_factory=dict)
     warnings: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
@@ -80,6 +81,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'state': status.state,
         'code': code,
         'message': message,
+        'refining': 'yes' if status.refining else 'no',
         **plan_numbers(status.plan),
         'current_value': f'{now.value:.9g}' if now else '',
         'current_gap': f'{now.gap:.9g}' if now else '',

@@ -120,9 +120,9 @@ class Dispatcher:
         self._map_is_new = False
 
     @property
-    def solving(self) -> bool:
-        """Whether a solve runs or waits."""
-        return self._plans.solving
+    def activity(self) -> tuple[bool, bool]:
+        """Whether a solve runs or waits, and whether a plan is being refined."""
+        return self._plans.solving, self._plans.refining
 
     def stop_solving(self) -> None:
         """Cancel all solves, and refuse all requests from now on, including waiting ones."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 
 from rclpy.clock import Clock
@@ -62,6 +63,20 @@ class DisplayedPlan:
         if assessment is None and newest.same_ground(cached.trip.map):
             assessment = cached.ground.assess(newest)
         self._reporter.set(plan=cached.plan, assessment=assessment, stale='')
+        if cached.refined_by is not None:
+            self._refine(cached)
+
+    def _refine(self, cached: CachedPlan) -> None:
+        """Have a first plan's network refined, and show the new plan if it still shows this one."""
+        def show_result(solve: Future[CachedPlan]) -> None:
+            with suppress(AmbushPlannerError):  # the first plan stays
+                refined = solve.result()
+                if self.cached is cached:
+                    self.show(refined)
+
+        with suppress(SolveCancelled):  # the node is about to end
+            solve = self._plans.refine(cached)
+            solve.add_done_callback(lambda done: self._departures.submit(lambda: show_result(done)))
 
     def review(self, tolerance: float, after_resolve: Callable[[], None] | None) -> None:
         """Report how good the plan is on the current map.
@@ -110,7 +125,7 @@ class DisplayedPlan:
                 return
             after_resolve()
 
-        solve = self._plans.solve(trip, cached.parameters, background=True)
+        solve = self._plans.solve(trip, cached.asked, background=True)
         self._latest_resolve = solve
         self._reporter.set()
         solve.add_done_callback(lambda done: self._departures.submit(lambda: show_result(done)))

@@ -18,7 +18,7 @@ from ..parameters.values import NodeParameters
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
 from ..planning.moved_start import REGION, JoinedPlan, joined_plan
-from ..planning.options import start_tolerance
+from ..planning.options import is_graded, start_tolerance
 from ..planning.plan import Plan, PlanRequest, Route, depart, departure_path
 from ..planning.solving import WarmStart
 from ..routes.driven_path import Ends
@@ -33,12 +33,22 @@ _MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 330_000_000, 1100, 4
 
 @dataclass(frozen=True, eq=False)
 class CachedPlan:
-    """A plan with the trip and the parameters that it was solved for."""
+    """A plan with the trip and the parameters that it was solved for.
+
+    A first plan of a trip has a plain network, and ``refined_by`` are the parameters by which it is
+    to be refined; None: it is not.
+    """
 
     plan: Plan
     trip: Trip
     parameters: NodeParameters
     ground: ChangedGround
+    refined_by: NodeParameters | None = None
+
+    @property
+    def asked(self) -> NodeParameters:
+        """The parameters of whoever asked for the plan."""
+        return self.refined_by or self.parameters
 
     def ends(self, trip: Trip) -> Ends:
         """Return where a route for this trip begins and ends [m]: a blocked goal was moved."""
@@ -147,11 +157,17 @@ class PlanCache:
         self._lock = RLock()
         self._queue: SolveQueue[CachedPlan] = SolveQueue()
         self._losses = LatestLosses()
+        self._refinement: Future[CachedPlan] | None = None
 
     @property
     def solving(self) -> bool:
-        """Whether a solve runs or waits."""
-        return self._queue.busy
+        """Whether a solve runs or waits, other than one that refines a plan."""
+        return self._queue.unfinished > self.refining
+
+    @property
+    def refining(self) -> bool:
+        """Whether a plan is being refined, or waits for it."""
+        return self._refinement is not None and not self._refinement.done()
 
     def fit(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
         """Return the nearest plan that suits a trip, else the nearest one that can be joined."""
@@ -180,23 +196,40 @@ class PlanCache:
               background: bool = False) -> Future[CachedPlan]:
         """Solve for exactly this trip; raises as ``share_or_solve`` does.
 
-        A ``background`` solve gives way to solves that somebody waits for, and to the next
-        background solve.
+        If the network is to be refined and no refined plan is known, this is a first plan. A
+        ``background`` solve gives way to solves that somebody waits for, and to the next background
+        solve.
         """
         with self._lock:
-            request = _request(trip, parameters, self._warm_start(trip, parameters))
-            solve = self._queue.submit(_key(trip, parameters), request,
-                                       partial(self._solved, trip, parameters),
-                                       parameters.queue_size, background)
-            if all(each.solve is not solve for each in self._pending):
-                self._pending.append(_Pending(trip, parameters, solve))
-                solve.add_done_callback(self._remove_pending)
-            return solve
+            known = self._similar(trip, parameters)
+            first = is_graded(parameters.planning) and (
+                known is None or known.refined_by is not None)
+            warm = None if known is None else WarmStart.of(known.plan.strategy)
+            return self._submit(trip, parameters, warm, background, first)
 
-    def adopt(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
+    def refine(self, cached: CachedPlan) -> Future[CachedPlan]:
+        """Solve again in the background, on a refined network; raises as ``solve`` does."""
+        with self._lock:
+            warm = WarmStart.of(cached.plan.strategy)
+            self._refinement = self._submit(cached.trip, cached.asked, warm, True, False)
+            return self._refinement
+
+    def _submit(self, trip: Trip, parameters: NodeParameters, warm: WarmStart | None,
+                background: bool, first: bool) -> Future[CachedPlan]:
+        solved = parameters.with_plain_network() if first else parameters
+        finish = partial(self._solved, trip, solved, parameters if first else None)
+        solve = self._queue.submit(_key(trip, solved), _request(trip, solved, warm), finish,
+                                   parameters.queue_size, background)
+        if all(each.solve is not solve for each in self._pending):
+            self._pending.append(_Pending(trip, parameters, solve))
+            solve.add_done_callback(self._remove_pending)
+        return solve
+
+    def adopt(self, trip: Trip, parameters: NodeParameters, plan: Plan,
+              refined_by: NodeParameters | None = None) -> CachedPlan:
         """Keep a plan that was made elsewhere."""
         ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
-        cached = CachedPlan(plan, trip, parameters, ground)
+        cached = CachedPlan(plan, trip, parameters, ground, refined_by)
         with self._lock:
             self._keep(cached)
         return cached
@@ -222,16 +255,17 @@ class PlanCache:
         """Cancel all solves and end the worker process."""
         self._queue.close()
 
-    def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
-        """Return what is known from a plan for the same trip on an earlier map, if any."""
+    def _similar(self, trip: Trip, parameters: NodeParameters) -> CachedPlan | None:
+        """The newest plan for the same trip on an earlier map, if any."""
         for each in reversed(self._plans):
             if each.trip.map is not trip.map and each.answers(trip, parameters):
-                return WarmStart.of(each.plan.strategy)
+                return each
         return None
 
-    def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
+    def _solved(self, trip: Trip, parameters: NodeParameters, refined_by: NodeParameters | None,
+                plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
-        cached = self.adopt(trip, parameters, plan)
+        cached = self.adopt(trip, parameters, plan, refined_by)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
                           f'{len(plan.network.points)} nodes')
         return cached
@@ -273,16 +307,18 @@ def _goal(trip: Trip) -> tuple[tuple[float, float], float]:
 
 
 def _conditions(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
-    """Return what a plan depends on, except for its map and ends and the limits of its solve."""
+    """What a plan depends on, except its map, its ends, how it is refined and how long it takes."""
     strategy = replace(parameters.planning.strategy, time_limit=math.inf)
-    planning = replace(parameters.planning, strategy=strategy, max_gap=0.0)
+    network = replace(parameters.planning.network, refine=0)
+    planning = replace(parameters.planning, network=network, strategy=strategy, max_gap=0.0)
     order = parameters.trip_order if len(trip.stops_xy) > 1 else ''
     return trip.stops_xy, order, parameters.occupancy, planning
 
 
 def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     """Return the key by which equal solves are shared."""
-    limits = parameters.planning.strategy.time_limit, parameters.max_gap
+    limits = (parameters.planning.strategy.time_limit, parameters.max_gap,
+              parameters.planning.network.refine)
     return trip.map, trip.start_xy, _goal(trip), _conditions(trip, parameters), limits
 
 

@@ -96,7 +96,7 @@ class PlannerNode(LifecycleNode):
             )
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
                                   Publishers(self, STATUS_TOPICS), self.get_clock(),
-                                  lambda: self._dispatcher is not None and self._dispatcher.solving,
+                                  self._activity,
                                   lambda: self._settings.current.error_hold)
         self._error_boundary = ErrorBoundary(
             self.context, self.get_logger(), self._reporter.failed
@@ -211,6 +211,9 @@ class PlannerNode(LifecycleNode):
 
     def _unset_parts(self) -> None:
         self._dispatcher = self._inputs = self._topic_subscriptions = None
+
+    def _activity(self) -> tuple[bool, bool]:
+        return self._dispatcher.activity if self._dispatcher else (False, False)
 
     def stop_solving(self, executor: Executor | None = None) -> None:
         """Cancel all solves and refuse waiting requests; action goals by spinning ``executor``.

@@ -20,14 +20,15 @@ from .topics import Publishers
 class Reporter:
     """Publishes the status of the node called ``name``; thread-safe.
 
-    ``is_solving`` returns whether a solve is running or waiting. A request's error is reported for
-    ``error_hold()`` [s], everything else as long as it lasts.
+    ``activity`` returns whether a solve runs or waits, and whether a plan is being refined. A
+    request's error is reported for ``error_hold()`` [s], everything else as long as it lasts.
     """
 
     def __init__(self, name: str, publishers: Publishers, clock: Clock,
-                 is_solving: Callable[[], bool], error_hold: Callable[[], float]) -> None:
+                 activity: Callable[[], tuple[bool, bool]],
+                 error_hold: Callable[[], float]) -> None:
         self._name, self._publishers, self._clock = name, publishers, clock
-        self._is_solving, self._error_hold = is_solving, error_hold
+        self._activity, self._error_hold = activity, error_hold
         self._failed_at = 0.0
         self._status = Status(lifecycle='unconfigured')
         self._lock = RLock()
@@ -38,7 +39,7 @@ class Reporter:
         with self._lock:
             if time.monotonic() - self._failed_at > self._error_hold():
                 self._status = self._status.without_problem('request')
-            self._status = replace(self._status, solving=self._is_solving())
+            self._status = self._active(self._status)
             message = status_to_ros(self._status, self._name, self._clock.now().to_msg())
             return self._publishers.publish('/diagnostics', message)
 
@@ -110,6 +111,10 @@ class Reporter:
         """Change the status, and publish it if it differs."""
         with self._lock:
             before = self._status
-            self._status = replace(change(before), solving=self._is_solving())
+            self._status = self._active(change(before))
             if self._status != before:
                 self.report()
+
+    def _active(self, status: Status) -> Status:
+        solving, refining = self._activity()
+        return replace(status, solving=solving, refining=refining)

@@ -63,10 +63,10 @@ class SolveQueue(Generic[_Result]):
         self._thread.start()
 
     @property
-    def busy(self) -> bool:
-        """Whether a solve runs or waits."""
+    def unfinished(self) -> int:
+        """The number of solves that run or wait."""
         with self._condition:
-            return self._running is not None or bool(self._waiting)
+            return (self._running is not None) + len(self._waiting)
 
     def submit(self, key: Hashable, request: PlanRequest, finish: Callable[[Plan], _Result],
                size: int, background: bool = False) -> Future[_Result]:
