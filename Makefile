@@ -57,7 +57,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/ground.py
 	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/random_games.py --count 200
-	$(BIN)/python benchmarks/limits.py
+	$(BIN)/python benchmarks/solver.py --limits 3 20
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_motion.py
 
@@ -67,7 +67,6 @@ endurance: $(VENV)/.test
 	HUNT=25 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_timeout=7200 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py
-	$(BIN)/python benchmarks/node_two_askers.py
 	$(BIN)/python benchmarks/node_soak.py
 
 package:

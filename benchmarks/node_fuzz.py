@@ -67,7 +67,8 @@ def send(caller: Caller, rng: Random) -> str:
     choice = rng.random()
     if choice < 0.7:
         kind, topic, make = pick(rng, TOPICS)
-        data = bytes(serialize_message(make(rng)))
+        message = make(rng)
+        data = bytes(serialize_message(spoiled(rng, message) if rng.random() < 0.3 else message))
         for _ in range(rng.integers(0, 4)):
             data = pick(rng, MUTATIONS)(rng, data)
         caller.publisher(kind, topic).publish(data)
@@ -81,42 +82,38 @@ def send(caller: Caller, rng: Random) -> str:
 
 def a_map(rng: Random) -> OccupancyGrid:
     low, high = pick(rng, ((0, 60), (0, 60), (-1, 101), (-128, 128)))
-    made = grid_of(rng.integers(low, high, rng.integers(1, 25, 2), dtype=np.int8), SIDE / 20)
-    if rng.random() < 0.3:
-        made.header.frame_id = pick(rng, ODD_NAMES)
-        made.info.resolution = abs(number(rng, 1e30))
-        made.info.origin.position.x = number(rng)
-        made.info.origin.orientation.z = number(rng)
-        made.info.width = pick(rng, (made.info.width, *ODD_LENGTHS))
-    return made
+    return grid_of(rng.integers(low, high, rng.integers(1, 25, 2), dtype=np.int8), SIDE / 20)
 
 
 def an_update(rng: Random) -> Any:
     rows, columns = rng.integers(0, 6, 2).tolist()
     x, y = rng.integers(-2, 20, 2).tolist()
     made = OccupancyGridUpdate(x=x, y=y, width=columns, height=rows)
-    made.header.frame_id = 'map' if rng.random() < 0.8 else pick(rng, ODD_NAMES)
+    made.header.frame_id = 'map'
     made.data = rng.integers(-128, 128, rows * columns, dtype=np.int8).tolist()
     return made
 
 
 def a_pose(rng: Random) -> PoseStamped:
-    made = pose(*rng.uniform(0.0, SIDE, 2).tolist())
-    if rng.random() < 0.3:
-        made.header.frame_id = pick(rng, ODD_NAMES)
-        made.pose.position.x, made.pose.position.y = number(rng), number(rng)
-        made.pose.orientation.w = number(rng)
-        made.header.stamp.sec = int(rng.integers(-(2**31), 2**31))
-        made.header.stamp.nanosec = int(rng.integers(0, 2**32))
-    return made
+    return pose(*rng.uniform(0.0, SIDE, 2).tolist())
 
 
 def an_estimate(rng: Random) -> PoseWithCovarianceStamped:
     stamped = a_pose(rng)
     made = PoseWithCovarianceStamped(header=stamped.header)
     made.pose.pose = stamped.pose
-    made.pose.covariance = [number(rng) for _ in range(36)]
     return made
+
+
+def spoiled(rng: Random, message: Any) -> Any:
+    """A message with some of its numbers and texts replaced by odd ones."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if hasattr(value, 'get_fields_and_field_types'):
+            spoiled(rng, value)
+        elif rng.random() < 0.3 and kind in ODD:
+            setattr(message, name, ODD[kind](rng))
+    return message
 
 
 TOPICS = (
@@ -143,20 +140,10 @@ def extend(rng: Random, data: bytes) -> bytes:
     return data + rng.bytes(int(rng.integers(1, 5000)))
 
 
-def odd_length(rng: Random, data: bytes) -> bytes:
-    return overwrite(rng, data, struct.pack('<I', pick(rng, ODD_LENGTHS)))
-
-
-def odd_number(rng: Random, data: bytes) -> bytes:
-    return overwrite(rng, data, struct.pack('<d', pick(rng, ODD_NUMBERS)))
-
-
-def other_encoding(rng: Random, data: bytes) -> bytes:
-    return bytes([0, int(rng.integers(0, 16)), *rng.bytes(2)]) + data[4:]
-
-
-def overwrite(rng: Random, data: bytes, new: bytes) -> bytes:
-    """Overwrite one of the aligned places in the body."""
+def overwrite(rng: Random, data: bytes) -> bytes:
+    """An odd length or number in one of the aligned places of the body."""
+    new = pick(rng, (struct.pack('<I', pick(rng, ODD_LENGTHS)),
+                     struct.pack('<d', pick(rng, ODD_NUMBERS))))
     places = (len(data) - 4) // len(new)
     if places < 1:
         return data
@@ -164,12 +151,12 @@ def overwrite(rng: Random, data: bytes, new: bytes) -> bytes:
     return data[:at] + new + data[at + len(new):]
 
 
-MUTATIONS = (flip, truncate, extend, odd_length, odd_number, other_encoding)
+MUTATIONS = (flip, truncate, extend, overwrite, overwrite)
 
 
 def a_plan(rng: Random) -> GetPlan.Request:
-    tolerance = float(np.float32(pick(rng, (0.0, 1.0, number(rng, 3e38)))))
-    return GetPlan.Request(start=a_pose(rng), goal=a_pose(rng), tolerance=tolerance)
+    request = GetPlan.Request(start=a_pose(rng), goal=a_pose(rng))
+    return spoiled(rng, request) if rng.random() < 0.5 else request
 
 
 def parameters(rng: Random) -> SetParametersAtomically.Request:
@@ -213,6 +200,12 @@ PARAMETER_REQUESTS = (
 def number(rng: Random, largest: float = 1e308) -> float:
     chosen = pick(rng, (*ODD_NUMBERS, float(rng.uniform(-SIDE, 2.0 * SIDE))))
     return float(np.clip(chosen, -largest, largest))
+
+
+# Odd values of a field, by its type.
+ODD = {'double': number, 'float': lambda rng: float(np.float32(number(rng, 3e38))),
+       'string': lambda rng: pick(rng, ODD_NAMES), 'uint32': lambda rng: pick(rng, ODD_LENGTHS),
+       'int32': lambda rng: int(rng.integers(-(2**31), 2**31))}
 
 
 def pick(rng: Random, choices: Any) -> Any:

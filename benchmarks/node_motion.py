@@ -3,11 +3,10 @@
 
 It drives between two ends of a warehouse and follows the node's paths as regulated pure pursuit
 does: it steers to a place ahead, which cuts corners, and turns on the spot when that lies to its
-side. It asks by the action once a trip, every second, or when ``is_path_valid`` says no; in some
-runs boxes appear on its path. Every tenth request under way is for a goal that cannot be reached,
-and must be refused with the right code. Measured: the driven length over that of the drawn path,
-turns on the spot by more than 90 degrees after it has set off, how often the worst cell is met
-against the value published at the departures, times of answers. Exit code 1 if a target is missed.
+side. It asks by the action once a trip or every second. Every tenth request under way is for a goal
+that cannot be reached, and must be refused with the right code. Measured: the driven length over
+that of the drawn path, how often the worst cell is met against the value published at the
+departures, times of answers. Exit code 1 if a target is missed.
 
 tf2_msgs and nav2_msgs are built by test/interfaces.py where they are not installed.
 """
@@ -57,7 +56,6 @@ for package in ('tf2_msgs', 'nav2_msgs'):
     interfaces.install(package)
 os.environ['PYTHONPATH'] = os.pathsep.join(sys.path)  # of the node, too
 from nav2_msgs.action import ComputePathToPose  # noqa: E402
-from nav2_msgs.srv import IsPathValid  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 RESOLUTION, INSCRIBED = 0.05, 0.22  # m
@@ -70,8 +68,6 @@ LOOKAHEAD = (0.3, 0.9, 0.6)  # least and largest [m], and time [s], of regulated
 TURN_RATE = 1.8  # rad/s on the spot
 SIDEWAYS = math.radians(45.0)  # angle from which it turns on the spot
 ARRIVED = 0.25  # m, Nav2's goal checker
-BOX = 0.6  # side of an obstacle that appears [m]
-AHEAD = 3.0  # m on the path from the robot to it
 UNREACHABLE = 10  # requests under way from one for an unreachable goal to the next
 CODES = {getattr(ComputePathToPose.Result, name): name for name in (
     'UNKNOWN', 'TF_ERROR', 'START_OUTSIDE_MAP', 'GOAL_OUTSIDE_MAP', 'START_OCCUPIED',
@@ -79,7 +75,7 @@ CODES = {getattr(ComputePathToPose.Result, name): name for name in (
 CLOSED = [(np.array([8.0, 5.0]), 'GOAL_OCCUPIED'), (np.array([-3.0, 9.0]), 'GOAL_OUTSIDE_MAP'),
           (np.array([13.0, 16.2]), 'NO_VALID_PATH')]
 # When the robot asks, as an option and in the table.
-ASKS = {'once': 'once', '1Hz': '1 Hz', 'invalid': 'if invalid'}
+ASKS = {'once': 'once', '1Hz': '1 Hz'}
 # Targets at 1 Hz.
 MEAN_RATIO, WORST_RATIO, MEDIAN, LATE = 1.02, 1.15, 0.02, 0.1
 
@@ -97,11 +93,6 @@ def warehouse() -> np.ndarray:
         lethal[block(x, y, 3.5, 3.0 if y != 6.5 else 2.5)] = True
     lethal[block(12.0, 15.2, 2.0, 2.0)] = True
     lethal[block(12.2, 15.4, 1.6, 1.6)] = False
-    return inflated(lethal)
-
-
-def inflated(lethal: np.ndarray) -> np.ndarray:
-    """The costmap of lethal cells: 99 within the inscribed radius, then less with distance."""
     away = distance_transform_edt(~lethal) * RESOLUTION
     values = np.where(away <= INSCRIBED, 99, (98 * np.exp(-3.0 * (away - INSCRIBED))).astype(int))
     return np.where(lethal, 100, values).astype(np.int8)
@@ -114,13 +105,12 @@ class Robot:
         self._publisher = caller.node.create_publisher(TFMessage, '/tf', 100)
         self._clock, self._speed = caller.node.get_clock(), speed
         self.place, self.yaw, self.path = place, 0.0, place[None]
-        self.trace, self.driven, self.reversals = [place], 0.0, 0
-        self.box: np.ndarray | None = None  # centre of an obstacle, before which it stops
-        self._turns, self._moved = False, time.monotonic()
+        self.trace, self.driven = [place], 0.0
+        self._moved = time.monotonic()
         caller.node.create_timer(TF_PERIOD, self._move)
 
     def begin_trip(self) -> None:
-        self.trace, self.driven, self.reversals = [self.place], 0.0, 0
+        self.trace, self.driven = [self.place], 0.0
 
     def _move(self) -> None:
         now = time.monotonic()
@@ -142,29 +132,17 @@ class Robot:
         self.path = self.path[nearest:]
         beyond = np.flatnonzero(away[nearest:] >= np.clip(self._speed * ahead, least, most))
         aim = self.path[int(beyond[0]) if len(beyond) else -1] - self.place
-        if (distance := float(np.hypot(*aim))) < 1e-3 or self._blocked():
+        if (distance := float(np.hypot(*aim))) < 1e-3:
             return
         angle = _wrapped(math.atan2(aim[1], aim[0]) - self.yaw)
         if abs(angle) > SIDEWAYS:
-            self.reversals += (not self._turns and self.driven > 0.0
-                               and abs(angle) > math.pi / 2)
-            self._turns = True
             self.yaw += math.copysign(min(TURN_RATE * seconds, abs(angle)), angle)
             return
-        self._turns = False
         step = min(self._speed * seconds, distance)
         turn = 2.0 * math.sin(angle) / distance * step  # along the circle through the aim
         self.place = self.place + step * np.array((math.cos(self.yaw + turn / 2),
                                                    math.sin(self.yaw + turn / 2)))
         self.yaw, self.driven = _wrapped(self.yaw + turn), self.driven + step
-
-    def _blocked(self) -> bool:
-        """Whether an obstacle lies just ahead on the path."""
-        if self.box is None:
-            return False
-        near = self.path[np.hypot(*(self.path - self.place).T) < 0.8]
-        return bool((np.abs(near - self.box).max(axis=1, initial=9.0)
-                     < BOX / 2 + INSCRIBED).any())
 
 
 @dataclass
@@ -176,31 +154,28 @@ class Trip:
     held: float = 0.0
     drawn: float = 0.0
     driven: float = 0.0
-    reversals: int = 0
     trace: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 class Patrol:
     """Trips to and fro, asked for in one of the ``ASKS``."""
 
-    def __init__(self, caller: Caller, ask: str, boxes: bool, speed: float, hurry: float) -> None:
-        self._caller, self._ask_when, self._boxes = caller, ask, boxes
+    def __init__(self, caller: Caller, ask: str, speed: float, hurry: float) -> None:
+        self._caller, self._ask_when = caller, ask
         self._period = 1.0 / hurry
         self.robot = Robot(caller, ENDS[0], speed * hurry)
-        self._values, self._rng = warehouse(), np.random.default_rng(7)
         self._action = ActionClient(caller.node, ComputePathToPose,
                                     f'{PLANNER}/compute_path_to_pose')
         self._closed = itertools.cycle(CLOSED)
-        self._path: Any = None
         self.trips: list[Trip] = []
         self.departures, self.under_way, self.wrong = [], [], []  # s, s, texts
         self.answers: Counter[str] = Counter()
 
     def begin(self) -> None:
         """Publish the map, and wait until the node knows it and the robot."""
-        self._show(None)
+        grid = grid_of(warehouse(), RESOLUTION)
+        self._caller.publisher(OccupancyGrid, '/alpha_map').publish(grid)
         self._caller.wait(self._action.server_is_ready, 'the action')
-        self._caller.client(IsPathValid, 'is_path_valid')
         end = time.monotonic() + ANSWER_TIMEOUT
         while self._request(ENDS[0])[0] != 'NONE' and time.monotonic() < end:
             self._caller.idle_until(time.monotonic() + 0.2)
@@ -214,8 +189,7 @@ class Patrol:
         robot, begin = self.robot, time.monotonic()
         robot.begin_trip()
         self._ask(trip, goal)
-        due, asked, box = begin, 0, None
-        box_at = self._rng.uniform(0.1, 0.5) if self._boxes and self._rng.random() < 0.5 else 9.0
+        due, asked = begin, 0
         while np.hypot(*(robot.place - goal)) > ARRIVED:
             due += self._period
             self._caller.idle_until(max(due, time.monotonic()))
@@ -223,26 +197,13 @@ class Patrol:
                 self.wrong.append('not arrived after 400 s')
                 robot.place = goal
                 break
-            if box is None and robot.driven > box_at * trip.drawn:
-                box = self._put_box(goal)
-            if self._wants_path():
+            if self._ask_when == '1Hz':
                 asked += 1
                 if asked % UNREACHABLE == 0:
                     self._ask_for_the_impossible()
                 self._ask(trip, goal)
-        trip.driven, trip.reversals = robot.driven, robot.reversals
-        trip.trace = np.array(robot.trace)
-        if box is not None:
-            self._show(None)
+        trip.driven, trip.trace = robot.driven, np.array(robot.trace)
         self.trips.append(trip)
-
-    def _wants_path(self) -> bool:
-        if self._ask_when == '1Hz':
-            return True
-        if self._ask_when == 'once' and self.robot.box is None:
-            return False
-        request = IsPathValid.Request(path=self._path)
-        return not self._caller.call(IsPathValid, 'is_path_valid', request).is_valid
 
     def _ask(self, trip: Trip, goal: np.ndarray) -> None:
         """Ask for a path to the goal, and follow it."""
@@ -250,8 +211,7 @@ class Patrol:
         code, result = self._request(goal)
         took = time.monotonic() - begin
         if code != 'NONE':
-            if not self._boxes or code not in ('TIMEOUT', 'NO_VALID_PATH'):
-                self.wrong.append(f'{code}: {result.error_msg}')
+            self.wrong.append(f'{code}: {result.error_msg}')
             return
         path = np.array([(each.pose.position.x, each.pose.position.y)
                          for each in result.path.poses])
@@ -263,7 +223,7 @@ class Patrol:
                      if each in result.error_msg), 'new')
         self.answers[kind] += 1
         (self.departures if kind == 'new' else self.under_way).append(took)
-        self._path, self.robot.path = result.path, path
+        self.robot.path = path
         if kind in ('new', 'diverted'):
             trip.drawn = self.robot.driven + float(np.hypot(*np.diff(path, axis=0).T).sum())
         if kind == 'new' and math.isnan(trip.value):
@@ -285,29 +245,6 @@ class Patrol:
         self._caller.wait(answer.done, 'a result', ANSWER_TIMEOUT)
         result = answer.result().result
         return ('NONE' if result.path.poses else CODES.get(result.error_code, '?')), result
-
-    def _put_box(self, goal: np.ndarray) -> np.ndarray | None:
-        """Put an obstacle on the path ahead, unless that is too near the goal."""
-        path = self.robot.path
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
-        if along[-1] < AHEAD:
-            return None
-        box = path[int(np.searchsorted(along, AHEAD))]
-        if np.hypot(*(box - goal)) < 3.0:
-            return None
-        self._show(box)
-        return box
-
-    def _show(self, box: np.ndarray | None) -> None:
-        """Publish the costmap, with a box."""
-        self.robot.box, values = box, self._values
-        if box is not None:
-            lethal = self._values == 100
-            low = ((box - BOX / 2) / RESOLUTION).astype(int)
-            high = ((box + BOX / 2) / RESOLUTION).astype(int)
-            lethal[low[1]:high[1], low[0]:high[0]] = True
-            values = inflated(lethal)
-        self._caller.publisher(OccupancyGrid, '/alpha_map').publish(grid_of(values, RESOLUTION))
 
 
 def worst_met(trips: list[Trip]) -> tuple[float, float, int]:
@@ -339,10 +276,10 @@ def nav2_parameters() -> dict[str, object]:
     return {**found, 'network.spacing': SPACING, 'recording.enabled': False}
 
 
-def measure_one(ask: str, boxes: bool, speed: float, options: Any) -> tuple[list[str], bool]:
+def measure_one(ask: str, speed: float, options: Any) -> tuple[list[str], bool]:
     """One row of the table, and whether its targets are met."""
     with running_node(nav2_parameters()) as rig, Caller(rig) as caller:
-        patrol = Patrol(caller, ask, boxes, speed, options.hurry)
+        patrol = Patrol(caller, ask, speed, options.hurry)
         patrol.begin()
         for each in (patrol.departures, patrol.under_way, patrol.answers, patrol.wrong):
             each.clear()
@@ -361,15 +298,13 @@ def measure_one(ask: str, boxes: bool, speed: float, options: Any) -> tuple[list
         share <= most for (share, _, _), most in zip(met, allowed, strict=True))
     if ask == '1Hz':
         right = right and percentiles(late)[0] <= MEDIAN and percentiles(late)[1] <= LATE
-        if not boxes:
-            right = right and np.mean(ratios) <= MEAN_RATIO and max(ratios) <= WORST_RATIO
+        right = right and np.mean(ratios) <= MEAN_RATIO and max(ratios) <= WORST_RATIO
     for text in patrol.wrong:
         say(text)
     return [
-        f'{speed:g}', ASKS[ask], 'yes' if boxes else 'no', str(len(trips)),
+        f'{speed:g}', ASKS[ask], str(len(trips)),
         ', '.join(f'{kind} {count}' for kind, count in sorted(patrol.answers.items())),
         str(len(patrol.wrong)), f'{np.mean(ratios):.3f} / {max(ratios):.3f}',
-        f'{np.mean([trip.reversals for trip in trips]):.2f}',
         '; '.join(f'{share:.2f} of {value:.3f} (at most {most:.2f} of {n})'
                   for (share, value, n), most in zip(met, allowed, strict=True)),
         spread([1e3 * each for each in patrol.departures]), spread([1e3 * each for each in late]),
@@ -381,14 +316,13 @@ def measure(options: Any) -> tuple[str, bool]:
     """All cases: the table, and whether the targets are met."""
     rows, every = [], []
     for speed in options.speeds:
-        for boxes in (False, True):
-            for ask in options.ask:
-                row, met = measure_one(ask, boxes, speed, options)
-                say(' | '.join(row))
-                rows.append(row)
-                every.append(met)
-    head = ('m/s', 'asks', 'boxes', 'trips', 'answers', 'wrong', 'driven / drawn: mean / worst',
-            'reversals a trip', 'worst cell met of the value, by way',
+        for ask in options.ask:
+            row, met = measure_one(ask, speed, options)
+            say(' | '.join(row))
+            rows.append(row)
+            every.append(met)
+    head = ('m/s', 'asks', 'trips', 'answers', 'wrong', 'driven / drawn: mean / worst',
+            'worst cell met of the value, by way',
             'departures: median / 99 % / largest [ms]',
             'under way: median / 99 % / largest [ms]', 'memory [MB]', 'met', 'load')
     faster = '' if options.hurry == 1.0 else (
@@ -400,7 +334,7 @@ def measure(options: Any) -> tuple[str, bool]:
         f'{table(head, rows)}\n\n'
         f'Targets: every code right; the worst cell met within a binomial interval of 99.9 % of '
         f'the value published at the departures; at 1 Hz driven / drawn at most {MEAN_RATIO:g} in '
-        f'the mean and {WORST_RATIO:g} at worst without boxes, answers under way in '
+        f'the mean and {WORST_RATIO:g} at worst, answers under way in '
         f'{1e3 * MEDIAN:g} ms (median) and {1e3 * LATE:g} ms (99 %).'
     )
     return text, all(every)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run one function on one problem in a process of its own: one thread, a hard limit, a profile.
+"""Run one function on one problem in a process of its own: one thread, a hard limit.
 
 A separate process makes the peak memory the problem's own, and one that hangs or crashes is only
 one row of a table. All times are processor seconds. ``run`` starts this file.
@@ -14,17 +14,13 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 import warnings
-from collections import Counter
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 Answer = dict[str, Any]
 THREADS = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL', 'RAYON')}
 LATE = 'late'
-SAMPLE = 0.01  # between two samples of the profile [processor seconds]
 
 
 def run(task: str, name: str, limit: float, checkout: Path | None = None, **given: Any) -> Answer:
@@ -47,25 +43,6 @@ def run(task: str, name: str, limit: float, checkout: Path | None = None, **give
     return answer | {'name': name, 'task': task}
 
 
-class Profile:
-    """Processor seconds by module of the package, the innermost one that is running."""
-
-    def __init__(self) -> None:
-        self.seconds: Counter[str] = Counter()
-        self._last = time.process_time()
-        signal.signal(signal.SIGVTALRM, self._sample)
-        signal.setitimer(signal.ITIMER_VIRTUAL, SAMPLE, SAMPLE)
-
-    def _sample(self, _: int, frame: FrameType | None) -> None:
-        """Charge the time since the last sample; native code delays the next one until it ends."""
-        while frame and not (module := frame.f_globals['__name__']).startswith('ambush_planner.'):
-            frame = frame.f_back
-        now = time.process_time()
-        if frame:
-            self.seconds[module.partition('.')[2]] += now - self._last
-        self._last = now
-
-
 def main() -> None:
     task, name, limit, given = sys.argv[1:]
     warnings.simplefilter('ignore')
@@ -74,7 +51,6 @@ def main() -> None:
     # Native code does not return to Python's handlers; SIGPROF's default ends the process.
     signal.setitimer(signal.ITIMER_PROF, float(limit))
     answer = work(name, **json.loads(given))
-    signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(json.dumps(answer | {'peak': peak}))
 

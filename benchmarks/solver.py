@@ -4,14 +4,19 @@
 The kinds of problems are in families.py; ``nodes`` is ``solve`` without a reach, next to HiGHS'
 dual simplex method for the value alone. Seeds are new in each run and printed; ``--seed`` repeats a
 run. ``--checkout A B`` measures the packages of several checkouts on the same problems, in turns.
+
+``--limits`` measures instead by how much solves pass their time limits. A limit is of the wall
+clock, but what a solve does after it is counted in processor seconds, so that the numbers are those
+of an idle machine. At most 1 s or 5 % of the limit is allowed.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import subprocess
+import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from families import KINDS, Problem, draw, problem_parser
-from one_run import Answer, Profile, run
+from one_run import Answer, run
 from peers import highs, value_program
 from report import conditions, publish, quantiles, table
 from scipy.sparse import csr_matrix
@@ -31,6 +36,7 @@ from ambush_planner import (
     RiskMap,
     Strategy,
     TimeLimit,
+    build_network,
     plan_trip,
     solve,
 )
@@ -48,6 +54,9 @@ SAME_VALUE = 1e-5  # relative difference by which HiGHS' value may be outside bo
 # There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
 REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlocked'
 OBSTACLE = 3  # cells along a side of what appears on the map
+# Of problems with time limits: nodes, and the time after the limit that is allowed [s], or as a
+# share of it.
+LIMITED, ALLOWED, SHARE = 2500, 1.0, 0.05
 
 
 def planned(name: str, time_limit: float = math.inf) -> Answer:
@@ -69,7 +78,7 @@ def at_nodes(name: str) -> Answer:
 def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
     """What a strategy costs and is, once all libraries are loaded."""
     planned_on(draw('plan:hills-coarse:100:0'))
-    profile, status, begin = Profile(), 'solved', time.process_time()
+    status, begin = 'solved', time.process_time()
     try:
         strategy = make()
     except TimeLimit as error:
@@ -79,7 +88,7 @@ def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
     except AmbushPlannerError as error:
         return refused(error)
     return {'seconds': time.process_time() - begin, 'status': status, 'words': problem.words,
-            'profile': dict(profile.seconds), 'value': strategy.value, 'gap': gap_of(strategy),
+            'value': strategy.value, 'gap': gap_of(strategy),
             'bound': strategy.lower_bound, 'budget': strategy.length_budget,
             'nats': strategy.route_entropy, 'nodes': len(strategy.network.points)}
 
@@ -200,10 +209,6 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
     if not solved:
         return {'': label, 'problems': str(len(asked)), 'not ended': str(len(asked))}
     worst = max(asked, key=lambda row: float(row['seconds']))
-    modules: Counter[str] = Counter()
-    for row in solved:
-        modules.update(row['profile'])
-    share = 100.0 / sum(row['seconds'] for row in solved)
     found = {
         '': label, 'problems': str(len(asked)),
         'seconds: median / 95 % / worst': quantiles([row['seconds'] for row in asked]),
@@ -213,7 +218,6 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
         'MB': f"{max(row['peak'] for row in solved):.0f}",
         'not ended': str(len(asked) - len(solved)),
         'the slowest': f"`{worst['name']}` {worst.get('words', worst['status'])}",
-        '% of the time': ', '.join(f'{m} {share * s:.0f}' for m, s in modules.most_common(5)),
     }
     early = [row['early'] for row in solved if 'early' in row]
     if early:
@@ -235,6 +239,46 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
     return found
 
 
+def overrun(name: str, time_limit: float) -> Answer:
+    """Processor seconds of a solve after its time limit [s]; 0 if it ends before."""
+    planned_on(draw('plan:hills-coarse:100:0'))  # loads all libraries
+    from ambush_planner.planning.solving import solve_on_network
+
+    problem, late = draw(name, time_limit), [0.0]
+    scenario, network_options = problem.scenario, problem.options.network
+    clock = threading.Timer(time_limit, lambda: late.insert(0, time.process_time()))
+    try:
+        network = build_network(scenario.risk_map, scenario.start, scenario.goal, network_options,
+                                problem.stops)
+        clock.start()
+        solve_on_network(scenario.risk_map, network, problem.options)
+    except TimeLimit:
+        pass
+    except AmbushPlannerError as error:
+        return refused(error)
+    clock.cancel()
+    return {'seconds': time.process_time() - late[0] if late[0] else 0.0, 'status': 'ended'}
+
+
+def limits(options: Any) -> str:
+    """The table of solves that pass their time limits."""
+    rows, seeds = [], range(options.seed, options.seed + options.each)
+    kinds = [kind for kind in options.kinds if kind != 'nodes']
+    for limit, kind in itertools.product(options.limits, kinds):
+        names = [f'{kind}:{family}:{LIMITED}:{seed}' for family in options.families
+                 if family in TRIP_FAMILIES for seed in seeds]
+        answers = [run('solver.overrun', name, options.limit, time_limit=limit) for name in names]
+        late = {each['name']: each['seconds'] for each in answers if 'failed' not in each}
+        worst = max(late, key=late.__getitem__, default='-')
+        over = sum(seconds > max(ALLOWED, SHARE * limit) for seconds in late.values())
+        rows.append([f'{limit:g} s', kind, str(len(late)), str(sum(map(bool, late.values()))),
+                     str(over), f'{late.get(worst, 0.0):.2f} s', f'`{worst}`'])
+    head = ('limit', 'kind', 'problems', 'late', 'more than allowed', 'worst overrun', 'of')
+    return (f'Seeds from {options.seed}, about {LIMITED} nodes a leg. Processor seconds after the '
+            f'limit; at most {ALLOWED:g} s or {SHARE:.0%} are allowed. {conditions("highspy")}.\n\n'
+            + table(head, rows))
+
+
 def shifted_mean(seconds: list[float]) -> float:
     return math.exp(float(np.mean(np.log(np.array(seconds) + SHIFT)))) - SHIFT
 
@@ -253,7 +297,12 @@ def main() -> None:
                         help='plan again within a third of the median time, on an idle machine')
     parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
     parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
+    parser.add_argument('--limits', type=float, nargs='+', metavar='SECONDS',
+                        help='time limits that solves may pass')
     options = parser.parse_args()
+    if options.limits:
+        publish(options.results, 'limits', limits(options))
+        return
     first, sections = options.seed, []
     seeds, labels = range(first, first + options.each), [commit(c) for c in options.checkout]
     for kind in options.kinds:

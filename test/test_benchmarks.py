@@ -17,7 +17,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
     'ground': '--family yard --seed 3 --ways default --shifts 2',
-    'limits': '--families city --kinds plan --each 1 --seed 1 --limits 0.2',
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 1',
     'solver': '--kinds plan nodes --sizes 100 --each 1 --families gates --seed 1 --limit 60 '
@@ -29,7 +28,6 @@ NODE_SCRIPTS = {
 }
 if not interfaces._missing():
     NODE_SCRIPTS['node_motion'] = '--trips 1 --speeds 2 --hurry 3 --ask 1Hz'
-    NODE_SCRIPTS['node_two_askers'] = '--seconds 2'
     NODE_SCRIPTS['node_soak'] = '--seconds 0.5 --period 0.1 --spacing 5'
 
 
