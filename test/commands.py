@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run commands in this process, which is faster than to start Python; and scripts in another."""
+"""Run commands in this process, which is faster than to start Python; and documents in another."""
 
 import os
 import re
@@ -43,9 +43,30 @@ def documented_keys(tool):
     return set(re.findall(r'"(\w+)"', inner))
 
 
-def run_script(script, folder):
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def fenced(page):
+    """Kind and text of each block of a document, by its path in the checkout."""
+    return re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', (ROOT / page).read_text())
+
+
+def blocks(page, wanted):
+    """The texts of the blocks of one kind."""
+    return [text for kind, text in fenced(page) if kind == wanted]
+
+
+def script_of(page):
+    """A shell script of the blocks of a document: sh, python, and yaml, which is a layers.yaml."""
+    runs = {'sh': '{}', 'python': "python - <<'END'\n{}END\n",
+            'yaml': "cat > layers.yaml <<'END'\n{}END\n"}
+    return ''.join(runs[kind].format(text) for kind, text in fenced(page)
+                   if kind != 'text')
+
+
+def run_script(script, folder, timeout=240):
     """Run a script with this environment's commands on the path; return the process."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     return subprocess.run(['bash', '-ec', script], cwd=folder, capture_output=True, text=True,
-                          env={**os.environ, 'PATH': path, 'HOME': str(folder)}, timeout=240,
+                          env={**os.environ, 'PATH': path, 'HOME': str(folder)}, timeout=timeout,
                           check=False)

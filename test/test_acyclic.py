@@ -4,7 +4,7 @@
 import networkx
 import numpy as np
 import pytest
-from games import connected_flow, examples, is_acyclic, networks, terrain_network, unbalanced
+from games import connected_flow, examples, is_acyclic, networks, unbalanced
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,7 +13,6 @@ from ambush_planner.game.game import make_game
 from ambush_planner.game.law.acyclic import (
     conserved_strategy,
     forward_part,
-    order_along,
     order_potential,
     rank_around,
     rank_by,
@@ -58,26 +57,6 @@ def test_forward_parts_are_acyclic_and_every_edge_is_on_a_route(network):
         ) | {network.source, network.target}
 
 
-@pytest.mark.parametrize(('method', 'seed'), [
-    ('uniform_delaunay', 1), ('uniform_grid8', 2), ('random_delaunay', 3)])
-def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, seed):
-    """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
-    network = terrain_network(seed, method, 14)
-    game = make_game(network, GameOptions())
-    part = forward_part(game, rank_by(order_potential(game)))
-    undirected = {frozenset(e) for e in network.edges[game.playable].tolist()}
-    kept = {frozenset(e) for e in network.edges[part.playable].tolist()}
-    simple = networkx.Graph([tuple(e) for e in undirected])
-    simple.add_edge(network.source, network.target)
-    core = max(
-        (c for c in networkx.biconnected_components(simple) if network.source in c
-         and network.target in c), key=len,
-    )
-    ends = {network.source, network.target}
-    able = {e for e in undirected if e <= core and e != ends}
-    assert len(kept & able) == len(able)
-
-
 @examples(25)
 @given(networks(), st.integers(0, 10**6))
 def test_an_order_around_a_strategy_keeps_it(network, seed):
@@ -88,16 +67,6 @@ def test_an_order_around_a_strategy_keeps_it(network, seed):
     assert (rank[network.tails[used]] < rank[network.heads[used]]).all()
     part = forward_part(game, rank)
     assert part.playable[used].all() and is_acyclic(network, part.playable.astype(float))
-
-
-@examples(25)
-@given(networks(), st.integers(0, 10**6))
-def test_an_order_along_a_strategy_exists_exactly_if_it_has_no_cycle(network, seed):
-    walks = mixed_walks(network, seed)
-    for p in (walks, without_cycles(network, walks)):
-        number, (tails, heads) = order_along(network, p), network.edges[p > 0.0].T
-        assert (number is not None) == is_acyclic(network, p)
-        assert number is None or (number[tails] < number[heads]).all()
 
 
 @examples(25)

@@ -200,15 +200,15 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
     ones, and in those that have gone.
     """
     rng, occupancy = np.random.default_rng(4), OccupancyOptions()
-    values = rng.integers(0, 60, (20, 26), dtype=np.int8)
+    values = rng.integers(0, 60, (14, 20), dtype=np.int8)
     values[rng.random(values.shape) < 0.06] = 100
-    values[8:13, [1, 2, 3, 4, -5, -4, -3, -2]] = 0
+    values[5:10, [1, 2, 3, 4, -5, -4, -3, -2]] = 0
     game = GameOptions(ambush_radius=2.0, ambush_in_obstacles=hides)
     options = PlanningOptions(network=plain_options(spacing=SPACING), game=game,
                               drive=DriveOptions(tube=0.0))
-    plan = plan_trip(risk_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5), options)
+    plan = plan_trip(risk_from_occupancy(values, 1.0), (3.5, 7.5), (16.5, 7.5), options)
     changed, raised = ChangedGround(plan, OccupancyMap(values, 1.0), occupancy), 0
-    for where in (None, *rng.integers((0, 6), (20, 20), (5, 2, 2)).transpose(0, 2, 1)):
+    for where in (None, *rng.integers((0, 6), (14, 14), (3, 2, 2)).transpose(0, 2, 1)):
         now = values.copy()
         if where is not None:
             now[tuple(where)] = rng.choice([99, 99, 100], 2) if hides else 99

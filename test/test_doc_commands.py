@@ -7,44 +7,34 @@
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
-from commands import run_script
+from commands import ROOT, blocks, fenced, run_script
 from test_package import setup_arguments
 
 from ambush_planner.commands import cli
 
-ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = {path.name: path.read_text() for path in (ROOT / 'README.md', *ROOT.glob('docs/*.md'))
-             if path.parent == ROOT or path.name != 'README.md'}
-BLOCKS = [(name, kind, text) for name, document in DOCUMENTS.items()
-          for kind, text in re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', document)]
-
-
-def blocks(document, kind='sh'):
-    return [text for name, fence, text in BLOCKS if (name, fence) == (document, kind)]
+DOCUMENTS = [ROOT / 'README.md', *ROOT.glob('docs/*.md')]
+TEXT = '\n'.join(path.read_text() for path in DOCUMENTS)
+SCRIPTS = [text for path in DOCUMENTS for kind, text in fenced(path) if kind == 'sh']
 
 
 def test_shell_blocks_parse_and_name_what_exists():
-    scripts = [text for _, kind, text in BLOCKS if kind == 'sh']
-    quoted = '\n'.join(f"bash -n <<'END_OF_BLOCK'\n{text}END_OF_BLOCK" for text in scripts)
+    quoted = '\n'.join(f"bash -n <<'END_OF_BLOCK'\n{text}END_OF_BLOCK" for text in SCRIPTS)
     assert not run_script(quoted, ROOT).stderr
-    text = '\n'.join(DOCUMENTS.values())
-    files = [*re.findall(r'--share ambush_planner\)/([\w./]+\.\w+)', text),
-             *(f'launch/{name}' for name in re.findall(r'ros2 launch ambush_planner (\S+)', text))]
+    files = [*re.findall(r'--share ambush_planner\)/([\w./]+\.\w+)', TEXT),
+             *(f'launch/{name}' for name in re.findall(r'ros2 launch ambush_planner (\S+)', TEXT))]
     assert files and all((ROOT / name).is_file() for name in files)
     scripts = {each.split(' = ')[0] for each in
                setup_arguments()['entry_points']['console_scripts']}
-    assert scripts >= set(re.findall(r'ros2 run\s+ambush_planner\s+(\w+)', text))
+    assert scripts >= set(re.findall(r'ros2 run\s+ambush_planner\s+(\w+)', TEXT))
 
 
 def test_options_of_commands_exist():
     """Those in the text, too."""
-    code = [text for _, kind, text in BLOCKS if kind == 'sh']
-    code += re.findall(r'(?s)`([^`]+)`', '\n'.join(DOCUMENTS.values()))
+    code = [*SCRIPTS, *re.findall(r'(?s)`([^`]+)`', TEXT)]
     known = {name: set(cli._module(name).parser()._option_string_actions) for name in cli.COMMANDS}
     for line in '\n'.join(code).replace('\\\n', ' ').splitlines():
         if found := re.search(r'\bambush[ _](\w+)\b(.*)', line):
@@ -64,7 +54,7 @@ def test_the_commands_of_the_python_page_work(tmp_path):
     for name, values in (('dem', 150.0 * np.sin(u) * np.cos(v)), ('roads', np.abs(v - 5.0) < 0.04)):
         with rasterio.open(tmp_path / f'{name}.tif', 'w', dtype='float32', **grid) as file:
             file.write(values.astype('float32'), 1)
-    terrain, frontier = blocks('python.md')
+    terrain, frontier = blocks('docs/python.md', 'sh')
     # On a coarser network, and for one budget, the commands take a tenth of the time.
     frontier = frontier.replace('spacing=360', 'spacing=900').rstrip()
     done = run_script(f'{terrain}{frontier} --detours 1.1 --slacks 0.01', tmp_path)
@@ -83,7 +73,7 @@ def test_signed_recordings_verify_until_one_changes(tmp_path):
     key = tmp_path / '.ssh/id_ed25519'
     subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)
     (tmp_path / 'signers').write_text(f'NAME {key.with_suffix(".pub").read_text()}')
-    (signing,) = blocks('recordings.md')
+    (signing,) = blocks('docs/recordings.md', 'sh')
     done = run_script(signing, tmp_path)
     assert done.returncode == 0 and done.stdout.count(': OK') == 2, done.stderr
     changed = next(tmp_path.glob('RUNS/**/*.mcap'))

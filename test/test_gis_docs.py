@@ -2,11 +2,9 @@
 """docs/gis.md, operations.md and tour.ipynb: all that is in them runs, and leaves what they say."""
 
 import json
-import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -15,11 +13,10 @@ pytest.importorskip('gpxpy', reason='GPX takes the extra "gis"')
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from audit_samples import departure, drawn, parameters, record, sample_plan
-from commands import NO_ROS
+from commands import NO_ROS, ROOT, blocks, run_script, script_of
 
-DOCS = Path(__file__).resolve().parent.parent / 'docs'
-PAGES = ''.join((DOCS / name).read_text() for name in ('gis.md', 'operations.md'))
-BLOCKS = re.findall(r'(?ms)^```(sh|python|text)\n(.*?)^```$', PAGES)
+DOCS = ROOT / 'docs'
+PAGES = ('docs/gis.md', 'docs/operations.md')
 # The commands take a minute of processor time, and more on a loaded machine [s].
 TIMEOUT = 800
 NUMBER = r'\b\d+(?:\.\d+)?\b'
@@ -53,15 +50,12 @@ def test_every_command_of_the_page_works(tmp_path):
     entries = {'parameters': parameters(**{'map.crs': 'datum 36.6 -84.3 0.0'})}
     record(tmp_path / 'runs', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
     (tmp_path / 'docs').symlink_to(DOCS)
-    script = '\n'.join(f"python - <<'END'\n{text}END" if kind == 'python' else text
-                       for kind, text in BLOCKS if kind != 'text')
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
-    done = subprocess.run(['bash', '-ec', coarse(script)], cwd=tmp_path, capture_output=True,
-                          text=True, env={**os.environ, 'PATH': path}, timeout=TIMEOUT)
+    done = run_script(coarse(''.join(map(script_of, PAGES))), tmp_path, TIMEOUT)
     assert done.returncode == 0, done.stderr
     lines = (r'(?m)^(?:left out: .*|driven .*|reweighted +[.\d]+|optimal .*|'
              r'none held .*| \d .* (?:gate|post) .*)')
-    shown, printed = (re.findall(lines, text) for text in (PAGES, done.stdout))
+    pages = ''.join((ROOT / page).read_text() for page in PAGES)
+    shown, printed = (re.findall(lines, text) for text in (pages, done.stdout))
     assert shown[:4] == printed[:4] and len(shown) == 11
     for one, other in zip(shown, printed, strict=True):
         assert words(one) == words(other)
@@ -74,11 +68,11 @@ def test_every_command_of_the_page_works(tmp_path):
             value = numbers(its_rest)[1]
             assert 0.98 * value < float(its_bound) < 1.02 * float(bound)
     assert 'UTM zone 16N (EPSG:32616)' in done.stderr
-    for shown in (text for kind, text in BLOCKS if kind == 'text'):
+    for shown in (text for page in PAGES for text in blocks(page, 'text')):
         if 'pip install' not in shown and 'ros2' not in shown:
             assert set(words(shown).split()) <= set(words(done.stdout).split()), shown
     names = r'\b(?:routes|route|route_2|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
-    files = set(re.findall(names, ' '.join(text for kind, text in BLOCKS if kind == 'sh')))
+    files = set(re.findall(names, ' '.join(text for page in PAGES for text in blocks(page, 'sh'))))
     assert len(files) == 18 and all((tmp_path / file).stat().st_size for file in files), files
     assert len(list((tmp_path / 'week.departures').iterdir())) == 5
     assert (tmp_path / 'report/report.html').stat().st_size and (tmp_path / 'audit/audit.png')

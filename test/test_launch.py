@@ -9,22 +9,21 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from contextlib import contextmanager
-from pathlib import Path
 
 import interfaces
 import yaml
+from commands import ROOT, blocks
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_harness import Client, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, answer_of, wait_until
 
-ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'
 NAV2 = ROOT / 'config' / 'nav2.yaml'
 RVIZ = ROOT / 'config' / 'ambush_planner.rviz'
 TREE = ElementTree.parse(FILE).getroot()
-DOCUMENT = (ROOT / 'docs' / 'nav2.md').read_text()
+PAGE = 'docs/nav2.md'
 
 
 def arguments(**given):
@@ -163,7 +162,7 @@ class BasicNavigator(Node):
 
 
 def test_the_documents_program_reports_the_drive(tmp_path):
-    (program,) = re.findall(r'(?ms)^```python\n(.*?)^```', DOCUMENT)
+    (program,) = blocks(PAGE, 'python')
     # The robot is at (1.5, 5.5).
     program = program.replace("'base_link'", "'map'").replace(
         'request.start.pose.orientation',
@@ -200,13 +199,9 @@ def test_the_planner_takes_the_names_of_the_planner_server(tmp_path):
         assert ids.string_array_value == ['', 'GridBased']
 
 
-def blocks(language):
-    return re.findall(rf'(?ms)^```{language}\n(.*?)^```', DOCUMENT)
-
-
 def test_the_blocks_of_the_document_are_what_their_readers_take():
     """YAML of Nav2's parameters, XML of a launch file, shell; the Python runs above."""
-    (parameters,) = blocks('yaml')
+    (parameters,) = blocks(PAGE, 'yaml')
     assert yaml.safe_load(parameters) == yaml.safe_load(
         (ROOT / 'config/nav2_params.yaml').read_text())
     (node,) = (each['ros__parameters'] for each in yaml.safe_load(parameters).values())
@@ -214,7 +209,7 @@ def test_the_blocks_of_the_document_are_what_their_readers_take():
     for tree in trees:
         assert (ROOT / tree.replace('$(find-pkg-share ambush_planner)/', '')).is_file()
     declared = {each.get('name') for each in TREE.findall('arg')}
-    (launch,) = map(ElementTree.fromstring, blocks('xml'))
+    (launch,) = map(ElementTree.fromstring, blocks(PAGE, 'xml'))
     assert launch.tag == 'launch'
     (included,) = launch.findall('include')
     assert included.get('file').endswith('/launch/' + FILE.name)
@@ -223,15 +218,15 @@ def test_the_blocks_of_the_document_are_what_their_readers_take():
         for value in each.attrib.values():
             names = {arg.get('name') for arg in launch.findall('arg')}
             assert set(re.findall(r'\$\(var (\w+)\)', value)) <= names
-    text = ''.join(blocks('sh'))
+    text = ''.join(blocks(PAGE, 'sh'))
     subprocess.run(['bash', '-n'], input=text, text=True, check=True)
     (given,) = re.findall(r'ambush_planner\.launch\.xml ((?:.|\\\n)*?)\n\n?', text + '\n')
     assert set(re.findall(r'(\w+):=', given)) <= declared
-    assert not blocks('text')
+    assert not blocks(PAGE, 'text')
 
 
 def test_the_trees_without_server_names_ask_for_nav2s(tmp_path):
-    (command,) = [each for each in blocks('sh') if 'sed' in each]
+    (command,) = [each for each in blocks(PAGE, 'sh') if 'sed' in each]
     command = command.replace('$(ros2 pkg prefix --share ambush_planner)', str(ROOT))
     subprocess.run(['bash', '-e', '-c', command], cwd=tmp_path, check=True)
     for name in ('ambush_tree.xml', 'ambush_tree_through_poses.xml'):

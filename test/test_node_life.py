@@ -5,9 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import OccupancyGrid
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from ros_harness import (
     Client,
     free_domain,
@@ -19,9 +21,11 @@ from ros_harness import (
     threads,
     wait_until,
 )
+from waiting import stderr_in
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.planning.changed_ground import Assessment
+from ambush_planner.ros import planner_node
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.worker.solve_errors import SolveCancelled
@@ -104,3 +108,27 @@ def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned
     (reported,) = status_to_ros(Status(last=last), 'name', pose(0, 0).header.stamp).status
     assert (reported.level == DiagnosticStatus.WARN) is warned
     assert ('0.9996, its plan had 0.504' in reported.message) is warned
+
+
+def test_warns_of_a_volatile_map_as_long_as_it_is_published():
+    with stage() as running:
+        client = running.client
+        # Of its own and not spun, so that it can be destroyed at any time.
+        other = Node('mapper', context=client.node.context)
+        other.create_publisher(OccupancyGrid, 'alpha_map', QoSProfile(depth=1))
+
+        def message():
+            return client.diagnostics(state='waiting')['message']
+
+        words = '/mapper publishes /alpha_map with volatile durability'
+        wait_until(lambda: words in message(), 'a warning')
+        assert client.diagnostics(state='waiting')['level'] == b'\1'
+        other.destroy_node()
+        wait_until(lambda: 'volatile' not in message(), 'no warning')
+
+
+def test_a_missing_highspy_is_information_and_no_warning(tmp_path, monkeypatch):
+    monkeypatch.setattr(planner_node, 'HAS_HIGHSPY', False)
+    with stderr_in(tmp_path / 'log') as said, stage() as running:
+        assert 'highspy' not in running.client.diagnostics(state='waiting')['message']
+    assert said().count('pip install highspy') == 1 and '[INFO]' in said()

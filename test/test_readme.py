@@ -4,20 +4,18 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip('matplotlib', reason='the picture of routes needs matplotlib')
 
 from audit_samples import departure, drawn, record, sample_plan
+from commands import ROOT, blocks
 from test_tutorial import SECONDS, run_in_shell
 
-ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / 'README.md').read_text()
-COMMANDS, PYTHON = (re.search(rf'(?ms)^```{kind}\n(.*?)^```$', TEXT)[1]
-                    for kind in ('sh', 'python'))
-ROS = re.search(r'(?ms)^```sh\n(.*?)^```$', (ROOT / 'docs/ros_interface.md').read_text())[1]
+COMMANDS, PYTHON = (blocks('README.md', kind)[0] for kind in ('sh', 'python'))
+ROS = blocks('docs/ros_interface.md', 'sh')[0]
 
 
 def named_value():
@@ -58,8 +56,7 @@ def test_the_python_of_its_page_runs(tmp_path):
     a_plan = sample_plan()
     routes = enumerate(drawn(a_plan, 6))
     record(tmp_path / 'runs', [departure(a_plan, each, number=k) for k, each in routes])
-    text = (ROOT / 'docs/python.md').read_text()
-    page = '\n'.join(re.findall(r'(?ms)^```python\n(.*?)^```$', text))
+    page = '\n'.join(blocks('docs/python.md', 'python'))
     coarse = 'PlanningOptions(network=NetworkOptions(spacing=40.0))'  # as the page, but sooner
     page = page.replace('PlanningOptions()', coarse)
     page = page.replace('start, goal)', f'start, goal, {coarse})')

@@ -4,9 +4,6 @@
 import json
 import math
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +13,7 @@ pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
 import rasterio
 import shapely
+from commands import run_script, script_of
 from rasterio.transform import from_origin
 from shapely.geometry import LineString, Point, box
 
@@ -33,7 +31,6 @@ CRS = 'EPSG:32633'
 WEST, SOUTH, STEP, ROWS, COLUMNS = 455000.0, 5410000.0, 20.0, 50, 60
 GRID = {'crs': CRS, 'resolution': STEP,
         'bounds': [WEST, SOUTH, WEST + COLUMNS * STEP, SOUTH + ROWS * STEP]}
-DOCS = Path(__file__).resolve().parent.parent / 'docs'
 
 
 def cells():
@@ -253,13 +250,5 @@ def read_risk_map_values(path):
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['roads', 'risk_layers'])
 def test_every_block_of_the_documents_works(name, tmp_path):
-    script = []
-    for kind, text in re.findall(r'(?ms)^```(.*?)\n(.*?)^```$', (DOCS / f'{name}.md').read_text()):
-        assert kind in ('sh', 'python', 'yaml')
-        if kind == 'yaml':
-            text = f"cat > layers.yaml <<'END'\n{text}END\n"
-        script.append(f"python - <<'END'\n{text}END\n" if kind == 'python' else text)
-    path = f'{Path(sys.executable).parent}:/usr/bin:/bin'
-    done = subprocess.run(['bash', '-ec', ''.join(script)], cwd=tmp_path, timeout=240, text=True,
-                          capture_output=True, env={'PATH': path, 'HOME': str(tmp_path)})
+    done = run_script(script_of(f'docs/{name}.md'), tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -25,6 +25,8 @@ from ambush_planner import (
     solve_many,
 )
 from ambush_planner.commands import plan
+from ambush_planner.planning.concerns import concerns
+from ambush_planner.planning.options import DriveOptions
 
 START, GOAL = (10.0, 50.0), (190.0, 50.0)
 
@@ -63,6 +65,26 @@ def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, fil
     assert re.findall(r'Warning: (.*)\.\n', said_there) == texts, done.err
     assert re.search(words, ' '.join(texts))
     assert (files / 'R.CSV').stat().st_size > 100 and (files / 'R.PNG').stat().st_size > 1000
+
+
+@pytest.mark.parametrize('tolerance', [0.0, np.inf])
+def test_by_default_no_place_covers_every_way_out(tolerance):
+    """Held ground is as wide as the reach, tube and start tolerance."""
+    made = plan_trip(ground(), START, GOAL, PlanningOptions(
+        network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=20.0),
+        drive=DriveOptions(start_tolerance=tolerance)))
+    assert made.strategy.game.options.held_radius == 22.0 and made.value < 0.9
+    assert not any('covers every way' in text for text in concerns(made))
+
+
+def test_a_passage_far_from_the_ends_is_named():
+    wall = np.zeros((20, 40), bool)
+    wall[:, 20] = True
+    wall[9:11, 20] = False
+    made = plan_trip(RiskMap(np.ones(wall.shape), wall, 5.0), START, GOAL, PlanningOptions(
+        network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=10.0)))
+    (text,) = concerns(made)
+    assert 'hits every route' in text and 'hold' not in text
 
 
 def test_solve_warns_of_a_value_of_0():

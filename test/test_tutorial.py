@@ -14,11 +14,12 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the report and the audit need matplotlib')
 
+from commands import blocks
 from ros_harness import free_domain
 from waiting import wait_until
 
 HERE = Path(__file__).resolve().parent
-BLOCKS = re.findall(r'(?ms)^```(.*?)\n(.*?)^```$', (HERE.parent / 'docs/tutorial.md').read_text())
+PAGE = 'docs/tutorial.md'
 SECONDS = 240  # a fifth suffices on an idle machine
 
 
@@ -74,12 +75,12 @@ def run_in_shell(script, tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(SECONDS + 60)
 def test_every_command_works(tmp_path):
-    script = '\n'.join(text for kind, text in BLOCKS if kind == 'sh')
+    script = '\n'.join(blocks(PAGE, 'sh'))
     # Two of the frontier's points will do.
     script = script.replace('frontier.png ', 'frontier.png --detours 1.02 1.15 --slacks 0.01 ')
     said = run_in_shell(script, tmp_path)
     assert said.count('success=True') == 6, said
-    for line in ''.join(text for kind, text in BLOCKS if kind == 'text').splitlines():
+    for line in ''.join(blocks(PAGE, 'text')).splitlines():
         assert line == '...' or words(line) in words(said), line
     folder = tmp_path / 'ambush_tutorial'
     assert 'Verified: all 6 recordings' in (folder / 'report' / 'report.html').read_text()
