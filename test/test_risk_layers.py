@@ -149,7 +149,7 @@ def test_incidents_against_the_sum_over_all(folder, options):
     assert np.array_equal(made.layers[1].values, counted)
     few = 'half_life' in options
     assert few == (weight.sum() / weight.max() < 20.0)
-    assert any('few incidents' in each for each in made.remarks) >= few
+    assert any('recent ones' in each for each in made.remarks) >= few
 
 
 def test_cross_validation_finds_the_width_of_clusters(folder):

@@ -79,7 +79,7 @@ class Card:
     def time(self, metres: float) -> str:
         """When the convoy has gone so far: time of day, or minutes from departure."""
         minutes = 0.06 * metres / (self.speed or 1.0)
-        return (f'{self.start + timedelta(minutes=minutes):%H:%M}' if self.start
+        return (f'{self.start + timedelta(minutes=round(minutes)):%H:%M}' if self.start
                 else f'{minutes:.1f}')
 
 

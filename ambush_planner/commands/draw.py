@@ -131,11 +131,11 @@ def _check_clock(folder: Path, named: date | None) -> None:
 
 def _asked(again: list[Earlier], console: cli.Console) -> str:
     first = again[-1]
-    told = (f'A departure for {first.date}{first.slot and f", {first.slot}"} was drawn at '
-            f'{when(first.stamp_ns)}')
+    question = (f'A departure for {first.date}{first.slot and f", {first.slot}"} was drawn at '
+                f'{when(first.stamp_ns)}. Was it driven?')
     if not sys.stdin.isatty():
-        raise cli.UsageError(f'{told}. Was it driven? Add --earlier driven, or --earlier unused')
-    print(f'{told}. Was it driven? [y/n] ', end='', file=sys.stderr, flush=True)
+        raise cli.UsageError(f'{question} Add --earlier driven, or --earlier unused')
+    print(f'{question} [y/n] ', end='', file=sys.stderr, flush=True)
     answer = sys.stdin.readline().strip().lower()
     if answer[:1] not in ('y', 'n'):
         raise cli.UsageError('nothing was drawn: answer y or n')

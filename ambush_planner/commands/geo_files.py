@@ -23,7 +23,7 @@ def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the rout
                 suffixes: Sequence[str] = SUFFIXES, tell: bool = True) -> None:
     """Add the argument ``--output``, a list of files with one of the suffixes each.
 
-    The help names these if they are to be told.
+    The help lists the suffixes if ``tell``.
     """
     parser.add_argument('-o', '--output', type=file_of(*suffixes), nargs='+', required=True,
                         metavar='FILE',

@@ -309,7 +309,7 @@ _PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
             ' (strategy.time_limit, or max_planning_time of the node)': ' (strategy.time_limit)',
             'max_planning_time': 'strategy.time_limit'}
 # Qualified names, and those that are no ordinary words.
-_NAMED = re.compile(r"(?<!--set )(?<!--set ')(?<![.\w])(?:(?:map|network|game|strategy|route)\.)?("
+_NAMED = re.compile(r"(?<!--set )(?<!')(?<![.\w])(?:(?:map|network|game|strategy|route)\.)?("
                     + '|'.join(_FIELDS) + r')(?!\w)')
 
 

@@ -199,17 +199,19 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
         price = few.value / few.lower_bound if few.lower_bound else math.inf
         console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '
                      'that were tried, mixed at best')
-    console.fact('assumption', main_assumption(plan))
+    if not arguments.verbose:
+        console.fact('assumption', main_assumption(plan))
     seen = plan.spotter
     if arguments.verbose:
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
-            f'no planner can guarantee less on this network of {len(plan.network.points)} nodes'))
+            f'no planner can guarantee less on this network of {plan.network.place_count} nodes'))
         if seen:
             where: Position = arguments.start[0]
             assert plan.risk_map is not None
             console.fact('spotter', f'one at {where.like((seen.x, seen.y), plan.risk_map)} who '
-                         f'sees whether you pass raises {strategy.value:.4g} to {seen.loss:.4g}, '
+                         f'sees whether you pass raises {strategy.value:.4g}'
+                         f'{", the value at a known time," * bool(day)} to {seen.loss:.4g}, '
                          f'{seen.factor:.2f} times')
         if (least := plan.secured_bound) is not None:
             console.fact('ends', f'{least:.4g} at least if nobody could wait within '
@@ -219,7 +221,7 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
     console.result = {
         'refinement': [each._asdict() for each in plan.refinement],
         'seconds': round(console.seconds, 1),
-        'value': strategy.value, 'lower_bound': strategy.lower_bound,
+        'value': value, 'lower_bound': bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
         'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
         'spotter': seen and asdict(seen), 'few': None, 'slots': None,

@@ -16,8 +16,9 @@ top to bottom:
 
 Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
 touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A text
-as a value names the attribute to read it from. What is left out of a file is counted in a warning,
-and is an error on forbidden and held ground. ``crs`` at the top is that of files without one.
+as a value names the attribute to read it from. Features that cannot be used are counted in a
+warning, and are an error on forbidden and held ground. ``crs`` at the top is that of files without
+one.
 """
 
 from __future__ import annotations
@@ -295,10 +296,10 @@ class _Joined:
         thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
         if full < FEW or thin > 0.5:
             self.remarks.append(
-                f'{name}: few incidents: {len(places)}, which by age and weight count as '
-                f'{full:.3g} new ones ({FEW:g} would do), and {100.0 * thin:.0f} % of the ground '
-                f'that they make costly has fewer than {FEW_NEAR} within {near:.0f} m. Their '
-                'pattern may be chance')
+                f'{name}: {len(places)} incidents, weighted by age worth {full:.3g} recent ones '
+                f'(at least {FEW:g} are needed); {100.0 * thin:.0f} % of the ground that they make '
+                f'costly has fewer than {FEW_NEAR} within {near:.0f} m. Their pattern may be '
+                'chance')
         added = _number('loss', values['loss']) * density / density.max()
         self.loss = self.loss + added
         self.layers += [Layer(f'{name}: loss', added, features.geometry),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points, lines and polygons from GeoPackage, GeoJSON and other vector files, and from CSV.
 
-What is left out is counted in a warning, or refused if all of it matters.
+Features that cannot be used are counted in a warning, or refused where each of them matters.
 """
 
 from __future__ import annotations

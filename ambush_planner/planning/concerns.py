@@ -34,11 +34,13 @@ _WHY: dict[Reason, str] = {
 MAX_SPACING = 0.25
 # Maximum share of the way on held ground that goes without saying.
 MAX_HELD = 0.5
+# Maximum length budget that goes without saying, as a multiple of the shortest route.
+MAX_DETOUR = 5.0
 
 
 def concerns(plan: Plan) -> list[str]:
     """Return what should be known about the value of a plan, one sentence each."""
-    found = wide_gap(plan), _held_ground(plan)
+    found = wide_gap(plan), _held_ground(plan), _long_routes(plan)
     return [text for text in found if text]
 
 
@@ -118,6 +120,15 @@ def wide_gap(plan: Plan) -> str:
     return f'{wide}; {_WHY[strategy.reason]}'
 
 
+def _long_routes(plan: Plan) -> str:
+    """Whether the length budget seems to be a percentage."""
+    detour = plan.options.strategy.max_detour
+    if not MAX_DETOUR < detour < math.inf:
+        return ''
+    return (f'routes may be {detour:g} times as long as the shortest: strategy.max_detour is a '
+            'ratio, so 1.2 is 20 % more, and inf no limit')
+
+
 def _held_ground(plan: Plan) -> str:
     """Whether held ground decides too much: the value, or whether there is one."""
     bottleneck, game = plan.bottleneck, plan.strategy.game
@@ -190,7 +201,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
                            if holds_anywhere(plan.options)
                            else "the network's nodes"),
         'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
-        'nodes': str(len(plan.network.points)),
+        'nodes': str(plan.network.place_count),
         'edges': str(len(plan.network.edges)),
         'refined': ' '.join(f'{each.value:.4g}' for each in plan.refinement),
         'deciding_sites': str(len(plan.bottleneck.sites)),

@@ -267,7 +267,7 @@ class PlanCache:
         """Keep the plan; this happens before the future of its solve is done."""
         cached = self.adopt(trip, parameters, plan, refined_by)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
-                          f'{len(plan.network.points)} nodes')
+                          f'{plan.network.place_count} nodes')
         return cached
 
     def _remove_pending(self, solve: Future[CachedPlan]) -> None:

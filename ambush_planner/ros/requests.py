@@ -142,7 +142,7 @@ def validity(kind: Any, invalid: list[int] | None) -> Any:
 
 def _replan_response(plan: Plan) -> Trigger.Response:
     return _success(f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
-                    f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes')
+                    f'{plan.strategy.gap:.3g}, {plan.network.place_count} nodes')
 
 
 def _cancel_response(count: int) -> Trigger.Response:
