@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .game.strategy import Strategy
@@ -26,6 +28,25 @@ def warn(sentence: str) -> None:
     while frame.f_back and frame.f_globals.get('__name__', '').startswith('ambush_planner'):
         level, frame = level + 1, frame.f_back
     warnings.warn(sentence, AmbushPlannerWarning, stacklevel=level)
+
+
+@contextmanager
+def telling_warnings(tell: Callable[[str], None]) -> Iterator[None]:
+    """Give the sentences of this package's warnings to ``tell``, each once."""
+    with warnings.catch_warnings():
+        said: set[str] = set()
+
+        def show(message: Warning | str, category: type[Warning], *where: Any,
+                 **more: Any) -> None:
+            if not issubclass(category, AmbushPlannerWarning):
+                default(message, category, *where, **more)
+            elif (text := str(message)) not in said:
+                said.add(text)
+                tell(text)
+
+        default, warnings.showwarning = warnings.showwarning, show
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        yield
 
 
 class InvalidRiskMap(AmbushPlannerError, ValueError):

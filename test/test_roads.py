@@ -264,6 +264,18 @@ def test_roads_that_do_not_fit_are_refused(rows, options, error, words, tmp_path
             method='graph', graph=str(tmp_path / 'roads.gpkg'), **{'spacing': 10.0, **options}))
 
 
+def test_a_node_logs_what_its_road_file_leaves_open(tmp_path):
+    """Roads that cross without a shared vertex, once for each time that the file is read."""
+    ros, waiting = map(pytest.importorskip, ('ros_harness', 'waiting'))
+    file = tmp_path / 'roads.gpkg'
+    lines([(1.0, 5.0), (9.0, 5.0)], [(5.0, 1.0), (5.0, 9.0)], crs=None).to_file(file)
+    parameters = {'network.method': 'graph', 'network.graph': str(file)}
+    with waiting.stderr_in(tmp_path / 'log') as said, ros.stage(parameters=parameters) as running:
+        assert said().count('[WARN]') == 1 and 'roads cross' in said()
+        change = ros.Parameter('network.node_crossings', value=True)
+        assert running.planner.set_parameters([change])[0].successful
+
+
 def test_a_node_drives_on_roads_and_its_recordings_hold(tmp_path, capsys):
     """An obstacle closes a road. The recording has the roads, so the file may change."""
     ros = pytest.importorskip('ros_harness')

@@ -13,9 +13,7 @@ import io
 import os
 import re
 import sys
-import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
@@ -26,7 +24,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from .. import __version__
 from ..errors import (
     AmbushPlannerError,
-    AmbushPlannerWarning,
     BudgetInfeasible,
     GoalBlocked,
     InvalidNetwork,
@@ -35,6 +32,7 @@ from ..errors import (
     StartBlocked,
     StopBlocked,
     TimeLimit,
+    telling_warnings,
 )
 from ..maps.coordinates import InvalidCoordinates
 from .console import Console as Console
@@ -200,7 +198,7 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
 
         console.words = as_typed
     try:
-        with showing_warnings(console):
+        with telling_warnings(console.warn):
             code = work(options, console)
         console.result_as_json(code.name.lower())
         return int(code)
@@ -216,25 +214,6 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     except KeyboardInterrupt:
         console.error('interrupted')
         return _INTERRUPTED
-
-
-@contextmanager
-def showing_warnings(console: Console) -> Iterator[None]:
-    """Print warnings of this package in the console's words, each once."""
-    with warnings.catch_warnings():
-        said: set[str] = set()
-
-        def show(message: Warning | str, category: type[Warning], *where: Any,
-                 **more: Any) -> None:
-            if not issubclass(category, AmbushPlannerWarning):
-                default(message, category, *where, **more)
-            elif (text := str(message)) not in said:
-                said.add(text)
-                console.say(f'Warning: {text}.')
-
-        default, warnings.showwarning = warnings.showwarning, show
-        warnings.simplefilter('always', AmbushPlannerWarning)
-        yield
 
 
 def _words(error: AmbushPlannerError | OSError) -> str:

@@ -90,6 +90,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         '',
         'File with roads, for network.method graph: lines (GeoPackage, GeoJSON, ...) or a graph of '
         'nav2_route (GeoJSON).'),
+    'network.node_crossings': Declaration(
+        _NETWORK.node_crossings,
+        'Whether roads also meet where they cross without a shared vertex, except on bridges and '
+        'in tunnels.'),
     'network.join_distance': Declaration(
         _NETWORK.join_distance,
         'Maximum distance of start, stops and goal from the nearest road [m].'),

@@ -16,7 +16,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, telling_warnings
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import NodeParameters, check_possible, parameters_from
 from ..recordings.plan_file import SavedPlan
@@ -51,7 +51,8 @@ class NodeSettings:
         roads = self.saved.plan.options.network.roads if self.saved else None
 
         def read() -> NodeParameters:
-            return parameters_from({**_values(node), **more}, roads)
+            with telling_warnings(node.get_logger().warning):
+                return parameters_from({**_values(node), **more}, roads)
 
         self.current = read()
         self.contradiction: InvalidOption | None = None
@@ -123,7 +124,8 @@ def _check(node: Node, changes: list[Parameter], locked: bool) -> SetParametersR
                 successful=False, reason=f'{name} is read-only while the node is active: '
                 'parameters.locked is true')
     try:
-        check_possible(ours)
+        with telling_warnings(node.get_logger().warning):
+            check_possible(ours)
     except InvalidOption as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)
