@@ -5,6 +5,7 @@ import json
 import re
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -43,6 +44,14 @@ def files(tmp_path):
         with (tmp_path / name).open('wb') as file:
             np.savez(file, alpha=risk_map.alpha, obstacles=risk_map.obstacles, resolution=5.0)
     return tmp_path
+
+
+def test_a_length_budget_that_seems_to_be_a_percentage_is_named():
+    made = plan_trip(ground(), START, GOAL, PlanningOptions(network=plain_options(spacing=20.0)))
+    for detour, named in ((1.2, False), (20.0, True), (np.inf, False)):
+        strategy = replace(made.options.strategy, max_detour=detour)
+        asked = replace(made, options=replace(made.options, strategy=strategy))
+        assert any('is a ratio' in text for text in concerns(asked)) == named
 
 
 @pytest.mark.parametrize(('reach', 'spacing', 'words'), [
