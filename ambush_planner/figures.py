@@ -37,6 +37,7 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
+from scipy.ndimage import grey_opening
 from scipy.spatial import cKDTree
 
 from . import colours
@@ -60,9 +61,11 @@ DOTS_PER_INCH = 200
 HELD_DASHES = (0, (4, 3))
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
 # Shares of the picture: distance within which two routes are on one road, and between numbers.
-SAME_ROAD, BADGE = 0.002, 0.07
-# Share of a route from which another one that follows it is drawn as a stripe.
-MIN_SHARED = 0.15
+SAME_ROAD, BADGE = 0.0005, 0.07
+# Minimum radius of held ground that a mark does not cover, as a share of the picture.
+SEEN = 0.015
+# Number of places in a row from which one route follows another: fewer are a crossing.
+MIN_SHARED = 5
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 # Legend entries of the layers below.
 SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours.AMBUSHER,
@@ -313,25 +316,29 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
     first colour and no numbers. Returns a handle for a legend with ``HandlerTuple``.
     """
     few = len(routes) <= len(colours.ROUTES)
-    style = {'path_effects': HALO} if few else {'linewidth': 1.1, 'alpha': 0.7}
-    widths = stripe_widths(routes) if few else ()
-    lines = []
-    for k, route in enumerate(routes):
-        colour, own = colours.ROUTES[k if few else 0], {'linewidth': widths[k]} if few else {}
-        lines += axes.plot(*route.T, color=colour, solid_joinstyle='round', zorder=4, **style,
-                           **own)
+    used = colours.ROUTES[: len(routes)] if few else colours.ROUTES[:1]
+    if few:
+        draw_stripes(axes, routes, [{'color': each, 'path_effects': HALO} for each in used])
+    else:
+        for route in routes:
+            axes.plot(*route.T, color=used[0], linewidth=1.1, alpha=0.7, zorder=4)
     if few and len(routes) > 1:
         for k, place in enumerate(badge_places(routes)):
-            number_badge(axes, k + 1, place, colours.ROUTES[k])
-    return tuple(lines if few else lines[:1])
+            number_badge(axes, k + 1, place, used[k])
+    return tuple(Line2D([], [], color=each, linewidth=ROUTE_WIDTH) for each in used)
 
 
-def stripe_widths(routes: Sequence[FloatArray]) -> list[float]:
-    """Line widths of routes (K, 2): wider if later ones, drawn on top, follow the same road."""
+def draw_stripes(axes: Axes, routes: Sequence[FloatArray], styles: Sequence[Any]) -> None:
+    """Draw routes (K, 2), wider where later ones, drawn on top, follow the same road."""
     size = float(np.ptp(np.concatenate(routes), axis=0).max())
-    covers = [sum(float((cKDTree(other).query(route)[0] < SAME_ROAD * size).mean()) > MIN_SHARED
-                  for other in routes[k + 1 :]) for k, route in enumerate(routes)]
-    return [ROUTE_WIDTH + STRIPE * count for count in covers]
+    for k, (route, style) in enumerate(zip(routes, styles, strict=True)):
+        covers = np.zeros(len(route), dtype=int)
+        for other in routes[k + 1 :]:
+            covers += cKDTree(other).query(route)[0] < SAME_ROAD * size
+        covers = grey_opening(covers, MIN_SHARED)
+        for run in np.split(np.arange(len(route)), np.flatnonzero(np.diff(covers)) + 1):
+            axes.plot(*route[max(run[0] - 1, 0) : run[-1] + 1].T, zorder=4, solid_joinstyle='round',
+                      linewidth=ROUTE_WIDTH + STRIPE * covers[run[0]], **style)
 
 
 def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[FloatArray]:
@@ -396,7 +403,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     if strategy.value > 0.0:
         draw_sites(axes, strategy)
         key = [SITES, *key]
-    if strategy.game.held.radii.any():
+    if strategy.game.held.radii.max(initial=0.0) > SEEN * np.ptp(axes.get_xlim()):
         key = [*key, HELD_GROUND]
     drawn = f'{len(routes)} route{"s" * (len(routes) != 1)} drawn'
     axes.legend(key, [drawn if isinstance(each, tuple) else each.get_label() for each in key],

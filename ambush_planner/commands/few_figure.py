@@ -18,10 +18,10 @@ from ..figures import (
     WIDTH,
     badge_places,
     draw_ground,
+    draw_stripes,
     ground_key,
     number_badge,
     risk_bar,
-    stripe_widths,
 )
 from ..planning.few_routes import FewRoutes
 from .few_files import FewDrawn
@@ -51,9 +51,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
     _key(drawn, top.add_subplot(grid[0, 1]))
     _curve(top.add_subplot(grid[1, 1]), drawn.few)
     paths = [path[:, :2] for path in drawn.paths]
-    for k, width in enumerate(stripe_widths(paths)):
-        overview.plot(*paths[k].T, **{**_style(k), 'linewidth': width}, solid_joinstyle='round',
-                      zorder=4)
+    draw_stripes(overview, paths, [_style(k) for k in range(len(paths))])
     for k, place in enumerate(badge_places(paths, drawn.few.worst_xy)):
         number_badge(overview, k + 1, place, _style(k)['color'])
     overview.plot(*drawn.few.worst_xy, marker='o', markersize=9, color=AMBUSHER,
@@ -61,19 +59,19 @@ def few_figure(drawn: FewDrawn) -> Figure:
     for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
         if k < panels:
             draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k], small=True)
-            axes.plot(*paths[k].T, **_style(k), solid_joinstyle='round', zorder=4)
+            draw_stripes(axes, [paths[k]], [_style(k)])
         else:
             axes.set_axis_off()
     return figure
 
 
 def _style(k: int) -> dict[str, Any]:
-    return {'color': ROUTES[k % len(ROUTES)], 'linewidth': ROUTE_WIDTH, 'path_effects': HALO,
+    return {'color': ROUTES[k % len(ROUTES)], 'path_effects': HALO,
             'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
 
 
 def _key(drawn: FewDrawn, axes: Axes) -> None:
-    lines = [Line2D([], [], **_style(k), label=name.removeprefix('Route '))
+    lines = [Line2D([], [], linewidth=ROUTE_WIDTH, **_style(k), label=name.removeprefix('Route '))
              for k, name in enumerate(drawn.names[:MAX_KEYS])]
     worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
                    markeredgecolor='white', label='worst ambush')

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ambush_planner import figures
 from ambush_planner.arrays import FloatArray
 from ambush_planner.colours import AMBUSHER, ROUTES
-from ambush_planner.figures import HALO, HELD_GROUND, OBSTACLE, WIDTH
+from ambush_planner.figures import HALO, HELD_GROUND, OBSTACLE, SITES, WIDTH
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.game.strategy import Strategy
@@ -47,6 +47,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
         risk = figures.draw_ground(axes, strategy, risk_map, title)
     right.label_outer()
     figures.draw_routes(left, routes)
+    figures.draw_sites(left, strategy)
     for route, (colour, dashes), (side, share) in zip(
         fixed, FIXED, (('left', 0.62), ('right', 0.75)), strict=True
     ):
@@ -66,7 +67,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
             arrowprops={'arrowstyle': '-', 'relpos': (0.0, 0.5), 'linewidth': 1.2},
         )
     figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
-    figure.legend(handles=[HELD_GROUND, OBSTACLE], loc='outside lower center', ncols=2,
+    figure.legend(handles=[SITES, HELD_GROUND, OBSTACLE], loc='outside lower center', ncols=2,
                   frameon=False)
     return figure
 
