@@ -105,7 +105,7 @@ def test_plans_are_kept_while_it_is_inactive_unless_the_map_changes():
         changed.data[20 * 4 + 2:20 * 4 + 18] = type(changed.data)('b', [100] * 16)
         client.publish('alpha_map', changed)
         wait_until(lambda: running.planner._inputs.current_map().values[4, 5] == 100, 'the map')
-        assert not running.planner._dispatcher.solving
+        assert not any(running.planner._dispatcher.activity)
         manager.go(activate='active')
         client.last('edge_probabilities', 2)
 
@@ -119,7 +119,7 @@ def test_deactivation_answers_waiting_requests():
         manager.go(deactivate='inactive')
         wait_until(lambda: all(each.done() for each in waiting), 'the answers')
         assert not any(each.result().success for each in waiting)
-        assert not running.planner._dispatcher.solving
+        assert not any(running.planner._dispatcher.activity)
         assert client.call('cancel').message == 'no solve is running'
         assert not client.received['path']
 

@@ -40,8 +40,8 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
     """Recompute value and bound of a strategy for the node losses ``alpha`` (N,).
 
     ``p`` (M,) replaces the strategy's edge probabilities; the value of p = 0 is infinite. The
-    bound follows from the strategy's ambusher. Without a playable route within the budgets, the
-    value is infinite.
+    bound follows from the strategy's ambusher, and is as near as the strategy's if he proves that.
+    Without a playable route within the budgets, the value is infinite.
     """
     p = strategy.edge_probability if p is None else p
     network = replace(strategy.network, alpha=alpha)
@@ -51,7 +51,8 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
     value = worst_loss(game, p) if p.any() else math.inf
-    bound = lower_bound(game, strategy.ambusher, budgets)
+    as_near = value * strategy.lower_bound / strategy.value if strategy.value > 0.0 else math.inf
+    bound = lower_bound(game, strategy.ambusher, budgets, enough=as_near)
     return Certificate(value, min(bound, value))  # p may exceed the budgets now
 
 

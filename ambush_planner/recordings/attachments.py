@@ -19,9 +19,10 @@ from typing import Any, cast, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import arrays_in, frozen_array
+from ..arrays import ROUNDING, arrays_in, frozen_array
 from ..game.ambusher import Ambusher
 from ..game.budget import Budget
+from ..game.certificate.certificate import lower_bound
 from ..game.faces import Circulation
 from ..game.game import GameOptions, make_game
 from ..game.slack import Reason
@@ -101,7 +102,10 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
         _CIRCULATION[0] in content) else None
     ambusher = Ambusher(q, (stated['length_price'], stated['exposure_price']),
                         content.get(_BY_LEG), circulation)
-    strategy = strategy_of(game, p, ambusher, budgets)
+    # A bound of what was stated is enough: a larger one can take seconds.
+    enough = (1.0 - ROUNDING / 10.0) * stated['lower_bound']
+    bound = lower_bound(game, ambusher, budgets, enough=enough)
+    strategy = strategy_of(game, p, ambusher, budgets, bound)
     reason = str(content[_REASON])
     if reason not in get_args(Reason):
         raise ValueError(f'{reason!r} is no reason why a search ends')

@@ -209,10 +209,12 @@ class Ground:
         return np.asarray(self.edge[np.searchsorted(self._key, step)])
 
     def least_cost(self, base: FloatArray, charge: FloatArray, searches: Searches,
-                   deadline: float = math.inf) -> tuple[float, IndexArray | None]:
+                   deadline: float = math.inf,
+                   enough: float = math.inf) -> tuple[float, IndexArray | None]:
         """A lower bound of the least base cost (M,) plus charges (S,), and a route near it.
 
-        The route is None if all searches were cut short, the last of them at ``deadline``.
+        A bound of ``enough`` ends the searches. The route is None if all were cut short, the last
+        one at ``deadline``.
         """
         if self.exact:
             shortest = self.shortest(base, charge)
@@ -222,7 +224,7 @@ class Ground:
         for kept, comparisons in searches:
             bound, route = labels.search(kept, comparisons, deadline)
             least = max(least, bound)
-            if time.monotonic() > deadline:
+            if least >= enough or time.monotonic() > deadline:
                 break
             if route is None:
                 continue

@@ -26,7 +26,6 @@ from scipy.sparse import csr_matrix
 from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..faces import Circulation, Faces
-from ..game import Game
 from .best_response import SEARCHES, Grounds
 
 # Flows below this share of the largest are rounding.
@@ -72,8 +71,10 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
         left = np.append(np.where(np.isfinite(most), most, 0.0), 0.0)  # 0 for unplayable edges
         left[arcs[0]] -= across
         charge = charge - sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(charge))
-        total += max(winding, _least_paid(game, np.maximum(left, 0.0)[faces.link],
-                                          np.maximum(charge, 0.0)))
+        ground = Grounds(game, game.hits).whole
+        cost, wanted = np.maximum(left, 0.0)[faces.link], enough - total + price * limit
+        total += max(winding, ground.least_cost(
+            cost, np.maximum(charge, 0.0)[game.sites], SEARCHES, enough=wanted)[0])
     return max(total - price * limit, 0.0) if price > 0.0 else total
 
 
@@ -140,9 +141,3 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
     flow = np.empty(len(used))
     flow[order] = used
     return once, winding, flow
-
-
-def _least_paid(game: Game, cost: FloatArray, charge: FloatArray) -> float:
-    """A lower bound of what any route pays on edges (M,) and at the nodes (N,) that hit it."""
-    ground = Grounds(game, game.hits).whole
-    return ground.least_cost(cost, charge[game.sites], SEARCHES)[0]
