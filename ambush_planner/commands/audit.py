@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..recordings import RecordedDeparture, source_findings
 from ..recordings.audit import Audit, NotAuditable, audit
+from ..recordings.durable_files import write_all_durably
 from . import cli
 from .console import when
 
@@ -120,8 +121,8 @@ def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
         except NotAuditable as error:
             console.say(f'There is no {PICTURE}: {error}.')
             return
-    cli.write_private(folder, {PICTURE: as_png(audit_figure(risk_map, result))})
-    console.line(f'{cli.place(folder / PICTURE)} shows secret routes.')
+    write_all_durably({folder / PICTURE: as_png(audit_figure(risk_map, result))})
+    console.secret([folder / PICTURE])
 
 
 main = cli.command(parser, _work)

@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 
-from ..planning.plan import path_lengths
 from ..recordings import read_departure
+from ..recordings.durable_files import write_all_durably
 from ..recordings.plan_file import read_plan
 from ..route_files import PLAN
 from . import cli
-from .card_page import Card, add_speed, card_of, card_page, mean_speed
+from .card_page import Card, add_speed, card_of, card_page
 from .console import distance
 from .inputs import add_crs, crs_text
 
@@ -37,17 +36,11 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('-o', '--output', type=cli.file_of('.html'), required=True,
                       metavar='CARD.html', help='the page to write')
     add_speed(made)
-    made.add_argument('--start-time', type=_time, metavar='HH:MM', help='when the convoy leaves '
-                      '(default: the slot that was drawn, else times are minutes from departure)')
+    made.add_argument('--start-time', type=cli.time_of_day, metavar='HH:MM',
+                      help='when the convoy leaves (default: the slot that was drawn, else times '
+                      'are minutes from departure)')
     add_crs(made)
     return made
-
-
-def _time(text: str) -> datetime:
-    try:
-        return datetime.strptime(text, '%H:%M')
-    except ValueError:
-        raise argparse.ArgumentTypeError(f'must be HH:MM, got {text!r}') from None
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
@@ -59,10 +52,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if crs := crs_text(arguments):
         card = replace(card, risk_map=replace(card.risk_map, crs=crs))
     file, length = arguments.output, float(card.distances[-1])
-    cli.write_private(file.parent, {file.name: card_page(card, console).encode()})
-    console.result = {'file': cli.place(file), 'legs': len(card.points) - 1, 'length': length}
-    console.line(f'{cli.place(file)}: {cli.count(len(card.points) - 1, "leg")}, '
-                 f'{distance(length)}; secret, so only this user can read it.')
+    write_all_durably({file: card_page(card, console).encode()})
+    legs = len(card.points) - 1
+    (name,) = console.secret([file], f'{cli.count(legs, "leg")}, {distance(length)}; ')
+    console.result = {'file': name, 'legs': legs, 'length': length}
     return cli.Exit.HOLDS
 
 
@@ -71,13 +64,10 @@ def _recorded(arguments: argparse.Namespace) -> Card:
         raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
                              'departure, so name its recording (.mcap)')
     departure = read_departure(arguments.departure)
-    day, path = departure.metadata.day, departure.path_poses
-    slot = day.slot if day else ''
-    start = arguments.start_time or (datetime.strptime(slot, '%H:%M') if slot else None)
-    speed = arguments.speed or mean_speed(departure.drawn_from.network, departure.route,
-                                          float(path_lengths([path])[0]))
-    return card_of(path, departure.risk_map, departure.strategy, speed, start,
-                   day.date if day else '')
+    day = departure.metadata.day
+    return card_of(departure.path_poses, departure.risk_map, departure.strategy,
+                   (departure.drawn_from.network, departure.route), arguments.speed,
+                   arguments.start_time or (day.slot if day else ''), day.date if day else '')
 
 
 def _chosen(arguments: argparse.Namespace) -> Card:
@@ -89,10 +79,8 @@ def _chosen(arguments: argparse.Namespace) -> Card:
             'no few routes: plan with --routes K, or draw a departure'))
     assert plan.risk_map is not None
     k = arguments.route - 1
-    path = plan.few.paths[k]
-    speed = arguments.speed or mean_speed(plan.network, plan.few.routes[k],
-                                          float(path_lengths([path])[0]))
-    return card_of(path, plan.risk_map, plan.strategy, speed, arguments.start_time)
+    return card_of(plan.few.paths[k], plan.risk_map, plan.strategy,
+                   (plan.network, plan.few.routes[k]), arguments.speed, arguments.start_time)
 
 
 main = cli.command(parser, _work)

@@ -25,6 +25,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.grid_references import mgrs_references, true_bearings, utm_references
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
+from ..planning.plan import path_lengths
 from ..routes.legs import bearings, distances_along, held_stretches, way_points
 from .cli import Console, number, resource
 from .console import distance, duration, rounded
@@ -83,16 +84,21 @@ class Card:
                 else f'{minutes:.1f}')
 
 
-def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy, speed: float | None,
-            start: datetime | None, day: str = '') -> Card:
-    """The card of a path (L, 2 or 3) of a strategy's network."""
+def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy,
+            drawn: tuple[Network, IndexArray], speed: float | None, start: str | None,
+            day: str = '') -> Card:
+    """The card of a path (L, 2 or 3): ``drawn`` is its route (K,) and the network of that.
+
+    Without a ``speed``, the network's speeds give the mean one; ``start`` is HH:MM, if it is known.
+    """
     network = strategy.network
     ends = [network.source, *network.stops, network.target]
     return Card(path[:, :2], risk_map, network.points[ends], strategy.game.options.held_radius,
-                speed, start, day)
+                speed or _mean_speed(*drawn, float(path_lengths([path])[0])),
+                datetime.strptime(start, '%H:%M') if start else None, day)
 
 
-def mean_speed(network: Network, nodes: IndexArray, length: float) -> float | None:
+def _mean_speed(network: Network, nodes: IndexArray, length: float) -> float | None:
     """The mean speed [km/h] over a route (K,), None if the network has no speeds."""
     if network.seconds is None:
         return None

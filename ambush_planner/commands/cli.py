@@ -67,6 +67,7 @@ _EXTRAS = {
     'recordings': ('lz4', 'mcap', 'mcap_ros2', 'zstandard'),
 }
 _SOUTHERN = re.compile(r'-[\d.]+,-?[\d.]*$')  # LAT,LON
+_TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 _BROKEN_PIPE, _INTERRUPTED = 141, 130  # exit codes of a shell after SIGPIPE and SIGINT
 
 
@@ -179,6 +180,13 @@ def number(least: float, most: float, kind: type = float) -> Callable[[str], Any
     return number
 
 
+def time_of_day(text: str) -> str:
+    """Parse a time of day, as HH:MM."""
+    if not _TIME.fullmatch(text):
+        raise argparse.ArgumentTypeError(f'must be HH:MM, got {text!r}')
+    return text.zfill(5)
+
+
 def command(parser: Callable[[], argparse.ArgumentParser], work: Work) -> Callable[..., int]:
     """Return the ``main(arguments)`` of a command."""
     return partial(_run, parser, work)
@@ -229,15 +237,6 @@ def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
         if (folder / name).exists() and not replace:
             raise UsageError(f'{place(folder / name)} exists already; add --replace, or choose '
                              'another folder with -o')
-
-
-def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files (mode 0600) into the folder, which is made with mode 0700 if missing."""
-    from ..recordings.durable_files import make_private_folders, write_durably
-
-    make_private_folders(Path(os.path.abspath(folder)))
-    for name, data in files.items():
-        write_durably(folder / name, data)
 
 
 def as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:

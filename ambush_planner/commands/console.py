@@ -9,7 +9,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
@@ -63,6 +63,13 @@ class Console:
     def warn(self, text: str) -> None:
         """Print a warning, a sentence without its full stop."""
         self.say(f'Warning: {text}.')
+
+    def secret(self, paths: Iterable[Path], what: str = '') -> list[str]:
+        """Print which files were written, and with what, that only this user can read."""
+        files = [place(path) for path in paths]
+        self.line(f'{", ".join(files)}: {what}secret, so only this user can read '
+                  f'{"it" if len(files) == 1 else "them"}.')
+        return files
 
     def fact(self, name: str, text: str) -> None:
         """Print a named fact of the result."""

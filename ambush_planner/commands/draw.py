@@ -27,9 +27,8 @@ from ..recordings.plan_departures import (
 from ..recordings.plan_file import SavedPlan, read_plan
 from ..route_files import Drawn, content_of
 from . import cli
-from .card_page import add_speed, card_of, card_page, mean_speed
+from .card_page import add_speed, card_of, card_page
 from .console import distance, when
-from .plan import checked_slots
 
 SUFFIXES = ('.html', '.gpx', '.kml')
 DESCRIPTION = """\
@@ -72,8 +71,8 @@ def parser() -> argparse.ArgumentParser:
                       help='day of the departure, or of the first one (default: today)')
     made.add_argument('--days', type=cli.number(1, 366, int), metavar='COUNT',
                       help='one departure a day, this many days')
-    made.add_argument('--slot', metavar='HH:MM', help='time of departure (default: drawn, if the '
-                      'plan has slots)')
+    made.add_argument('--slot', type=cli.time_of_day, metavar='HH:MM',
+                      help='time of departure (default: drawn, if the plan has slots)')
     add_speed(made)
     made.add_argument('--earlier', choices=('driven', 'unused'), help='whether the departure that '
                       'was drawn before for the same day was driven')
@@ -93,7 +92,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if any(path.suffix.lower() in ('.gpx', '.kml') for path in arguments.output):
         cli.require(('geopandas', 'gpxpy'))
     saved = read_plan(arguments.plan)
-    slot = checked_slots([arguments.slot])[0] if arguments.slot else ''
     if saved.source and saved.map_has_changed:
         console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '
                      'if the ground has changed, plan again')
@@ -101,16 +99,17 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
     folder = departures_folder(arguments.plan)
     if arguments.dry_run:
-        return _finish(arguments, console, saved, folder, dates, slot, {})
+        return _finish(arguments, console, saved, folder, dates, {})
     with locked(folder):
-        replaced = _replaced(arguments, console, folder, dates, slot)
-        return _finish(arguments, console, saved, folder, dates, slot, replaced)
+        replaced = _replaced(arguments, console, folder, dates)
+        return _finish(arguments, console, saved, folder, dates, replaced)
 
 
-def _replaced(arguments: argparse.Namespace, console: cli.Console, folder: Path, dates: list[str],
-              slot: str) -> dict[str, Earlier]:
+def _replaced(arguments: argparse.Namespace, console: cli.Console, folder: Path,
+              dates: list[str]) -> dict[str, Earlier]:
     """The departures by date that were drawn before, but not driven; raises UsageError."""
     _check_clock(folder, arguments.date)
+    slot = arguments.slot
     again = [each for each in earlier_departures(folder, dates)
              if not (slot and each.slot) or slot == each.slot]
     if not again:
@@ -143,14 +142,14 @@ def _asked(again: list[Earlier], console: cli.Console) -> str:
 
 
 def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan, folder: Path,
-            dates: list[str], slot: str, replaced: dict[str, Earlier]) -> cli.Exit:
+            dates: list[str], replaced: dict[str, Earlier]) -> cli.Exit:
     """Draw, write everything or nothing, and tell."""
     names = [] if arguments.dry_run else names_in(folder)
     number = max((each for each, *_ in names), default=0)
     files: dict[Path, bytes] = {}
     rows, last = [], last_id(folder) if names else ''
     for k, day in enumerate(dates, start=1):
-        drawn = draw_departure(saved, slot)
+        drawn = draw_departure(saved, arguments.slot or '')
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
                'route': None if drawn.few_route is None else drawn.few_route + 1,
                'length': drawn.length, 'recording': None}
@@ -167,8 +166,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     if arguments.days is None:
         _tell(rows[0], console)
     if files:
-        console.line(f'{", ".join(map(cli.place, files))}: secret, so only this user can read '
-                     f'{"it" if len(files) == 1 else "them"}.')
+        console.secret(files)
     if arguments.dry_run:
         console.say('Nothing was recorded: do not drive this.')
     console.result = {'files': [cli.place(path) for path in files], 'departures': rows}
@@ -189,9 +187,8 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
         if path.suffix.lower() == '.html':
-            start = datetime.strptime(drawn.slot, '%H:%M') if drawn.slot else None
-            speed = arguments.speed or mean_speed(plan.network, drawn.nodes, drawn.length)
-            card = card_of(drawn.poses, plan.risk_map, plan.strategy, speed, start, day)
+            card = card_of(drawn.poses, plan.risk_map, plan.strategy, (plan.network, drawn.nodes),
+                           arguments.speed, drawn.slot, day)
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..route_files import NEEDS, PLAN, SUFFIXES, Drawn
@@ -35,7 +35,7 @@ def check_outputs(paths: Sequence[Path]) -> None:
     require(sorted({name for path in paths for name in NEEDS.get(path.suffix.lower(), ())}))
 
 
-def tell_overwritten(paths: Sequence[Path], console: Console) -> None:
+def tell_overwritten(paths: Iterable[Path], console: Console) -> None:
     """Name the files that are about to be overwritten."""
     for path in paths:
         if path.exists():
@@ -44,11 +44,10 @@ def tell_overwritten(paths: Sequence[Path], console: Console) -> None:
 
 def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
     """Print what was written, and put it into the result."""
-    files, plans = [place(path) for path in paths], [p for p in paths if p.suffix.lower() == PLAN]
+    plans = [path for path in paths if path.suffix.lower() == PLAN]
     routes = [count(len(drawn.paths), 'route')] * (len(paths) > len(plans))
-    what = [*['plan'] * bool(plans), *routes]
-    console.line(f'{", ".join(files)}: {", ".join(what)}; secret, so only this user can read '
-                 f'{"it" if len(files) == 1 else "them"}.')
+    what = ', '.join([*['plan'] * bool(plans), *routes])
+    files = console.secret(paths, f'{what}; ')
     if plans:
         console.line(f'Each day: ambush draw {place(plans[0])} -o card.html route.gpx')
     console.result |= {'files': files, 'departures': len(drawn.paths)}

@@ -23,6 +23,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..planning.holding import Held, Holding, places_to_hold
+from ..recordings.durable_files import write_all_durably
 from . import cli
 from .geo_files import add_outputs, check_outputs, tell_overwritten
 from .inputs import (
@@ -91,12 +92,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                 as_png(hold_figure(found, arguments.radius, risk_map))
                 for path in arguments.output}
     tell_overwritten(arguments.output, console)
-    for path, data in contents.items():
-        cli.write_private(path.parent, {path.name: data})
+    write_all_durably(contents)
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
-    files = [cli.place(path) for path in arguments.output]
-    console.line(', '.join(files))
-    console.result['files'] = files
+    console.result['files'] = console.secret(contents)
     sound = all(within_slack(step.strategy, options.planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 

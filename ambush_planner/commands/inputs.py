@@ -31,7 +31,6 @@ from ..network.trip_graph import position_errors
 from ..planning.options import DriveOptions, PlanningOptions
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
-from .cli import file_of
 from .console import Console
 
 MAP_HELP = """\
@@ -183,21 +182,9 @@ def add_crs(parser: argparse._ActionsContainer) -> None:
     crs = parser.add_mutually_exclusive_group()
     crs.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of a map '
                      'whose file does not say it, such as EPSG:32616')
-    add_datum(crs)
-
-
-def add_map_output(parser: argparse.ArgumentParser) -> None:
-    """Add the option of a command that writes a map."""
-    parser.add_argument('-o', '--output', type=file_of('.yaml', '.yml'), required=True,
-                        metavar='MAP.yaml',
-                        help='the map to write')
-
-
-def add_datum(parser: argparse._ActionsContainer) -> None:
-    """Add the argument ``--datum``, for ``crs_text``."""
-    parser.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
-                        help="for a map in a robot's frame: position of its origin and direction "
-                        "of x [rad from east], as in navsat_transform's parameter datum")
+    crs.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
+                     help="for a map in a robot's frame: position of its origin and direction of "
+                     "x [rad from east], as in navsat_transform's parameter datum")
 
 
 def crs_text(arguments: argparse.Namespace) -> str:

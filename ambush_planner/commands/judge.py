@@ -22,6 +22,7 @@ from ..planning.concerns import concerns, is_sound, main_assumption
 from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
+from ..recordings.durable_files import write_all_durably
 from . import cli
 from .console import distance, percent
 from .inputs import (
@@ -89,12 +90,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting('solving the game'), warnings.catch_warnings():
         warnings.simplefilter('ignore')  # rounding at values of 0
         habits = judge(risk_map, trips, options.planning)
-    cli.write_private(output.parent, {output.name: as_png(judge_figure(habits, risk_map))})
+    write_all_durably({output: as_png(judge_figure(habits, risk_map))})
     _tell(habits, risk_map, console)
     for text in concerns(habits.plan):
-        console.say(f'Warning: {text}.')
-    console.line(f'{cli.place(output)}: secret, so only this user can read it.')
-    console.result['picture'] = cli.place(output)
+        console.warn(text)
+    console.result['picture'] = console.secret([output])[0]
     return cli.Exit.HOLDS if is_sound(habits.plan) else cli.Exit.FINDING
 
 

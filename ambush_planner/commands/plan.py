@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
-from collections.abc import Sequence
 from dataclasses import asdict, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import InvalidOption
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs, read_risk_map
@@ -72,7 +70,6 @@ With --slots, a time of departure is drawn for each route: an ambusher can wait 
 or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
 "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """ + cli.EXIT_CODES
-_TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 
 
 def parser() -> argparse.ArgumentParser:
@@ -92,7 +89,7 @@ def parser() -> argparse.ArgumentParser:
                       help='MAP is an elevation model, whose risk is found as by ambush risk')
     add_terrain(made.add_argument_group('with --terrain'))
     made.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
-    made.add_argument('--slots', nargs='+', default=(), metavar='HH:MM',
+    made.add_argument('--slots', nargs='+', type=cli.time_of_day, default=(), metavar='HH:MM',
                       help='also draw the time of departure, one of these')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
                       help='number of consecutive slots that an ambush lasts (default: 1)')
@@ -111,7 +108,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options, slots = options_from(arguments), checked_slots(arguments.slots)
+    options, slots = options_from(arguments), arguments.slots
+    for before, after in pairwise(slots):
+        if after <= before:
+            raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
     if arguments.equal and arguments.routes is None:
@@ -162,18 +162,6 @@ def _of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
     elevation, ground = terrain_of(arguments, arguments.map, None, console)
     return ground.risk_map(elevation.corner,
                            replace(options, crs=agreed_crs(elevation.crs, options.crs)))
-
-
-def checked_slots(slots: Sequence[str]) -> list[str]:
-    """The times as HH:MM; raises InvalidOption if one is none, or they do not go forwards."""
-    for text in slots:
-        if not _TIME.fullmatch(text):
-            raise InvalidOption(f'slots must be times HH:MM, got {text!r}')
-    times = [text.zfill(5) for text in slots]
-    for before, after in zip(times[:-1], times[1:], strict=True):
-        if after <= before:
-            raise InvalidOption(f'slots must go forwards in time, but {after} follows {before}')
-    return times
 
 
 def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,

@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 from ..recordings import recordings_in
+from ..recordings.durable_files import write_all_durably
 from ..recordings.report_data import Section, sections_of
 from ..recordings.verify import Verifier
 from . import cli
@@ -54,8 +55,8 @@ def write_report(place: Path, output: Path, verify: bool,
         code = cli.Exit.FINDING if problems else code
     if departures:
         text = page(sections, output, len(unreadable), checks)
-        cli.write_private(output, {PAGE: text.encode()})
-        console.line(f'{cli.place(output / PAGE)} shows secret routes; only this user can read it.')
+        write_all_durably({output / PAGE: text.encode()})
+        console.secret([output / PAGE])
     else:
         console.error('no recording could be read, so there is no report')
     console.result = {

@@ -21,7 +21,7 @@ from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
-from .inputs import add_crs, add_map_output, crs_text
+from .inputs import add_crs, crs_text
 from .terrain import add_terrain, terrain_of, terrain_options_in
 from .terrain_figure import terrain_figure
 
@@ -63,7 +63,8 @@ def parser() -> argparse.ArgumentParser:
     made = cli.new_parser('risk', DESCRIPTION, EPILOG)
     made.add_argument('source', type=Path, metavar='DEM_OR_LAYERS',
                       help='the elevation model (.tif, .npz), or the layers (.yaml)')
-    add_map_output(made)
+    made.add_argument('-o', '--output', type=cli.file_of('.yaml', '.yml'), required=True,
+                      metavar='MAP.yaml', help='the map to write')
     terrain = made.add_argument_group('with an elevation model')
     terrain.add_argument('--roads', type=Path, metavar='FILE',
                          help='raster of roads: cells other than 0')

@@ -26,6 +26,7 @@ from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.frontier import trip_frontier
 from ambush_planner.recordings import recordings_in
+from ambush_planner.recordings.durable_files import write_all_durably
 from ambush_planner.recordings.report_data import Section
 
 from .figures import fixed_routes, routes_figure
@@ -79,7 +80,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     shown = replace(section.risk_map, heights=load_elevation().heights)
     figure = routes_figure(shown, strategy, [path[:, :2] for path in paths],
                            fixed_routes(strategy))
-    cli.write_private(folder, {'routes.png': as_png(figure)})
+    write_all_durably({folder / 'routes.png': as_png(figure)})
     console.step('solving for other budgets')
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
     planning = replace(last.parameters.planning, strategy=budgets)
