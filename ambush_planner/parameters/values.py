@@ -79,7 +79,6 @@ class NodeParameters:
     publish_path: bool
     path_spacing: float
     replan_tolerance: float
-    max_gap: float
     queue_size: int
     trip_order: str
     error_hold: float
@@ -129,7 +128,6 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
         publish_path=values['path.publish'],
         path_spacing=values['route.path_spacing'],
         replan_tolerance=values['replan.tolerance'],
-        max_gap=values['strategy.max_gap'],
         queue_size=values['queue.size'],
         trip_order=values['trip.order'],
         error_hold=values['diagnostics.error_hold'],

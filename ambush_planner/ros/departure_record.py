@@ -95,10 +95,10 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     Inputs get the time of the request. All others get one between request and answer: markers may
     be older, and the clock may have been set back since.
     """
-    trip, begin = departure.trip, departure.begin_ns
+    asked, begin = departure.trip.request, departure.begin_ns
     planned_on = departure.held.trip.map.received
     inputs = [_received(each, begin)
-              for each in (planned_on, trip.start, trip.goal, trip.via) if each]
+              for each in (planned_on, asked.start, asked.goal, asked.via) if each]
     published = [replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
                  for each in (*departure.markers, departure.report, departure.published) if each]
     return [*inputs, *published]
@@ -108,8 +108,8 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
     """Return the metadata record: what the departure was, and what it takes to draw it again."""
     trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
     roles: dict[str, ReceivedMessage | RecordedMessage | None] = {
-        'map': planned.map.received, 'start': trip.start, 'goal': trip.goal, 'via': trip.via,
-        'path': departure.published,
+        'map': planned.map.received, 'start': trip.request.start, 'goal': trip.request.goal,
+        'via': trip.request.via, 'path': departure.published,
     }
     call = RecordedCall(departure.call.name, type_name(departure.call.kind), departure.begin_ns,
                         departure.end_ns, fields_of(departure.call.request), departure.remarks)

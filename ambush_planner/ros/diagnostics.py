@@ -132,7 +132,7 @@ def _departure_warnings(last: Departure | None) -> list[str]:
     if last is None:
         return found
     planned, turns = last.held.plan.strategy.value, last.tight_turns
-    if last.worth.value > planned * (1.0 + last.parameters.max_gap):
+    if last.worth.value > planned * (1.0 + last.parameters.planning.max_gap):
         found.append(f'the last departure has a value of {last.worth.value:.4g}, its plan had '
                      f'{planned:.4g} when it was solved (strategy.max_gap)')
     if turns:

@@ -37,14 +37,13 @@ from ..routes.driven_path import tight_turns
 from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
 from .conversions import path_to_ros
-from .current_map import CurrentMap
+from .current_map import CurrentMap, ReceivedMessage
 from .departure_record import Answer, Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
 from .error_codes import FrameMismatch, GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, Fit, PlanCache
-from .plan_from_file import PlanInputs
 from .recordings import Recordings
 from .reporter import Reporter
 from .topics import Publishers
@@ -152,15 +151,15 @@ class Dispatcher:
         self.stop_solving()
         self._departures.close()
 
-    def adopt(self, saved: SavedPlan, given: PlanInputs) -> None:
+    def adopt(self, saved: SavedPlan, grid: ReceivedMessage, request: TripRequest) -> None:
         """Depart on a plan from a file, as if its map, start, goal and stops had arrived."""
         parameters, inputs = self._settings.current, self._inputs
         if inputs.with_costmap:
             raise InvalidOption('a plan from a file has the whole map: set map.costmap to false')
-        inputs.accept_map('alpha_map', given.map)
+        inputs.accept_map('alpha_map', grid)
         inputs.join_maps()
-        inputs.start, inputs.goal, inputs.via = given.start, given.goal, given.via
-        trip = inputs.locate(inputs.latest(parameters.robot), parameters.robot)
+        inputs.start, inputs.goal, inputs.via = request.start, request.goal, request.via
+        trip = inputs.locate(request, parameters.robot)
         cached = self._plans.adopt(trip, parameters, saved.plan)
         self._logger.info(f'plan read from a file: value {saved.plan.strategy.value:.6g}, '
                           f'{len(saved.plan.network.points)} nodes')
@@ -300,7 +299,7 @@ class Dispatcher:
         """Return the trip under way that a request for this trip continues, if there is one."""
         wanted, at = _destination(trip), trip.start_xy
         return next((each for each in self._under_way
-                     if each.trip.continues(wanted, at, trip.goal_tolerance)), None)
+                     if each.trip.continues(wanted, at, trip.request.goal_tolerance)), None)
 
     def _divert(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> bool:
         """Take the rest of another route of the same plan; False if none is clear."""

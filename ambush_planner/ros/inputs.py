@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Header
 
@@ -16,11 +16,13 @@ from ..errors import InvalidPose, InvalidRiskMap
 from ..maps.ros_messages import pose_from_ros, position_from_ros
 from ..parameters.values import RobotOptions
 from ..recordings import type_name
-from .conversions import pose_to_ros
+from ..recordings.plain_messages import grid_values
+from ..recordings.plan_file import SavedPlan
+from .conversions import occupancy_to_ros, pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
 from .error_codes import FrameMismatch, NoGoal, NoMap, NoStart
 from .parameter_changes import NodeSettings
-from .topics import LATEST
+from .topics import LATCHED, LATEST
 from .transforms import FrameTransforms
 
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.
@@ -50,20 +52,18 @@ class TripRequest:
 
 @dataclass(frozen=True, eq=False)
 class Trip:
-    """A trip request located on a map; poses and positions [m] are in the map's frame.
+    """A request located on a map; poses and positions [m] are in the map's frame.
 
-    ``robot`` is the frame in which the start was given, if that is not the map's: the start moves.
+    The ``request`` has a start: that of the robot, if none was given. ``robot`` is the frame in
+    which the start was given, if that is not the map's: the start moves.
     """
 
     map: CurrentMap
-    start: ReceivedMessage
-    goal: ReceivedMessage
+    request: TripRequest
     start_pose: PoseStamped
     goal_pose: PoseStamped
     start_xy: tuple[float, float]
     goal_xy: tuple[float, float]
-    goal_tolerance: float = 0.0
-    via: ReceivedMessage | None = None
     stops_xy: tuple[tuple[float, float], ...] = ()
     robot: str = ''
 
@@ -188,12 +188,10 @@ class Inputs:
         )
         given = request.start.message.header.frame_id if request.start else ''
         frame = given or robot.frame
-        return Trip(map=present, start=start, goal=request.goal, start_pose=start_pose,
-                    goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
-                    goal_xy=position_from_ros(goal_pose, 'goal'),
-                    goal_tolerance=request.goal_tolerance, via=request.via,
-                    stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
-                    robot='' if frame == present.frame else frame)
+        return Trip(present, replace(request, start=start), start_pose, goal_pose,
+                    position_from_ros(start_pose, 'start'), position_from_ros(goal_pose, 'goal'),
+                    self._located_stops(request.via, present.frame, robot.max_age),
+                    '' if frame == present.frame else frame)
 
     def robot_place(self, robot: RobotOptions) -> tuple[float, float] | None:
         """Return where the robot is on the current map [m]; None if that is not known."""
@@ -231,3 +229,23 @@ def robot_pose(robot: RobotOptions) -> PoseStamped | None:
     if not robot.frame:
         return None
     return PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))
+
+
+def inputs_of(saved: SavedPlan,
+              resolve: Callable[[str], str]) -> tuple[ReceivedMessage, TripRequest]:
+    """The messages from which a plan could have been made; ``resolve`` gives a topic's name."""
+    plan, header = saved.plan, Header(frame_id=saved.frame)
+    assert plan.risk_map is not None
+    risk_map, network = plan.risk_map, plan.network
+    values = grid_values(risk_map, saved.parameters.occupancy)
+
+    def received(topic: str, message: Any) -> ReceivedMessage:
+        return ReceivedMessage(resolve(topic), type_name(message), message, LATCHED)
+
+    start, goal = (PoseStamped(header=header, pose=pose_to_ros(*network.points[node].tolist()))
+                   for node in (network.source, network.target))
+    stops = PoseArray(header=header, poses=[pose_to_ros(*xy) for xy in plan.stops_xy])
+    grid = occupancy_to_ros(values, risk_map.resolution, risk_map.origin, header)
+    via = received('via_poses', stops) if plan.stops_xy else None
+    return received('alpha_map', grid), TripRequest(
+        received('start_pose', start), received('goal_pose', goal), via=via)

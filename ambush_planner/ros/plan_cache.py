@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain
 from threading import RLock
 
@@ -81,7 +81,7 @@ class CachedPlan:
         if not (self.is_near(trip) and self._serves(trip, parameters)):
             return None
         joined = joined_plan(self.ground, trip.map, self.ends(trip))
-        most = (1.0 + parameters.max_gap) * self.plan.strategy.value
+        most = (1.0 + parameters.planning.max_gap) * self.plan.strategy.value
         return Fit(self, trip, joined) if joined and joined.assessment.value <= most else None
 
     def is_near(self, trip: Trip) -> bool:
@@ -98,8 +98,8 @@ class CachedPlan:
     def _serves(self, trip: Trip, parameters: NodeParameters) -> bool:
         """Whether one may depart on this plan on a trip's map and with these parameters."""
         return (trip.map.same_ground(self.trip.map) and self._is_for(trip, parameters)
-                and self.ground.assess(trip.map).allows_departure(parameters.max_gap,
-                                                                  self.plan.strategy.gap))
+                and self.ground.assess(trip.map).allows_departure(
+                    parameters.planning.max_gap, self.plan.strategy.gap))
 
     def _is_for(self, trip: Trip, parameters: NodeParameters) -> bool:
         return _conditions(self.trip, self.parameters) == _conditions(trip, parameters)
@@ -139,12 +139,37 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pending:
-    """A solve that waits or runs."""
+class _Asked:
+    """What a solve is for; equal if the plans are the same. ``refined_by`` is as in CachedPlan."""
 
     trip: Trip
     parameters: NodeParameters
-    solve: Future[CachedPlan]
+    refined_by: NodeParameters | None = None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Asked) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        planning, trip = self.parameters.planning, self.trip
+        limits = planning.strategy.time_limit, planning.max_gap, planning.network.refine
+        return (trip.map, trip.start_xy, _goal(trip), _conditions(trip, self.parameters), limits)
+
+    def will_suit(self, trip: Trip, parameters: NodeParameters) -> bool:
+        """Whether the plan will probably suit a trip."""
+        other, used = self.trip, self.parameters
+        # If the planner chooses the spacing, it is at least the map's resolution.
+        spacing = parameters.planning.network.spacing or trip.map.resolution
+        joins = trip.moves and _goal(other) == _goal(trip)
+        near = _distance(other, trip) <= (
+            REGION * spacing if joins else start_tolerance(parameters.planning, spacing))
+        return (trip.map.same_ground(other.map)
+                and _conditions(other, used) == _conditions(trip, parameters)
+                and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
+                and _goal(other)[1] == _goal(trip)[1] and near)
 
 
 class PlanCache:
@@ -153,9 +178,8 @@ class PlanCache:
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
         self._plans: list[CachedPlan] = []  # the least recently used one first
-        self._pending: list[_Pending] = []
         self._lock = RLock()
-        self._queue: SolveQueue[CachedPlan] = SolveQueue()
+        self._queue: SolveQueue[_Asked, CachedPlan] = SolveQueue()
         self._losses = LatestLosses()
         self._refinement: Future[CachedPlan] | None = None
 
@@ -187,9 +211,9 @@ class PlanCache:
         Raises SolveCancelled if the cache is closed, and QueueFull if too many solves wait.
         """
         with self._lock:
-            for pending in self._pending:
-                if not pending.solve.done() and _will_suit(pending, trip, parameters):
-                    return self.solve(pending.trip, pending.parameters)
+            for asked in self._queue.keys:
+                if asked.will_suit(trip, parameters):
+                    return self.solve(asked.trip, asked.refined_by or asked.parameters)
             return self.solve(trip, parameters)
 
     def solve(self, trip: Trip, parameters: NodeParameters, *,
@@ -216,14 +240,10 @@ class PlanCache:
 
     def _submit(self, trip: Trip, parameters: NodeParameters, warm: WarmStart | None,
                 background: bool, first: bool) -> Future[CachedPlan]:
-        solved = parameters.with_plain_network() if first else parameters
-        finish = partial(self._solved, trip, solved, parameters if first else None)
-        solve = self._queue.submit(_key(trip, solved), _request(trip, solved, warm), finish,
-                                   parameters.queue_size, background)
-        if all(each.solve is not solve for each in self._pending):
-            self._pending.append(_Pending(trip, parameters, solve))
-            solve.add_done_callback(self._remove_pending)
-        return solve
+        asked = (_Asked(trip, parameters.with_plain_network(), parameters) if first
+                 else _Asked(trip, parameters))
+        return self._queue.submit(asked, _request(trip, asked.parameters, warm),
+                                  partial(self._solved, asked), parameters.queue_size, background)
 
     def adopt(self, trip: Trip, parameters: NodeParameters, plan: Plan,
               refined_by: NodeParameters | None = None) -> CachedPlan:
@@ -262,17 +282,12 @@ class PlanCache:
                 return each
         return None
 
-    def _solved(self, trip: Trip, parameters: NodeParameters, refined_by: NodeParameters | None,
-                plan: Plan) -> CachedPlan:
+    def _solved(self, asked: _Asked, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
-        cached = self.adopt(trip, parameters, plan, refined_by)
+        cached = self.adopt(asked.trip, asked.parameters, plan, asked.refined_by)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
                           f'{plan.network.place_count} nodes')
         return cached
-
-    def _remove_pending(self, solve: Future[CachedPlan]) -> None:
-        with self._lock:
-            self._pending = [each for each in self._pending if each.solve is not solve]
 
     def _keep(self, cached: CachedPlan) -> None:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
@@ -288,22 +303,8 @@ def _distance(one: Trip, other: Trip) -> float:
     return max(math.dist(one.start_xy, other.start_xy), math.dist(one.goal_xy, other.goal_xy))
 
 
-def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
-    """Whether the plan of a pending solve will probably suit a trip."""
-    other, used = pending.trip, pending.parameters
-    # If the planner chooses the spacing, it is at least the map's resolution.
-    spacing = parameters.planning.network.spacing or trip.map.resolution
-    joins = trip.moves and _goal(other) == _goal(trip)
-    near = _distance(other, trip) <= (
-        REGION * spacing if joins else start_tolerance(parameters.planning, spacing))
-    return (trip.map.same_ground(other.map)
-            and _conditions(other, used) == _conditions(trip, parameters)
-            and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
-            and other.goal_tolerance == trip.goal_tolerance and near)
-
-
 def _goal(trip: Trip) -> tuple[tuple[float, float], float]:
-    return trip.goal_xy, trip.goal_tolerance
+    return trip.goal_xy, trip.request.goal_tolerance
 
 
 def _conditions(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
@@ -315,14 +316,7 @@ def _conditions(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     return trip.stops_xy, order, parameters.occupancy, planning
 
 
-def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
-    """Return the key by which equal solves are shared."""
-    limits = (parameters.planning.strategy.time_limit, parameters.max_gap,
-              parameters.planning.network.refine)
-    return trip.map, trip.start_xy, _goal(trip), _conditions(trip, parameters), limits
-
-
 def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:
     return PlanRequest(trip.map.values, trip.map.resolution, trip.map.origin, parameters.occupancy,
-                       trip.start_xy, trip.goal_xy, trip.goal_tolerance, parameters.planning,
+                       trip.start_xy, *_goal(trip), parameters.planning,
                        trip.stops_xy, parameters.trip_order, warm)

@@ -32,9 +32,8 @@ from .compute_path import ACTIONS, ComputePath
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
-from .inputs import Inputs
+from .inputs import Inputs, inputs_of
 from .parameter_changes import NodeSettings
-from .plan_from_file import inputs_of
 from .recordings import Recordings
 from .reporter import Reporter
 from .requests import Requests
@@ -204,7 +203,7 @@ class PlannerNode(LifecycleNode):
             )
             made.callback(self._topic_subscriptions.close)
             if (saved := self._settings.saved) is not None:
-                self._dispatcher.adopt(saved, inputs_of(saved, self.resolve_topic_name))
+                self._dispatcher.adopt(saved, *inputs_of(saved, self.resolve_topic_name))
             self._configured = made.pop_all()
         self._reporter.set(lifecycle='inactive')
         self._report_missing()

@@ -21,18 +21,19 @@ _CLOSING = 'the planner is shutting down'
 _SUPERSEDED = 'a newer map replaced this one'
 _WITHDRAWN = 'all callers have withdrawn'
 
+_Key = TypeVar('_Key', bound=Hashable)
 _Result = TypeVar('_Result')
 
 
 @dataclass(eq=False)
-class _Solve(Generic[_Result]):
+class _Solve(Generic[_Key, _Result]):
     """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
     ``waiters`` callers wait for its outcome. Without any it is a background solve, cancelled unless
     ``persistent``. A ``preempted`` solve goes back to the queue.
     """
 
-    key: Hashable
+    key: _Key
     request: PlanRequest
     finish: Callable[[Plan], _Result]
     persistent: bool
@@ -47,15 +48,15 @@ class _Solve(Generic[_Result]):
         return not self.waiters
 
 
-class SolveQueue(Generic[_Result]):
+class SolveQueue(Generic[_Key, _Result]):
     """Passes solves to one worker process, which it replaces if it died."""
 
     def __init__(self) -> None:
         self._condition = Condition()
-        self._waiting: dict[Hashable, _Solve[_Result]] = {}
-        self._running: _Solve[_Result] | None = None
+        self._waiting: dict[_Key, _Solve[_Key, _Result]] = {}
+        self._running: _Solve[_Key, _Result] | None = None
         # The solve whose outcome is being set: it can still be shared but not cancelled.
-        self._finished: _Solve[_Result] | None = None
+        self._finished: _Solve[_Key, _Result] | None = None
         self._parent = WorkerParent()
         self._worker: WorkerProcess | None = None
         self._closed = False
@@ -68,7 +69,14 @@ class SolveQueue(Generic[_Result]):
         with self._condition:
             return (self._running is not None) + len(self._waiting)
 
-    def submit(self, key: Hashable, request: PlanRequest, finish: Callable[[Plan], _Result],
+    @property
+    def keys(self) -> list[_Key]:
+        """The keys of the solves that can be shared, the running one first."""
+        with self._condition:
+            here = (self._running, self._finished, *self._waiting.values())
+            return [each.key for each in here if each is not None and not each.cancelled]
+
+    def submit(self, key: _Key, request: PlanRequest, finish: Callable[[Plan], _Result],
                size: int, background: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
@@ -147,7 +155,7 @@ class SolveQueue(Generic[_Result]):
         _end(waiting, _CLOSING)
         self._thread.join()
 
-    def _same(self, key: Hashable) -> _Solve[_Result] | None:
+    def _same(self, key: _Key) -> _Solve[_Key, _Result] | None:
         for solve in (self._running, self._finished, self._waiting.get(key)):
             if solve is not None and solve.key == key and not solve.cancelled:
                 return solve
@@ -160,7 +168,7 @@ class SolveQueue(Generic[_Result]):
             if self._worker is not None:
                 self._worker.kill()
 
-    def _drop_background(self) -> list[_Solve[_Result]]:
+    def _drop_background(self) -> list[_Solve[_Key, _Result]]:
         dropped = [solve for solve in self._waiting.values() if solve.background]
         for solve in dropped:
             del self._waiting[solve.key]
@@ -194,7 +202,7 @@ class SolveQueue(Generic[_Result]):
                 self._worker.close()
             self._parent.close()
 
-    def _next(self) -> _Solve[_Result] | None:
+    def _next(self) -> _Solve[_Key, _Result] | None:
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self._closed)
             if self._closed:
@@ -204,7 +212,7 @@ class SolveQueue(Generic[_Result]):
             self._running.begin = time.monotonic()
             return self._running
 
-    def _answer(self, solve: _Solve[_Result]) -> None:
+    def _answer(self, solve: _Solve[_Key, _Result]) -> None:
         result: _Result | None = None
         error: AmbushPlannerError | None = None
         try:
@@ -251,6 +259,6 @@ class SolveQueue(Generic[_Result]):
         return self._worker
 
 
-def _end(solves: list[_Solve[_Result]], why: str) -> None:
+def _end(solves: list[_Solve[_Key, _Result]], why: str) -> None:
     for solve in solves:
         solve.outcome.set_exception(SolveCancelled(why))
