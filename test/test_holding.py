@@ -28,6 +28,7 @@ from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.maps.vector_file import InvalidFeatures
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
@@ -173,14 +174,15 @@ def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
 
 @pytest.mark.parametrize(('options', 'code', 'words'), [
     (('--radius', 0.5), 2, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
-    (('--radius', 5, '--candidates', 'degrees.csv'), 2, 'coordinate system of the map is unknown'),
+    (('--radius', 5, '--candidates', 'degrees.csv'), 3, 'system of the map is unknown'),
     (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
     (('--radius', 3, '--candidates', 'far.csv'), 2, "candidate 'far' at (40, 4) is off the map, "
      'which spans x 0 to 30 and y 0 to 20'),
+    (('--radius', 5, '--candidates', 'none.csv'), 3, 'no such file'),
 ])
 def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, options, code, words):
     monkeypatch.chdir(inputs)
-    (inputs / 'far.csv').write_text('name,x,y\nfar,40,4\n')
+    (inputs / 'far.csv').write_text('name,x,y\nnear,20,4\nfar,40,4\n')
     (inputs / 'degrees.csv').write_text('name,lat,lon\npost,36.5,-84.2\n')
     done = run(inputs, *options)
     assert done.code == code and words in done.err
@@ -188,16 +190,18 @@ def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, option
 
 
 @pytest.mark.parametrize(('text', 'reason'), [
-    ('name,x\na,1\n', "no column 'y'"),
-    ('name,x,y\n', 'no places'),
-    ('name,x,y\na,1,nan\n', 'line 2: x and y'),
-    ('name,x,y\na,1,2\na,3,4\n', 'line 3: each place needs its own name'),
-    ('name,x,y\na,1\n', 'line 2'),
+    ('name,x\na,1\n', 'the columns x and y'),
+    ('name,x,y\n', 'no Point in it'),
+    ('name,x,y\na,1,nan\nb,2,3\n', '1 of 2 features are left out'),
+    ('name,x,y\na,1,2\na,3,4\n', "each place needs its own name, but 'a'"),
+    ('x,y\n1,2\n', "no attribute 'name'"),
 ])
 def test_unusable_places_are_refused(tmp_path, text, reason):
     (tmp_path / 'p.csv').write_text(text)
-    with pytest.raises(hold.InvalidPlaces, match=reason):
-        hold.read_places(tmp_path / 'p.csv')
+    pytest.importorskip('geopandas', reason='vector files take the extra "gis"')
+    ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 1.0)
+    with pytest.raises(InvalidFeatures, match=reason):
+        hold.read_places(str(tmp_path / 'p.csv'), ground)
 
 
 def test_options_have_the_names_of_parameters():

@@ -101,8 +101,6 @@ Work = Callable[[argparse.Namespace, Console], Exit]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the first argument names."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ['terrain']:
-        given[0] = 'risk'  # which took it in
     parser = _entry_parser()
     _complete(parser)
     if given and given[0] not in COMMANDS and (near := get_close_matches(given[0], COMMANDS, 1)):

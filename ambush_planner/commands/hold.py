@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import math
-from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -16,12 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from ..colours import AMBUSHER
-from ..errors import AmbushPlannerError
 from ..figures import WIDTH, as_png, draw_strategy, number_badge
 from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
+from ..maps.vector_file import InvalidFeatures, attribute, features_on
 from ..planning.holding import Held, Holding, places_to_hold
 from ..recordings.durable_files import write_all_durably
 from . import cli
@@ -46,17 +43,14 @@ EPILOG = f"""\
 {POSITION_HELP}
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
-PLACES.csv has the columns name, and x, y (world positions [m]) or lat, lon [degrees].
+PLACES has points with a name: a CSV file with the columns name, and x, y (world positions [m]) or
+lat, lon [degrees], or a GeoPackage, GeoJSON or other vector file.
 The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
 and others, below which no other candidate can bring the value instead. The picture (.png) has
 the places on the map, with the strategy if all are held, and the value as a curve.
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "value", "lower_bound", "places": [{{...}}]}}
 """ + cli.EXIT_CODES
-
-
-class InvalidPlaces(AmbushPlannerError, ValueError):
-    """A file of places cannot be used."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -68,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
                       help='number of places to hold (default: 5)')
     made.add_argument('--radius', type=float, required=True, metavar='METRES',
                       help='radius of the ground that holding a place covers')
-    made.add_argument('--candidates', type=Path, metavar='PLACES.csv', help='the places that can '
+    made.add_argument('--candidates', metavar='PLACES', help='the places that can '
                       "be held (default: places around the ambusher's sites)")
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
     add_crs(made)
@@ -78,14 +72,14 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
-    given = read_places(arguments.candidates) if arguments.candidates else None
     risk_map = read_risk_map(arguments.map, options.map)
     check_outputs(arguments.output)
     start, goal, stops = places_on(arguments, risk_map)
+    given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
     with console.waiting('solving games'):
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, options.planning,
-            stops=stops, candidates=in_metres(given, risk_map) if given else None)
+            stops=stops, candidates=given)
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
     contents = {path: cli.as_csv(columns, rows) if path.suffix.lower() == '.csv' else
@@ -154,35 +148,15 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     return figure
 
 
-def in_metres(places: Mapping[str, Position], risk_map: RiskMap) -> dict[str, tuple[float, float]]:
-    """World positions [m] by name; raises InvalidCoordinates."""
-    found = {name: place.xy(risk_map) for name, place in places.items()}
-    return {name: (float(x), float(y)) for name, (x, y) in found.items()}
-
-
-def read_places(path: Path) -> dict[str, Position]:
-    """Read names and positions from a CSV file; raises InvalidPlaces, OSError."""
-    places: dict[str, Position] = {}
-    with path.open(encoding='utf-8-sig', newline='') as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
-        try:
-            in_degrees = 'lat' in (reader.fieldnames or ())
-            columns = ('lat', 'lon') if in_degrees else ('x', 'y')
-            for row in reader:
-                name = row['name'].strip()
-                x, y = (float(row[column]) for column in columns)
-                if not name or name in places:
-                    raise ValueError(f'each place needs its own name, got {name!r}')
-                if not (math.isfinite(x) and math.isfinite(y)):
-                    raise ValueError(f'{" and ".join(columns)} must be finite, got {x} and {y}')
-                places[name] = Position((x, y), in_degrees)
-        except KeyError as error:
-            raise InvalidPlaces(f'{path}: no column {error}') from error
-        except (ValueError, TypeError, AttributeError, csv.Error) as error:
-            raise InvalidPlaces(f'{path}, line {reader.line_num}: {error}') from error
-    if not places:
-        raise InvalidPlaces(f'{path}: no places')
-    return places
+def read_places(source: str, risk_map: RiskMap) -> dict[str, tuple[float, float]]:
+    """World positions [m] by the names of points in a file; raises InvalidFeatures."""
+    points = features_on(risk_map, source, 'Point', crs=risk_map.crs,
+                         refused='each place needs a position')
+    names = attribute(points, 'candidates', 'name').astype(str).str.strip()
+    if names.duplicated().any():
+        raise InvalidFeatures(f'{source}: each place needs its own name, but '
+                              f'{names[names.duplicated()].iloc[0]!r} stands there twice')
+    return dict(zip(names, zip(points.geometry.x, points.geometry.y, strict=True), strict=True))
 
 
 main = cli.command(parser, _work)
