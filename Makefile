@@ -14,13 +14,14 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
 
 .DELETE_ON_ERROR:
-.PHONY: help demo paper docs test lint benchmark endurance package release clean
+.PHONY: help demo paper docs test slow lint benchmark endurance package release clean
 
 help:
 	@echo 'make demo       eight departures on real terrain; results in out/demo'
 	@echo 'make paper      the tables and figures of the paper; results in out/paper'
 	@echo 'make docs       all pages and the Python reference as a site; begin at out/docs/index.html'
-	@echo 'make test       linters, type checker and the whole test suite'
+	@echo 'make test       linters, type checker and the tests, but not the slow ones'
+	@echo 'make slow       the slow tests: whole pages of the docs, demo, paper, examples, benchmarks'
 	@echo 'make lint       linters and type checker only'
 	@echo 'make benchmark  speed of solver and node, in an hour or more; benchmarks/results.md'
 	@echo 'make endurance  recordings killed 300 times, random games, malformed messages, the node for an hour'
@@ -45,7 +46,10 @@ PARALLEL := -n auto --dist loadfile --max-worker-restart 0
 
 # pytest fails with exit code 5 if it finds no test.
 test: lint
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL)
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL) -m 'not slow'
+
+slow: $(VENV)/.test
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL) -m slow
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

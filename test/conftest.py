@@ -32,14 +32,8 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in `make test &`
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    # xdist would start with the files that have most tests; slow tests come first here.
+    # xdist would end with the files that have few tests, which are the longest ones.
     config.option.loadscopereorder = False
-
-
-def pytest_collection_modifyitems(items):
-    """Run files with slow tests first, so that no worker has a long one left at the end."""
-    slow = {item.path for item in items if item.get_closest_marker('slow')}
-    items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_collection_finish():

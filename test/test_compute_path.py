@@ -21,7 +21,6 @@ from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import poses_of
 from ambush_planner.ros.requests import validity
 
-pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 
 

@@ -28,6 +28,7 @@ from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 
 

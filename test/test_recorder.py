@@ -156,7 +156,6 @@ def kill_while_recording(directory, seconds):
     assert os.WTERMSIG(status) == signal.SIGKILL
 
 
-@pytest.mark.slow
 def test_named_files_are_whole_whatever_a_kill_interrupts(tmp_path, request):
     kills = 3 * request.config.getoption('--kills')  # they cost less than whole nodes
     paths = [str(Path(__file__).parents[1]), os.environ.get('PYTHONPATH', '')]

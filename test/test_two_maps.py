@@ -4,7 +4,6 @@
 import math
 
 import numpy as np
-import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -49,7 +48,6 @@ def test_a_cell_is_an_obstacle_if_one_lies_on_it(seed, scale, turn, unknown):
         assert sure.mean() < 0.1
 
 
-@pytest.mark.slow
 def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
     monkeypatch.setattr(subscriptions, '_STOPPED', 0.3)
     with stage(parameters=BOTH) as running:
