@@ -74,6 +74,8 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
             break
         begin, before = time.monotonic(), best.program.bound
         newest = find_value(WarmStart.after(newest, places))
+        if newest.reason != 'stalled':  # it was cut short
+            break
         done.append(_round(newest, begin))
         if newest.program.bound < before:
             best = newest
