@@ -83,7 +83,7 @@ def test_sites_are_where_the_ambusher_waits(strategy):
 
 
 def test_network_draws_each_pair_once(strategy):
-    marker = only(network_lines(strategy.network, header()))
+    marker = only(network_lines(strategy, header()))
     pairs = {frozenset(edge) for edge in strategy.network.edges.tolist()}
     ends = positions(marker).reshape(-1, 4)
     assert len(np.unique(ends, axis=0)) == len(ends) == len(pairs)

@@ -17,8 +17,8 @@ from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
-from . import markers
 from .inputs import Inputs
+from .markers import MARKERS
 from .plan_cache import CachedPlan, PlanCache
 from .reporter import Reporter
 from .topics import Publishers
@@ -47,17 +47,9 @@ class DisplayedPlan:
         ``assessment``, if it is known, is what the displayed plan is worth on the newest map.
         """
         plan = plan or cached.plan
-        strategy = plan.strategy
         header = Header(frame_id=cached.trip.map.frame, stamp=self._clock.now().to_msg())
-        messages = {
-            '~/network': markers.network_lines(plan.network, header),
-            '~/edge_probabilities': markers.edge_probabilities(strategy, header),
-            '~/mean_direction': markers.mean_direction(strategy, header),
-            '~/ambush_sites': markers.ambush_sites(strategy, header),
-            '~/stops': markers.stops(plan.network, header),
-        }
-        self.markers = tuple(self._publishers.publish(topic, message)
-                             for topic, message in messages.items())
+        self.markers = tuple(self._publishers.publish(f'~/{name}', drawn(plan.strategy, header))
+                             for name, drawn in MARKERS.items())
         self.cached, self.plan = cached, plan
         newest = self._inputs.current_map()
         if assessment is None and newest.same_ground(cached.trip.map):

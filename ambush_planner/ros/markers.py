@@ -78,8 +78,9 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     return marker_array(marker, points, _colours(_AMBUSHER, q[shown] / often))
 
 
-def stops(network: Network, header: Header) -> bytes:
+def stops(strategy: Strategy, header: Header) -> bytes:
     """Return a list of flat discs at the stops; without stops it deletes an earlier one."""
+    network = strategy.network
     marker = _marker('stops', Marker.SPHERE_LIST, header, network)
     size = _edge_length(network)
     marker.scale = Vector3(x=size, y=size, z=0.1 * size)
@@ -89,12 +90,18 @@ def stops(network: Network, header: Header) -> bytes:
     return marker_array(marker, network.points[network.stops], _ONE_COLOUR)
 
 
-def network_lines(network: Network, header: Header) -> bytes:
+def network_lines(strategy: Strategy, header: Header) -> bytes:
     """Return a grey line list of all edges, with opposite edges drawn once."""
+    network = strategy.network
     marker = _marker('network', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.03 * _edge_length(network)
     marker.color = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4)
     return marker_array(marker, network.points[_pairs(network).ravel()], _ONE_COLOUR)
+
+
+# What draws the marker of each topic, by its name below the node's.
+MARKERS = {'network': network_lines, 'edge_probabilities': edge_probabilities,
+           'mean_direction': mean_direction, 'ambush_sites': ambush_sites, 'stops': stops}
 
 
 def _marker(namespace: str, kind: int, header: Header, network: Network) -> Marker:

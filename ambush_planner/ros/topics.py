@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from ..recordings import RecordedMessage, type_name
+from .markers import MARKERS
 
 _RELIABLE, _LATCHING = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
 # Late subscribers get the last message.
@@ -29,10 +30,9 @@ TF = QoSProfile(depth=100, reliability=_RELIABLE)
 TF_STATIC = QoSProfile(depth=100, reliability=_RELIABLE, durability=_LATCHING)
 
 Topics = Mapping[str, tuple[type, QoSProfile]]
-_MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 # Topics that exist while the node is configured.
 PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED), 'plan': (PathMessage, LATCHED),
-                       **{f'~/{each}': (MarkerArray, LATCHED) for each in _MARKERS}}
+                       **{f'~/{each}': (MarkerArray, LATCHED) for each in MARKERS}}
 # Topics that exist in all states of the node.
 STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
 
