@@ -185,7 +185,7 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
     (lambda f: f.set_arrays(edges=np.array([None])), 'strategy.npz'),
     (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'strategy.npz'),
     (lambda f: f.entries.update(route=[0, 10**6]), 'metadata: .*malformed'),
-    (lambda f: f.entries['parameters'].pop('seed'), 'parameters: seed is not of the type int'),
+    (lambda f: f.entries['parameters'].pop('seed'), 'parameters: seed is missing: '),
     (lambda f: f.entries['parameters'].update(seed=True), 'parameters: seed is not of the type'),
     (lambda f: f.entries.update(departure='x'), 'metadata: departure is not of the type int'),
     (lambda f: f.entries.update(departure=[1]), 'metadata: departure is not of the type int'),

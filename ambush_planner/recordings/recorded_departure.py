@@ -40,7 +40,7 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
-from .metadata import Metadata, RecordedDay, RecordedSlots, typed
+from .metadata import InvalidEntry, Metadata, RecordedDay, RecordedSlots, typed
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
 
@@ -209,12 +209,18 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
 
 
 def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all parameters, and of others, each of the type that it should have."""
+    """Return the values of all parameters, and of others, each of the type that it should have.
+
+    Raises InvalidEntry if one is missing or has another type.
+    """
     kinds: dict[str, Any] = {
         name: list[str] if isinstance(each.default, list) else type(each.default)
         for name, each in PARAMETERS.items()}
+    if missing := next((name for name in kinds if name not in values), ''):
+        raise InvalidEntry(f'{missing} is missing: the file is of another version of '
+                           'ambush_planner, or was edited')
     kinds |= {name: kind for name, kind in BEYOND.items() if name in values}
-    return {name: typed(values.get(name), kind, name) for name, kind in kinds.items()}
+    return {name: typed(values[name], kind, name) for name, kind in kinds.items()}
 
 
 def _few_route(day: RecordedDay | None) -> int:

@@ -36,6 +36,7 @@ from ..planning.path_mixtures import PathMixtures
 from ..planning.plan import Plan, Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
+from ..words import count
 from .attachments import NUMBERS
 from .bag_folder import FILE_NAME, listed_in
 from .metadata import Metadata, RecordedTrip
@@ -329,8 +330,8 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
                              'folder, or missing')
         numbers = {said.departure for _, said in here.values()}
         if missing := max(numbers) - min(numbers) + 1 - len(numbers):
-            notes.append(f'{folder.name}: {missing} departures between the first and the last have '
-                         'no recording')
+            notes.append(f'{folder.name}: no recording of {count(missing, "departure")} between '
+                         'the first and the last')
     return problems, notes
 
 
