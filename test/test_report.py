@@ -119,7 +119,10 @@ def test_the_numbers_are_those_of_the_strategy(made):
     assert f'{rows["energy_efficient"].v_repeated:.3g}' in report_words.tiles(section)[0][1]
     assert f'{strategy.value:.3g}' in texts[0] and f'{strategy.lower_bound:.3g}' in texts[2]
     assert 'At whichever node' in texts[0] and 'within 40 m of start and goal' in texts[3]
-    assert f'the mean loss to {worst_spotter(strategy).loss:.3g}, ' in texts[1]
+    seen = worst_spotter(strategy)
+    assert f'the mean loss to {seen.loss:.3g}, ' in texts[1]
+    corner = section.risk_map.origin[:2]
+    assert map_data(section)['spotter'] == pytest.approx(np.array((seen.x, seen.y)) - corner)
 
 
 @pytest.mark.parametrize(('metres', 'said'), [
