@@ -21,7 +21,6 @@ from node_rig import (
     NodeSilent,
     Rig,
     grid_of,
-    percentiles,
     pose,
     resident,
     rough_map,
@@ -30,6 +29,7 @@ from node_rig import (
     say,
     spread,
     stopwatch,
+    within,
 )
 from rcl_interfaces.srv import DescribeParameters
 from report import conditions, new_parser, table
@@ -82,9 +82,11 @@ def during_a_solve(samples: int) -> tuple[str, bool]:
             raise NodeSilent('the solve ended before the calls; use fewer --samples')
         cancel = stopwatch(lambda: caller.call(Trigger, 'cancel'))
         caller.wait(answer.done, 'the answer of the cancelled solve')
-    met = {name: percentiles(times)[1] < DURING_SOLVE for name, times in during.items()}
+    seldom = {name: [float(np.quantile(each[name], 0.99)) for each in (during, idle)]
+              for name in during}
+    met = {name: times[0] < DURING_SOLVE for name, times in seldom.items()}
     rows = [
-        [name, f'**{percentiles(times)[1] / percentiles(idle[name])[1]:.2f}x**',
+        [name, f'**{seldom[name][0] / seldom[name][1]:.2f}x**',
          spread(times), spread(idle[name]), 'yes' if met[name] else '**no**']
         for name, times in during.items()
     ]
@@ -150,9 +152,8 @@ def departures(calls: int, nodes: int) -> tuple[str, bool]:
             ):
                 call()  # which may solve the game
                 times = alternate(caller, calls, {name: call})[name]
-                median, seldom, _ = percentiles(times)
                 if judged := name == '`new_route`' and recording:
-                    every.append(median < MEDIAN and seldom < SELDOM)
+                    every.append(within(times, MEDIAN, SELDOM))
                 rows.append([
                     name, 'on' if recording else 'off', spread(times),
                     *((f'< {MEDIAN:g} / {SELDOM:g}', 'yes' if every[-1] else '**no**')
@@ -178,8 +179,7 @@ def depart_during(
         change(time.monotonic() - begin)
         times.append(stopwatch(lambda: caller.trigger('new_route')))
         solved.add(caller.status['solve_seconds'])
-    median, seldom, _ = percentiles(times)
-    met = median < MEDIAN_MEANWHILE and seldom < SELDOM_MEANWHILE
+    met = within(times, MEDIAN_MEANWHILE, SELDOM_MEANWHILE)
     return [
         str(len(times)), spread(times), f'< {MEDIAN_MEANWHILE:g} / {SELDOM_MEANWHILE:g}',
         'yes' if met else '**no**', str(len(solved) - 1),

@@ -33,13 +33,13 @@ from node_rig import (
     Caller,
     NodeSilent,
     grid_of,
-    percentiles,
     pose,
     resident,
     run_and_publish,
     running_node,
     say,
     spread,
+    within,
 )
 from rclpy.action import ActionClient
 from report import conditions, new_parser, table
@@ -297,7 +297,7 @@ def measure_one(ask: str, speed: float, options: Any) -> tuple[list[str], bool]:
     right = not patrol.wrong and all(
         share <= most for (share, _, _), most in zip(met, allowed, strict=True))
     if ask == '1Hz':
-        right = right and percentiles(late)[0] <= MEDIAN and percentiles(late)[1] <= LATE
+        right = right and within(late, MEDIAN, LATE)
         right = right and np.mean(ratios) <= MEAN_RATIO and max(ratios) <= WORST_RATIO
     for text in patrol.wrong:
         say(text)

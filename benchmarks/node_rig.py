@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import statistics
 import sys
 import tempfile
 import time
@@ -28,7 +27,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
-from report import RESULTS, publish
+from report import RESULTS, publish, quantiles
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -243,14 +242,14 @@ def stopwatch(run: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - begin)
 
 
-def percentiles(samples: Sequence[float]) -> tuple[float, float, float]:
-    """Median, 99th percentile and largest of samples."""
-    return statistics.median(samples), float(np.quantile(samples, 0.99)), max(samples)
+def within(samples: Sequence[float], median: float, seldom: float) -> bool:
+    """Whether the median and the 99th percentile of samples are below these."""
+    return bool((np.quantile(samples, [0.5, 0.99]) < (median, seldom)).all())
 
 
 def spread(samples: Sequence[float]) -> str:
     """Median / 99th percentile / largest of samples, as text."""
-    return ' / '.join(f'{value:.3g}' for value in percentiles(samples))
+    return quantiles(samples, 0.99)
 
 
 def say(text: str) -> None:

@@ -32,9 +32,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return '\n'.join('| ' + ' | '.join(line) + ' |' for line in lines)
 
 
-def quantiles(numbers: Sequence[float]) -> str:
-    """Median, 95 % quantile and largest."""
-    return ' / '.join(f'{number:.3g}' for number in np.quantile(numbers, [0.5, 0.95, 1.0]))
+def quantiles(numbers: Sequence[float], high: float = 0.95) -> str:
+    """Median, high quantile and largest."""
+    return ' / '.join(f'{number:.3g}' for number in np.quantile(numbers, [0.5, high, 1.0]))
 
 
 def conditions(*libraries: str) -> str:

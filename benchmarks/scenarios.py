@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,6 +109,3 @@ def _remove_wall(free: BoolArray, a: tuple[int, int], b: tuple[int, int], side: 
         free[a[0] * side :, b[1] * side][inside] = True
     else:
         free[b[0] * side, a[1] * side :][inside] = True
-
-
-SCENARIOS: dict[str, Callable[[], Scenario]] = {'terrain': terrain, 'city': city, 'maze': maze}
