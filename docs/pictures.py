@@ -46,12 +46,25 @@ TRIP = PlanningOptions(network=NetworkOptions(spacing=600.0),
 TRIPS_SHOWN = 6
 # The moving picture: pixels across, steps of a day, and times that they are shown [ms].
 PIXELS, STEPS, STEP_TIME, NIGHT, LAST = 1200, 4, 130, 500, 4000
-TUTORIAL = ('--start', '4', '20', '--goal', '56', '20', '--set', 'game.ambush_radius=2',
-            'game.secured_radius=5', 'network.spacing=2')
+# The pictures that commands of the pages draw: the file, and for each block that is run, its page
+# and a part of it.
+_TERRAIN = (('gis.md', "'dem.tif', 'w'"), ('gis.md', 'ambush risk dem.tif'))
+_YARD = ('tutorial.md', "<<'EOF'")
+COMMANDS = {
+    'judge': ('judge.png', (('operations.md', '-o judge.png'),)),
+    'hold': ('hold.png', (('operations.md', '-o hold.png'),)),
+    'six': ('six.png', (*_TERRAIN, ('operations.md', '-o six.png'))),
+    'card': ('card.html', (*_TERRAIN, ('operations.md', '-o week.plan'),
+                           ('operations.md', '-o card.html'))),
+    'tutorial_frontier': ('frontier.png', (_YARD, ('tutorial.md', '-o frontier.csv'))),
+    'tutorial_routes': ('plan.png', (_YARD, ('tutorial.md', '-o plan.png'))),
+}
+# What a browser shows of pages [pixels], and its names.
+SHOWN = {'card': (800, 1130), 'report': (1200, 800)}
+BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 # The paper's pictures that docs/paper.md shows, by their names in out/paper.
 PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
          'figure_7_threshold': 'figure_7'}
-YARD = ('judge', 'hold')
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
@@ -194,38 +207,46 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
                    quality=60, method=6, kmin=501, kmax=1000)
 
 
-def tutorial(folder: Path) -> None:
-    """What the tutorial's commands draw on its map."""
-    script = (DOCS / 'tutorial.md').read_text().split("<<'EOF'\n")[1].split('\nEOF')[0]
-    ambush = Path(sys.executable).with_name('ambush')
-    with TemporaryDirectory() as place:
-        for command in (
-            [sys.executable, '-c', script],
-            [ambush, 'frontier', 'map.yaml', '-o', 'frontier.csv', *TUTORIAL],
-            [ambush, 'plan', 'map.yaml', '-n', '6', '--seed', '1', '-o', 'routes.png', *TUTORIAL],
-        ):
-            subprocess.run(command, cwd=place, check=True)
-        for name in ('frontier', 'routes'):
-            shutil.copyfile(f'{place}/{name}.png', folder / f'tutorial_{name}.png')
-
-
-def yard(folder: Path, name: str) -> None:
-    """What the commands of docs/operations.md draw that write a picture of that name."""
-    blocks = re.findall(r'(?ms)^```sh\n(.*?)^```$', (DOCS / 'operations.md').read_text())
-    script = next(block for block in blocks if f'-o {name}.png' in block)
+def by_commands(folder: Path, name: str) -> None:
+    """What the commands of the pages draw, in a new folder."""
+    file, wanted = COMMANDS[name]
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
+    runs = {'sh': '{}', 'python': "python - <<'END'\n{}END\n"}
+    script = ''
+    for page, part in wanted:
+        blocks = re.findall(r'(?ms)^```(sh|python)\n(.*?)^```$', (DOCS / page).read_text())
+        script += next(runs[kind].format(text) for kind, text in blocks if part in text)
     with TemporaryDirectory() as place:
         Path(place, 'docs').symlink_to(DOCS)
-        subprocess.run(['bash', '-ec', script], cwd=place, env={**os.environ, 'PATH': path},
-                       check=True)
-        shutil.copyfile(f'{place}/{name}.png', folder / f'{name}.png')
+        subprocess.run(['bash', '-c', script.replace('ros2 run ambush_planner ', '')], cwd=place,
+                       env={**os.environ, 'PATH': path}, check=False)  # 1 is a finding
+        (made,) = Path(place).rglob(file)
+        if name in SHOWN:
+            photograph(made, folder, name)
+        else:
+            shutil.copyfile(made, folder / f'{name}.png')
+
+
+def photograph(page: Path, folder: Path, name: str) -> None:
+    """What a browser shows at the top of a page."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        print(f'no {name}.png: install chromium', file=sys.stderr)
+        return
+    width, height = SHOWN[name]
+    with TemporaryDirectory() as profile:
+        subprocess.run([browser, '--headless', '--no-sandbox', '--disable-gpu', '--hide-scrollbars',
+                        f'--user-data-dir={profile}', '--virtual-time-budget=10000',
+                        f'--screenshot={folder / f"{name}.png"}',
+                        f'--window-size={width},{height}', page.resolve().as_uri()],
+                       check=True, stderr=subprocess.DEVNULL)
 
 
 def main() -> None:
     """Draw the named pictures, or all."""
     still = {'strategy': strategy, 'routes': routes, 'trip': trip}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', *YARD,
+    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'report', *COMMANDS,
                                                     'paper'])
     parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
     options = parser.parse_args()
@@ -236,10 +257,10 @@ def main() -> None:
             (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp')
-        elif name == 'tutorial':
-            tutorial(folder)
-        elif name in YARD:
-            yard(folder, name)
+        elif name == 'report':
+            photograph(Path('out/demo/report.html'), folder, name)
+        elif name in COMMANDS:
+            by_commands(folder, name)
         else:
             for drawn, shown in PAPER.items():
                 shutil.copyfile(f'out/paper/{drawn}.png', folder / f'paper_{shown}.png')
