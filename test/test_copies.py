@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from games import drawn_routes, examples, is_acyclic, unbalanced
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from scipy.sparse import csr_matrix, vstack
@@ -24,10 +24,14 @@ SLACK = 0.02
 
 
 def solved(seed, reach, detour, ambushers=1):
+    """A trip's game, its budgets, its routes, and the law on copies around some of them."""
     game, budgets = games(seed, 1, reach, detour, math.inf, ambushers)
     routes = Routes(game, budgets, 0.3 * SLACK, math.inf)
     routes.solve()
-    return game, budgets, routes
+    assume(routes.bound > 0.0)  # else nothing can be lost
+    found = law_on_copies(routes, SLACK, math.inf)
+    assume(found is not None)  # rounding where the budget just fits
+    return game, budgets, routes, found
 
 
 def edges_of(game, found):
@@ -45,11 +49,7 @@ def hit_loss(game, p, row):
        detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
 def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour,
                                                                       ambushers):
-    game, budgets, routes = solved(seed, reach, detour, ambushers)
-    found = law_on_copies(routes, SLACK, math.inf)
-    if found is None:  # rounding where the budget just fits, or nothing can be lost
-        assert routes.bound == 0.0
-        return
+    game, budgets, routes, found = solved(seed, reach, detour, ambushers)
     unrolled, p = found.unrolled(found.chain)
     network, base, edge = unrolled.network, game.network, edges_of(game, found)
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
@@ -79,17 +79,13 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
 @examples(10)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]))
 def test_sites_join_the_same_copies(seed, reach):
-    game, _, routes = solved(seed, reach, 1.3)
-    found = law_on_copies(routes, SLACK, math.inf)
-    if found is None:
-        return
+    game, _, routes, found = solved(seed, reach, 1.3)
     # A place whose disc two sites' discs fill, and nothing of which is known so far.
     first, second = np.random.default_rng(seed).integers(0, len(routes.loss), 2)
     both = csr_matrix(routes.entering[first].maximum(routes.entering[second]))
     loss = 0.7 * routes.loss[[first]]
     found.add_sites(both, loss)
-    if not found.run(math.inf):
-        return  # the copies have no strategy within the limits
+    assume(found.run(math.inf))  # the copies may have no strategy within the limits
     unrolled, p = found.unrolled(found.chain)
     ways = drawn_routes(unrolled.network, p)
     entering = csr_matrix(vstack((routes.entering, both)))
@@ -104,10 +100,7 @@ def test_sites_join_the_same_copies(seed, reach):
 @examples(8)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0]))
 def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
-    game, _, routes = solved(seed, reach, 1.3)
-    found = law_on_copies(routes, SLACK, math.inf)
-    if found is None:
-        return
+    game, _, routes, found = solved(seed, reach, 1.3)
     unrolled, p = found.unrolled(found.chain)
     network, edge = unrolled.network, edges_of(game, found)
     chance: dict[bytes, float] = {}
