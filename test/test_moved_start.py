@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from games import drawn_routes, examples, hit_once, meets
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from plain import plain_options
 
@@ -146,8 +146,7 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     newest.values[row - 1:row + 1, column - 1:column + 1] = 100
     ahead = trip.nodes_ahead(place)
     found = other_rest(ground, newest, (place, GOAL), ahead, rng, 0.1)
-    if found is None:
-        return
+    assume(found is not None)
     rest, path = found
     assert rest.nodes[0] == network.source and rest.nodes[1] in ahead
     assert rest.nodes[-1] == network.target
