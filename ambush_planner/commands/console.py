@@ -73,7 +73,7 @@ class Console:
 
     def fact(self, name: str, text: str) -> None:
         """Print a named fact of the result."""
-        self.item(f'{name:<15} {text}', indent=0, hang=16)
+        self.item(f'{name:<15} {self.words(text)}', indent=0, hang=16)
 
     def step(self, text: str) -> None:
         """Print the time so far and the next step."""

@@ -90,7 +90,7 @@ def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detou
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:
     """Return a table for a terminal, with length and exposure relative to the least."""
-    head = ('max_detour', 'risk_slack', 'value', 'gap', 'length', 'exposure', 'route entropy')
+    head = ('detour', 'slack', 'value', 'gap', 'length', 'exposure', 'route entropy')
     lines = [''.join(f'{name:>14}' for name in head)]
     for row in rows:
         gap = (row.value - row.lower_bound) / row.value if row.value > 0.0 else 0.0
