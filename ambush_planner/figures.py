@@ -360,9 +360,26 @@ def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[Float
     return places
 
 
-def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str) -> None:
-    """Write a number in a circle of a route's colour."""
-    axes.annotate(str(number), tuple(xy), ha='center', va='center', fontsize=8, weight='bold',
+def free_spots(points: FloatArray, taken: FloatArray, apart: float) -> list[FloatArray]:
+    """Where the numbers of points (K, 2) can stand: there, or beside other numbers and ``taken``.
+
+    ``taken`` are (P, 2), ``apart`` is the least distance [m].
+    """
+    around = np.linspace(0.0, 2.0 * np.pi, 9)[:-1, None] + (0.0, -np.pi / 2.0)
+    spots = [*taken]
+    for point in points:
+        tried = np.vstack((point, point + 1.4 * apart * np.cos(around)))
+        room = cKDTree(spots).query(tried)[0]
+        spots.append(tried[0] if room[0] >= apart else tried[room.argmax()])
+    return spots[len(taken) :]
+
+
+def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str,
+                 spot: FloatArray | None = None) -> None:
+    """Write a number in a circle of a route's colour, at its place or at a spot near it."""
+    line = {'arrowstyle': '-', 'color': colour, 'shrinkA': 0.0, 'shrinkB': 0.0}
+    axes.annotate(str(number), tuple(xy), tuple(xy if spot is None else spot), ha='center',
+                  arrowprops=None if spot is None else line, va='center', fontsize=8, weight='bold',
                   zorder=8, bbox={'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
                                   'edgecolor': colour, 'linewidth': 1.6})
 

@@ -35,6 +35,8 @@ _ROUTE = PROBABILITY[2]
 _KILOMETRES = 2000.0
 # Margin around the route on the map, as a share of the map's longer side.
 _MARGIN = 0.12
+# Size of a number on the map, as a share of the map's longer side.
+_BADGE = 0.04
 # Minimum of the map's shorter side, as a share of the longer one.
 _MIN_SIDE = 0.7
 
@@ -193,6 +195,8 @@ def _picture(card: Card) -> bytes:
     figures.draw_map(axes, card.risk_map, box=box)
     axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=figures.HALO, zorder=4)
     figures.draw_places(axes, card.places, card.held_radius)
-    for k in sorted(set(range(len(card.points))) - set(card.names)):
-        figures.number_badge(axes, k + 1, card.points[k], _ROUTE)
+    numbered = sorted(set(range(len(card.points))) - set(card.names))
+    spots = figures.free_spots(card.points[numbered], card.places, _BADGE * max(width, height))
+    for k, spot in zip(numbered, spots, strict=True):
+        figures.number_badge(axes, k + 1, card.points[k], _ROUTE, spot)
     return figures.as_png(figure)
