@@ -5,10 +5,13 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
+
+from ambush_planner import AmbushPlannerWarning
 
 # Begins a script that has to run without ROS.
 NO_ROS = """
@@ -34,6 +37,15 @@ def run_here(tool, *arguments):
         except SystemExit as stop:
             code = stop.code
     return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
+
+
+def heard(act, *arguments, **options):
+    """What a function returns, and the texts of our warnings in one."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter('always', AmbushPlannerWarning)
+        result = act(*arguments, **options)
+    return result, ' '.join(str(each.message) for each in said
+                            if issubclass(each.category, AmbushPlannerWarning))
 
 
 def documented_keys(tool):

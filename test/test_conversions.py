@@ -14,7 +14,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import FRAME, header, pose
 
 from ambush_planner.errors import InvalidPose, InvalidRiskMap
-from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.ros_messages import (
     occupancy_from_ros,
     path_from_ros,
@@ -51,14 +50,6 @@ def test_occupancy_round_trip():
     got, resolution, origin = occupancy_from_ros(over_the_wire(message))
     np.testing.assert_array_equal(got, values)
     assert (resolution, *origin) == pytest.approx((0.25, 1.0, -2.0, 0.75), abs=1e-15)
-
-
-def test_first_cell_of_the_message_is_the_lower_left():
-    values = np.zeros((2, 3), dtype=np.int8)
-    values[0, 2] = 100
-    risk_map = risk_from_occupancy(
-        *occupancy_from_ros(occupancy_to_ros(values, 1.0, (0, 0, 0), header())))
-    assert np.argwhere(risk_map.obstacles).tolist() == [[0, 2]]
 
 
 def test_path_keeps_both_ends_exactly():

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What layers of risk and tracks leave out is counted, or refused where it matters: tables."""
 
-import warnings
-
 import numpy as np
 import pytest
 
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
 import rasterio
+from commands import heard
 from rasterio.transform import from_origin
 from shapely.geometry import LineString, MultiPoint, Point, box
 
@@ -27,20 +26,14 @@ ROAD = LineString([(WEST + 5, SOUTH + 255), (WEST + 395, SOUTH + 255)])
 MINE = Point(WEST + 305, SOUTH + 105)
 
 
-def words_of(said):
-    return ' '.join(str(each.message) for each in said
-                    if issubclass(each.category, AmbushPlannerWarning))
-
-
 def made(folder, shapes, layer, top=None, crs=CRS, **attributes):
     """The risk map of one layer of shapes, and what was said."""
     frame = geopandas.GeoDataFrame(attributes or None, geometry=list(shapes), crs=crs)
     frame.to_file(folder / 'x.gpkg')
     (kind,) = (key for key in ('polygons', 'roads', 'incidents') if key in layer)
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter('always', AmbushPlannerWarning)
-        risk = risk_from_layers({**(top or GRID), 'layers': [{**layer, kind: 'x.gpkg'}]}, folder)
-    return risk.risk_map, words_of(said)
+    layers = {**(top or GRID), 'layers': [{**layer, kind: 'x.gpkg'}]}
+    found, said = heard(risk_from_layers, layers, folder)
+    return found.risk_map, said
 
 
 AREA, STREETS = {'polygons': ''}, {'roads': ''}
@@ -103,12 +96,10 @@ def test_incidents_from_csv_and_gpx(name, text, tmp_path):
         with pytest.raises(AmbushPlannerError, match='the columns x and y .* there are y;x'):
             risk_from_layers(layers, tmp_path)
         return
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter('always', AmbushPlannerWarning)
-        alpha = risk_from_layers(layers, tmp_path).risk_map.alpha
+    found, said = heard(risk_from_layers, layers, tmp_path)
+    alpha = found.risk_map.alpha
     assert np.unravel_index(alpha.argmax(), alpha.shape) == (10, 20)
-    assert ('2 of 3 features are left out: 2 without a geometry' in words_of(said)) == (
-        'none' in text)
+    assert ('2 of 3 features are left out: 2 without a geometry' in said) == ('none' in text)
 
 
 def test_the_system_at_the_top_is_that_of_files_without_one(tmp_path):
@@ -166,12 +157,9 @@ def gpx(begins, places=DEGREES, step=10):
 ])
 def test_times_that_say_nothing_are_ignored(begin, step, timed, tmp_path):
     (tmp_path / 'a.gpx').write_text(gpx([begin] * 6, step=step))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter('always', AmbushPlannerWarning)
-        tracks = read_tracks(str(tmp_path / 'a.gpx'), CRS)
+    tracks, said = heard(read_tracks, str(tmp_path / 'a.gpx'), CRS)
     assert len(tracks) == 6 and all((each.times is not None) == timed for each in tracks)
-    assert ('the times of 6 of 6 tracks are ignored' in words_of(said)) == (
-        not timed and begin is not None)
+    assert ('the times of 6 of 6 tracks are ignored' in said) == (not timed and begin is not None)
 
 
 @pytest.mark.parametrize('bad', [
@@ -185,10 +173,9 @@ def test_positions_without_a_fix_are_counted(bad, tmp_path):
     rows = ''.join(f'{lat},{lon}\n' for lat, lon in places)
     (tmp_path / 'a.csv').write_text('lat,lon\n' + rows)
     for name in ('a.gpx', 'a.csv'):
-        with pytest.warns(AmbushPlannerWarning) as said:
-            (track,) = read_tracks(str(tmp_path / name), CRS)
-        assert len(track.xy) == 18 and '2 of 20 positions have no fix' in words_of(said)
-        assert len(words_of(said)) < 300
+        (track,), said = heard(read_tracks, str(tmp_path / name), CRS)
+        assert len(track.xy) == 18 and '2 of 20 positions have no fix' in said
+        assert len(said) < 300
 
 
 @pytest.mark.parametrize(('cut', 'count', 'words'), [

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What rasters and images declare is applied or refused, and what is left out is said: tables."""
 
-import warnings
-
 import numpy as np
 import pytest
 import yaml
@@ -10,10 +8,11 @@ import yaml
 pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
 pytest.importorskip('PIL', reason='Pillow comes with the extra "figures"')
 import rasterio
+from commands import heard
 from PIL import Image
 from rasterio.enums import ColorInterp
 
-from ambush_planner import AmbushPlannerError, AmbushPlannerWarning, read_risk_map
+from ambush_planner import AmbushPlannerError, read_risk_map
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.map_file import read_map
 
@@ -50,15 +49,8 @@ def write(path, values, crs=UTM, place=SQUARE, nodata=None, alpha=None, **declar
 
 def read(path, name='elevation', **more):
     """The values, north first, and what was said."""
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter('always', AmbushPlannerWarning)
-        values = read_raster(path, name, **more).values[::-1]
-    return values, words_of(said)
-
-
-def words_of(said):
-    return ' '.join(str(each.message) for each in said
-                    if issubclass(each.category, AmbushPlannerWarning))
+    raster, said = heard(read_raster, path, name, **more)
+    return raster.values[::-1], said
 
 
 def as_stored(scale, offset, kind):
@@ -215,10 +207,8 @@ def test_no_elevation_model_and_no_share_is_a_risk_map(values, declared, words, 
     (np.full_like(RISK, 7), SQUARE, 'no risk'), (RISK, SQUARE, ''),
 ])
 def test_what_is_said_of_a_risk_map(values, place, words, tmp_path):
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter('always', AmbushPlannerWarning)
-        risk_map = read_risk_map(write(tmp_path / 'A.TIF', values, place=place))
-    assert words in words_of(said) and bool(words_of(said)) == bool(words)
+    risk_map, said = heard(read_risk_map, write(tmp_path / 'A.TIF', values, place=place))
+    assert words in said and bool(words) == bool(said)
     assert not risk_map.obstacles.any() and risk_map.crs == UTM
     assert risk_map.size[1] == pytest.approx(-30 * place[4])
 

@@ -430,11 +430,3 @@ def test_losses_where_nobody_waits_do_not_change_what_an_ambusher_proves(seed, r
     other = solve(replace(network, alpha=by_place[network.places]), game,
                   StrategyOptions(max_detour=1.5))
     assert revalue(strategy, by_place[places]).bound <= other.value * (1.0 + 1e-9)
-
-
-def test_twice_the_losses_give_twice_the_value():
-    network = terrain_network(4, cells=10)
-    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
-    twice = revalue(strategy, 2.0 * network.alpha)
-    assert twice.value == pytest.approx(2 * strategy.value)
-    assert twice.bound == pytest.approx(2 * strategy.lower_bound)
