@@ -61,9 +61,9 @@ class NetworkOptions:
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
     refine
-        Most rounds in which a plan with a reach refines its network where the ambusher waits, after
-        a first one on a graded network; 0: one plan on the plain lattice. None: until a round gains
-        little. Only for 'uniform_delaunay'.
+        Most rounds in which a plan with a reach refines its graded network where the ambusher
+        waits; 0: a plain network. None: until a round gains little, or the network is large. Only
+        for 'uniform_delaunay'.
 
     Raises
     ------

@@ -23,11 +23,12 @@ from ..maps.risk_map import RiskMap
 from .options import PlanningOptions, finest_spacing, grading, node_spacing
 from .solving import WarmStart
 
-# Most rounds after the first one, and most nodes of a network that is refined further.
-ROUNDS, MAX_NODES = 6, 30_000
+# Unless the number of rounds is given: most rounds after the first one, and most nodes of a network
+# that is refined further, as larger ones take minutes.
+ROUNDS, MAX_NODES = 6, 15_000
 # Share of the time limit after which no round begins.
 REFINED_BY = 0.4
-# Fall of the value in a round, as a share of it, below which refinement ends.
+# Fall of the value in a round, as a share of it, below which refinement then ends.
 LEAST_FALL = 0.02
 # Sites with less of the ambusher's charge than this share are not refined. If those on ground that
 # is not fine have less than the second share of it together, the network is fine enough.
@@ -62,15 +63,17 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
            warm: WarmStart | None) -> tuple[Search, tuple[Round, ...]]:
     """Find the value on ever finer networks; the search of least value, and all rounds.
 
+    Rounds end when no ground is coarse, and unless their number is given, when they gain little.
     Raises what the first search raises.
     """
-    most = ROUNDS if options.network.refine is None else options.network.refine
+    given = options.network.refine
     begin = time.monotonic()
     latest = begin + REFINED_BY * options.strategy.time_limit
     best = newest = find_value(warm)
     done = [_round(newest, begin)]
-    while len(done) <= most and time.monotonic() < latest:
-        if (places := next_places(newest, risk_map, options)) is None:
+    while len(done) <= (ROUNDS if given is None else given) and time.monotonic() < latest:
+        too_large = given is None and done[-1].nodes > MAX_NODES
+        if too_large or (places := next_places(newest, risk_map, options)) is None:
             break
         begin, before = time.monotonic(), best.program.bound
         newest = find_value(WarmStart.after(newest, places))
@@ -79,7 +82,7 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
         done.append(_round(newest, begin))
         if newest.program.bound < before:
             best = newest
-        if newest.program.bound > (1.0 - LEAST_FALL) * before:
+        if given is None and newest.program.bound > (1.0 - LEAST_FALL) * before:
             break
     return best, tuple(done)
 
@@ -92,7 +95,7 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     game, network, reach = search.game, search.game.network, options.game.ambush_radius
     grades = grading(risk_map, options, network.refined)
     charge = search.program.q * search.loss
-    if grades is None or len(network.points) > MAX_NODES or not charge.any():
+    if grades is None or not charge.any():
         return None
     sites = np.flatnonzero(charge > SHARE * charge.sum())
     narrow, points = charge[sites] > NARROW_SHARE * charge.sum(), search.points[sites]
