@@ -37,13 +37,13 @@ from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
-from scipy.ndimage import grey_opening
 from scipy.spatial import cKDTree
 
 from . import colours
 from .arrays import BoolArray, FloatArray
 from .maps.coordinates import Coordinates, InvalidCoordinates
 from .maps.risk_map import RiskMap
+from .routes.shared_roads import stripes
 
 if TYPE_CHECKING:
     from .game.strategy import Strategy
@@ -60,12 +60,10 @@ WIDTH = 7.0  # inches
 DOTS_PER_INCH = 200
 HELD_DASHES = (0, (4, 3))
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
-# Shares of the picture: distance within which two routes are on one road, and between numbers.
-SAME_ROAD, BADGE = 0.0005, 0.07
+# Distance between numbers, as a share of the picture.
+BADGE = 0.07
 # Minimum radius of held ground that a mark does not cover, as a share of the picture.
 SEEN = 0.015
-# Number of places in a row from which one route follows another: fewer are a crossing.
-MIN_SHARED = 5
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 # Legend entries of the layers below.
 SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours.AMBUSHER,
@@ -330,15 +328,10 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
 
 def draw_stripes(axes: Axes, routes: Sequence[FloatArray], styles: Sequence[Any]) -> None:
     """Draw routes (K, 2), wider where later ones, drawn on top, follow the same road."""
-    size = float(np.ptp(np.concatenate(routes), axis=0).max())
-    for k, (route, style) in enumerate(zip(routes, styles, strict=True)):
-        covers = np.zeros(len(route), dtype=int)
-        for other in routes[k + 1 :]:
-            covers += cKDTree(other).query(route)[0] < SAME_ROAD * size
-        covers = grey_opening(covers, MIN_SHARED)
-        for run in np.split(np.arange(len(route)), np.flatnonzero(np.diff(covers)) + 1):
-            axes.plot(*route[max(run[0] - 1, 0) : run[-1] + 1].T, zorder=4, solid_joinstyle='round',
-                      linewidth=ROUTE_WIDTH + STRIPE * covers[run[0]], **style)
+    for pieces, style in zip(stripes(routes), styles, strict=True):
+        for piece, over in pieces:
+            axes.plot(*piece.T, linewidth=ROUTE_WIDTH + STRIPE * over, zorder=4,
+                      solid_joinstyle='round', **style)
 
 
 def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[FloatArray]:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ambush_planner import colours, figures
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.routes.shared_roads import stripes
 
 
 @pytest.fixture
@@ -84,3 +85,13 @@ def test_few_routes_are_numbered_and_many_are_not(axes):
     many = Figure().subplots()
     figures.draw_routes(many, routes)
     assert not many.texts and {line.get_color() for line in many.lines} == {colours.ROUTES[0]}
+
+
+def test_paths_on_one_road_are_stripes_and_a_crossing_is_none():
+    x = np.arange(100.0)
+    road = np.column_stack((x, 0.0 * x))
+    branch = np.column_stack((x, np.maximum(x - 50.0, 0.0)))
+    across = np.column_stack((50.0 + 0.0 * x, x - 20.0))
+    first, second, third = stripes([road, branch, across])
+    assert [over for _, over in first] == [1, 0] and [over for _, over in second] == [0]
+    assert [len(piece) for piece, _ in first] == [51, 50] and len(third) == 1

@@ -155,7 +155,10 @@ def test_the_driven_paths_are_drawn_not_the_nodes(made):
     _, section = made
     data = map_data(section)
     points = np.frombuffer(zlib.decompress(b64decode(data['routes'])), '<f4').reshape(-1, 2)
-    paths = np.split(points + data['origin'], np.cumsum(data['counts'])[:-1])
+    rows, counts, _ = np.transpose(data['pieces'])
+    pieces = np.split(points + data['origin'], np.cumsum(counts)[:-1])
+    paths = [np.concatenate([piece for of, piece in zip(rows, pieces, strict=True) if of == row])
+             for row in range(len(section.departures))]
     lengths = [float(row[2].split()[0]) for row in report_words.departures(section)[1:]]
     for path, length, each in zip(paths, lengths, section.departures, strict=True):
         wanted = each.path_poses[:, :2]

@@ -101,14 +101,15 @@ class View {
     return sums;
   }
 
+  // The pieces of the routes.
   #lines() {
     let at = 0;
-    return this.data.counts.map((count) => {
+    return this.data.pieces.map(([row, count, over]) => {
       const path = new Path2D();
       for (let k = 0; k < count; k += 1, at += 2) {
         path.lineTo(this.data.routes[at], this.data.routes[at + 1]);
       }
-      return path;
+      return { row, over, path };
     });
   }
 
@@ -267,15 +268,18 @@ class View {
     this.pen.stroke(path);
   }
 
+  // All routes, those that follow one road as stripes of one line, or the chosen one.
   #drawRoutes() {
     const [thin] = colours('accent'), all = this.picked < 0;
-    this.lines.forEach((path, k) => {
-      if (!all && this.picked !== k) return;
-      const colour = this.data.colours[k], faint = all && !colour;
-      const width = faint ? 0.8 : all ? 1.8 : 3;
-      if (!faint) this.#stroke(path, 'white', width + 2);
-      this.#stroke(path, colour || thin, width);
-    });
+    const shown = this.lines.filter(({ row }) => all || row === this.picked)
+      .map(({ row, over, path }) => {
+        const colour = this.data.colours[row], width = all ? 1.8 + 1.8 * over : 3;
+        return { path, colour, width: colour || !all ? width : 0.8 };
+      });
+    for (const { path, colour, width } of shown) {
+      if (colour || !all) this.#stroke(path, 'white', width + 2);
+    }
+    for (const { path, colour, width } of shown) this.#stroke(path, colour || thin, width);
   }
 
   #drawSites() {
@@ -323,7 +327,7 @@ class View {
 
   // Round coordinates of the world in view: their distance, and those of x and of y.
   #round() {
-    const [u, v] = this.data.origin, step = round(150 / this.scale);
+    const [u, v] = this.data.origin, step = round(200 / this.scale);
     const [left, top] = this.place(0, 0), [right, bottom] = this.place(this.width, this.height);
     const between = (from, to) => Array.from(
       { length: Math.floor(to / step) - Math.ceil(from / step) + 1 },
@@ -342,7 +346,9 @@ class View {
   // Name the lines of the grid: x along the upper edge, y along the left one.
   #drawCoordinates() {
     const { step, xs, ys } = this.#round(), [u, v] = this.data.origin;
-    const name = (at) => (step < 1000 ? `${Number(at.toFixed(2))} m` : `${at / 1000} km`);
+    const far = step >= 1000 || Math.max(...[...xs, ...ys].map(Math.abs)) >= 10000;
+    const name = (at) => (far ? `${Number((at / 1000).toFixed(3))} km`
+      : `${Number(at.toFixed(2))} m`);
     const { width, height, scale } = this;
     for (const x of xs) {
       const px = (x - u - this.x) * scale + width / 2;
@@ -407,7 +413,7 @@ class View {
     return `${this.#verdict(found)}\n${risk}the best ambush costs ${digits(value)}\n`
       + `${share} departures ${pass}\n`
       + `x ${u.toFixed(places)} m, y ${v.toFixed(places)} m`
-      + (this.#latLon(u, v) || []).map((each, k) => `${k ? ', ' : '\n'}${each.toFixed(5)}`).join('');
+      + (this.#latLon(u, v) || []).map((each, k) => (k ? ', ' : '\n') + each.toFixed(5)).join('');
   }
 
   #verdict({ held, cost }) {

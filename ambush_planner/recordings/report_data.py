@@ -15,11 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
+from ..colours import ROUTES
 from ..game.law.acyclic import order_along
 from ..game.spotter import Spotter, worst_spotter
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
+from ..routes.shared_roads import stripes
 from .metadata import RecordedSlots
 from .recorded_departure import RecordedDeparture
 
@@ -95,6 +97,8 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     """Return what the script of the map draws; positions are relative to the map's corner [m].
 
     Arrays are deflated, little-endian and base64. ``cells`` are indices into the losses ``levels``.
+    ``pieces`` of ``routes`` have the index of their departure, their number of points, and how many
+    of the later coloured routes follow them.
     Raises InvalidCoordinates if the map's coordinate system cannot be used.
     """
     risk_map, strategy = section.risk_map, section.strategy
@@ -107,8 +111,10 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
-    routes = [outline(each.path_poses[:, :2], PATH_ACCURACY * cell) - corner
-              for each in section.departures]
+    paths = [each.path_poses[:, :2] for each in section.departures]
+    lines = [*([(path, 0)] for path in paths[: -len(ROUTES)]), *stripes(paths[-len(ROUTES) :])]
+    pieces = [(k, outline(piece, PATH_ACCURACY * cell) - corner, over)
+              for k, line in enumerate(lines) for piece, over in line]
     ends = [network.source, network.target, *network.stops]
     seen = section.spotter
     return {
@@ -126,7 +132,8 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'chances': packed(p[used], '<f4'),
         'shown': packed(strategy.shown_probability[network.first_edge[used]], '<f4'),
         'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
-        'routes': packed(np.concatenate(routes), '<f4'), 'counts': [len(r) for r in routes],
+        'routes': packed(np.concatenate([line for _, line, _ in pieces]), '<f4'),
+        'pieces': [(k, len(line), over) for k, line, over in pieces],
     }
 
 
