@@ -45,7 +45,8 @@ def done(folder):
     before = signal.getsignal(signal.SIGTERM)
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        for name, value in {'SPACING': 1000.0, 'SLACKS': (0.01,)}.items():
+        for name, value in {'NETWORK': {'network.spacing': 1000.0, 'network.refine': 0},
+                            'DETOURS': (1.2,), 'SLACKS': (0.01,)}.items():
             patch.setattr(demo, name, value)
         console = cli.Console('demo', as_json=False, quiet=False)
         assert demo._work(options, console) == cli.Exit.HOLDS

@@ -54,9 +54,9 @@ class DisplayedPlan:
         newest = self._inputs.current_map()
         if assessment is None and newest.same_ground(cached.trip.map):
             assessment = cached.ground.assess(newest)
-        self._reporter.set(plan=cached.plan, assessment=assessment, stale='')
         if cached.refined_by is not None:
             self._refine(cached)
+        self._reporter.set(plan=cached.plan, assessment=assessment, stale='')
 
     def _refine(self, cached: CachedPlan) -> None:
         """Have a first plan's network refined, and show the new plan if it still shows this one."""

@@ -33,12 +33,12 @@ from .figures import fixed_routes, routes_figure
 from .ground import GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
 from .node_process import NodeProcess, free_domain
 
-# Four cells, which makes about 6000 nodes [m].
-SPACING = 360.0
+# Parameters of the network, if they are not the defaults.
+NETWORK: dict[str, float] = {}
 # Friendly forces hold the ground around start and goal [m].
 SECURED_RADIUS = 2000.0
-# Slacks of the frontier, and the time limit of each solve [s].
-SLACKS, SWEEP_SECONDS = (0.01, 0.1), 25.0
+# Detours and slacks of the frontier, and the time limit of each solve [s].
+DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.1, 1.2, 1.5), (0.01,), 25.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,
@@ -85,10 +85,10 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
     planning = replace(last.parameters.planning, strategy=budgets)
     trip = last.metadata.trip
-    rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, slacks=SLACKS,
-                         on_row=lambda row: console.step(
+    rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, DETOURS, SLACKS,
+                         lambda row: console.step(
                              f'detour {row.max_detour:g}, slack {row.risk_slack:g}: '
-                             f'value {row.value:.4g}'))
+                             f'value {row.value:.4g}'), refined=strategy.network.refined)
     write_frontier([folder / 'frontier.csv', folder / 'frontier.png'], rows, budgets.max_detour,
                    budgets.risk_slack)
     total = console.seconds
@@ -111,7 +111,7 @@ def _departures(folder: Path, count: int,
     say('making the risk map from the elevation model')
     values = load_ground().values
     parameters = {
-        'network.spacing': SPACING, 'game.secured_radius': SECURED_RADIUS,
+        **NETWORK, 'game.secured_radius': SECURED_RADIUS, 'route.start_tolerance': 0.0,
         'game.ambush_radius': OPTIONS.view.weapon_range, 'recording.enabled': True,
         'recording.directory': str(folder),
     }
@@ -129,6 +129,9 @@ def _departures(folder: Path, count: int,
                 begin = time.monotonic()
                 paths.append(path_from_ros(client.depart()))
                 seconds.append(time.monotonic() - begin)
+                if k == 0:
+                    say('refining the network where the ambusher waits')
+                    client.wait_until_refined()
             say('stopping the node')
     return paths, seconds
 

@@ -84,6 +84,12 @@ class DemoClient:
         self._wait(lambda: len(self._paths) > known, MESSAGE_TIMEOUT, 'no path was published')
         return self._paths[-1]
 
+    def wait_until_refined(self) -> None:
+        """Wait until the node has refined the plan of the first departure; raises NoAnswer."""
+        self._wait(lambda: self._status.get('departures') == '1'
+                   and self._status['refining'] == 'no',
+                   PLANNING_TIMEOUT, 'the node did not refine its plan')
+
     def _wait(self, done: Callable[[], bool], timeout: float, failure: str) -> None:
         deadline = time.monotonic() + timeout
         while not done():
