@@ -4,7 +4,7 @@
 import networkx
 import numpy as np
 import pytest
-from games import connected_flow, examples, is_acyclic, networks, unbalanced
+from games import connected_flow, examples, is_acyclic, networks, terrain_network, unbalanced
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -55,6 +55,26 @@ def test_forward_parts_are_acyclic_and_every_edge_is_on_a_route(network):
         assert set(graph) == (
             networkx.descendants(graph, network.source) & networkx.ancestors(graph, network.target)
         ) | {network.source, network.target}
+
+
+@pytest.mark.parametrize(('method', 'seed'), [
+    ('uniform_delaunay', 1), ('uniform_grid8', 2), ('random_delaunay', 3)])
+def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, seed):
+    """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
+    network = terrain_network(seed, method, 14)
+    game = make_game(network, GameOptions())
+    part = forward_part(game, rank_by(order_potential(game)))
+    undirected = {frozenset(e) for e in network.edges[game.playable].tolist()}
+    kept = {frozenset(e) for e in network.edges[part.playable].tolist()}
+    simple = networkx.Graph([tuple(e) for e in undirected])
+    simple.add_edge(network.source, network.target)
+    core = max(
+        (c for c in networkx.biconnected_components(simple) if network.source in c
+         and network.target in c), key=len,
+    )
+    ends = {network.source, network.target}
+    able = {e for e in undirected if e <= core and e != ends}
+    assert len(kept & able) == len(able)
 
 
 @examples(25)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ambush_planner import GameOptions
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import hit_probabilities
+from ambush_planner.game.law import triangular
 from ambush_planner.game.law.acyclic import forward_part, rank_by
 from ambush_planner.game.law.chain import MarkovChain
 from ambush_planner.game.law.gibbs import acyclic_network
@@ -90,3 +91,14 @@ def test_hits_entropy_and_derivatives_are_those_of_all_routes(case):
     assert rows @ p == pytest.approx(hits, abs=1e-12)
     ahead, behind = (case.by_enumeration(p + h * (other - p))[0] for h in (1e-5, -1e-5))
     assert rows @ (other - p) == pytest.approx((ahead - behind) / 2e-5, abs=1e-7)
+
+
+def test_without_scipys_product_in_place_the_chain_is_the_same(monkeypatch):
+    """That product is a private function, which a version of scipy may lack."""
+    case = Case(3, 1.2)
+    chain = MarkovChain(case.network, case.strategy())
+    hits, rows = chain.hits_with_derivatives(case.entering)
+    monkeypatch.setattr(triangular, 'IN_PLACE', False)
+    slow_hits, slow_rows = chain.hits_with_derivatives(case.entering)
+    assert slow_hits == pytest.approx(hits) and slow_hits.max() > 0.0
+    assert slow_rows.toarray() == pytest.approx(rows.toarray())

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's linear programs: its 8-node example, its observations, and length weights."""
 
+import math
+
 import numpy as np
 import pytest
 from games import (
@@ -16,8 +18,10 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse import csr_matrix
 
-from ambush_planner import Network, StrategyOptions, solve
+from ambush_planner import Network, SolverFailed, StrategyOptions, TimeLimit, solve
+from ambush_planner.game.value.highs import Program, run
 
 ANY = np.inf
 LINEAR = ('interior_point', 'simplex')
@@ -99,3 +103,13 @@ def test_the_interior_point_method_finds_the_shortest_routes(seed):
     strategy = solved(network, 'interior_point', max_detour=1.0)
     assert strategy.expected_length == pytest.approx(strategy.shortest_length, rel=1e-8)
     assert strategy.value == pytest.approx(solved(network, 'simplex', max_detour=1.0).value)
+
+
+@pytest.mark.parametrize('solver', LINEAR)
+def test_a_program_without_time_or_without_an_optimum_is_an_error_by_name(solver):
+    nothing, empty = np.empty(0), csr_matrix((0, 1))
+    endless = Program(np.array([-1.0]), empty, nothing, empty, nothing)
+    with pytest.raises(TimeLimit, match=f'{solver}: the time limit passed'):
+        run(endless, solver, 0.0)
+    with pytest.raises(SolverFailed, match=solver):
+        run(endless, solver, math.inf)
