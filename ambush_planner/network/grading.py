@@ -2,8 +2,8 @@
 """How far apart the nodes of a graded network are, place by place.
 
 A disc of radius R covers 2 R + h of the width of routes that run through nodes h apart, so nodes
-belong where few discs cover all routes: around the rims of held ground, where routes fan out, and
-where the ambusher waits (docs/theory.md, section 10).
+belong where few discs cover all routes: around the rim of the secured area, where routes fan out,
+and where the ambusher waits (docs/theory.md, section 10).
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 
-# Growth of the wanted spacing per distance from the rim of held ground, and from refined discs.
+# Growth of the wanted spacing per distance from the rim of the secured area, and from the discs
+# around refined places.
 END_GROWTH, PLACE_GROWTH = 0.25, 0.5
 
 
@@ -28,7 +29,7 @@ class Grading:
     finest
         Least spacing around the ends [m].
     rim
-        Radius of the held ground around start, stops and goal [m].
+        Radius of the secured area around start, stops and goal [m].
     refined : (K, 3), around
         Places (x, y) and the spacing [m] within this radius [m] of each.
     """

@@ -32,7 +32,7 @@ _WHY: dict[Reason, str] = {
 }
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
 MAX_SPACING = 0.25
-# Maximum share of the way on held ground that goes without saying.
+# Maximum share of the way in the secured area that goes without saying.
 MAX_HELD = 0.5
 # Maximum length budget that goes without saying, as a multiple of the shortest route.
 MAX_DETOUR = 5.0
@@ -85,7 +85,7 @@ def assumptions(plan: Plan) -> list[str]:
 
 
 def _held_share(plan: Plan) -> float:
-    """Share of the straight way from start to goal, by the stops, that lies on held ground."""
+    """Share of the straight way from start to goal, by the stops, in the secured area."""
     network = plan.network
     ends = network.points[[network.source, *network.stops, network.target]]
     legs = np.hypot(*np.diff(ends, axis=0).T)
@@ -130,7 +130,7 @@ def _long_routes(plan: Plan) -> str:
 
 
 def _held_ground(plan: Plan) -> str:
-    """Whether held ground decides too much: the value, or whether there is one."""
+    """Whether the secured area decides too much: the value, or whether there is one."""
     bottleneck, game = plan.bottleneck, plan.strategy.game
     held = game.options.held_radius
     if not len(game.sites):

@@ -72,7 +72,7 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     Holding a place means that nobody can wait within ``radius`` [m] of it, and with a reach that
     nobody who drives there is hit. Value and lower bound of each step are those of ``plan_trip``
     with these ``held_places``. Candidates are the given ones [m], or the sites around which the
-    ambusher charges most, and those that cost most beyond. The search ends early if the value is
+    ambusher causes most, and those that cost most beyond. The search ends early if the value is
     0 or no candidate remains.
 
     Raises InvalidOption if the radius is below the map's resolution, the count below 1 or a
@@ -125,7 +125,7 @@ def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: f
 def _by_charge(strategy: Strategy, given: Sequence[_Place] | None, radius: float) -> list[_Place]:
     """The candidates, those first that take most from the ambusher; by default some sites.
 
-    What he charges at the radius from a candidate counts half as much as at its position.
+    What he causes at the radius from a candidate counts half as much as at its position.
     """
     game = strategy.game
     points = game.network.points[game.sites]

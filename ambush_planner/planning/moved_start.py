@@ -5,7 +5,7 @@ A route is joined at the node where it first leads away from the convoy. The par
 is skipped, and the convoy drives straight to it. Whether an edge leads away depends on the edge
 alone, so the joined routes are those of an acyclic strategy again: on the network whose source is
 the convoy's place, joined to these nodes. Its value is computed like any other, and counts each
-site that can hit the way to the route. Held ground is around the convoy's place instead of the
+site that can hit the way to the route. The secured area is around the convoy's place instead of the
 planned start.
 
 A convoy that is on its way, and finds the rest of its route blocked, takes another rest of the same

@@ -26,7 +26,7 @@ ROAD_TUBE = 1.0
 # Of a graded network: the least spacing around the ends, and the radius of the discs around
 # refined places, in reaches.
 FINEST, AROUND = 1.0 / 6.0, 1.25
-# Maximum start tolerance, as a share of the reach: what held ground loses by it stays small.
+# Maximum start tolerance, as a share of the reach; the secured area shrinks by it.
 MAX_TOLERANCE = 0.25
 
 
@@ -46,9 +46,10 @@ class DriveOptions:
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
     start_tolerance
-        How far the start and goal of a departure may be from the plan's [m]. Held ground shrinks by
-        it, unless its radius is None, so that the certificate holds for all of them. At most half a
-        node spacing; with a reach, also at most a quarter of it and the radius of held ground.
+        How far the start and goal of a departure may be from the plan's [m]. The secured area
+        shrinks by it, unless its radius is None, so that the certificate holds for all of them. At
+        most half a node spacing; with a reach, also at most a quarter of it and the radius of the
+        secured area.
     tracking_error
         Largest distance of the robot from the path [m]; it adds to the tube. Only for games with a
         reach.
@@ -90,10 +91,10 @@ class PlanningOptions:
 
 
 def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
-    """The game of a plan: with its tube, and with held ground for all starts that it serves.
+    """The game of a plan: with its tube, and with a secured area for all starts that it serves.
 
-    If an ambusher may wait anywhere, his sites stand for all places around them. Held ground
-    shrinks by the start tolerance, except that a radius of None includes it.
+    If an ambusher may wait anywhere, his sites stand for all places around them. The secured
+    area shrinks by the start tolerance, except that a radius of None includes it.
     """
     spacing = node_spacing(risk_map, options.network)
     game = _driven_game(options, spacing)
@@ -130,7 +131,7 @@ def finest_spacing(risk_map: RiskMap, wanted: float) -> float:
 
 
 def holds_anywhere(options: PlanningOptions) -> bool:
-    """Whether a plan's value holds wherever on free ground the ambusher waits, not only at nodes.
+    """Whether a plan's value holds wherever on the ground the ambusher waits, not only at nodes.
 
     Several ambushers could surround one place, and cyclic strategies have no hit probabilities.
     """

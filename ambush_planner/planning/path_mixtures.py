@@ -35,9 +35,9 @@ AT_STOP = 1e-6
 class PathMixture:
     """Shares (K,) of given paths.
 
-    ``value`` is the mean loss by the worst ambusher who knows the shares, wherever in free ground
-    outside held ground he waits; ``worst_xy`` (2,) is where that is [m], and ``hit`` (K,) which
-    paths he hits there.
+    ``value`` is the mean loss by the worst ambusher who knows the shares, wherever on the ground
+    outside the secured area he waits; ``worst_xy`` (2,) is where that is [m], and ``hit`` (K,)
+    which paths he hits there.
     """
 
     shares: FloatArray
@@ -61,9 +61,9 @@ class BestShares(NamedTuple):
 class PathMixtures:
     """All mixtures of paths (L, 2 or 3), x and y [m] first, from start to goal of a plan.
 
-    An ambush of the plan's reach hits a path that passes within it outside held ground, once
-    however often it comes back. The robot's tracking error adds to the reach, but no tube: a given
-    path is what is driven.
+    An ambush of the plan's reach hits a path that passes within it outside the secured area,
+    once however often it comes back. The robot's tracking error adds to the reach, but no tube: a
+    given path is what is driven.
 
     Raises InvalidOption if the plan's game has no reach, or several ambushers.
     """

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refine a plan's network where the ambusher waits, while that lowers the value.
 
-A network's value is higher than the ground's, above all where the minimum cut is: where the optimal
-ambusher waits. So the nodes around his sites come nearer to each other, and the next round begins
-from what the one before knows. The cut moves on to coarser ground, and after two or three rounds
-the value hardly falls (docs/theory.md, section 10). Only the last network gets a law.
+A network's value is higher than the ground's, and only nodes where the optimal ambusher waits, at
+the minimum cut, can lower it. So the nodes around his sites come nearer to each other, and the next
+round begins with these sites. The cut moves on to coarser parts of the network, and after two or
+three rounds the value hardly falls (docs/theory.md, section 10). The rounds find values only; the
+network of least value then gets a route distribution.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ ROUNDS, MAX_NODES = 6, 15_000
 REFINED_BY = 0.4
 # Fall of the value in a round, as a share of it, below which refinement then ends.
 LEAST_FALL = 0.02
-# Sites with less of the ambusher's charge than this share are not refined. If those on ground that
-# is not fine have less than the second share of it together, the network is fine enough.
+# Sites that cause less than this share of the ambusher's mean loss are not refined. If those where
+# the network is not fine cause at most the second share of it together, the network is fine enough.
 SHARE, COARSE_SHARE = 0.003, 0.1
-# At sites with more of the charge than this share the flow is narrow: there the whole disc has to
-# be fine, and the first spacing is wanted, at other sites the second [reaches].
+# At sites that cause more than this share the flow is narrow: there the whole disc has to be fine,
+# and the first spacing is wanted, at other sites the second [reaches].
 NARROW_SHARE, SPACINGS = 0.1, (1.0 / 9.0, 1.0 / 6.0)
-# Ground is fine if its spacing is at most this many times what is wanted.
+# The network is fine where its spacing is at most this many times what is wanted.
 FINE = 1.5
 # Directions in which the rim of a disc is looked at.
 COMPASS = np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4.0])
@@ -47,7 +48,7 @@ APART = 0.25
 class Round(NamedTuple):
     """A round of refinement: the nodes of its network, the value there, and time [s].
 
-    The value is the least that was found, plus the slack that the law may use.
+    The value is the least that was found, plus the risk slack.
     """
 
     nodes: int
@@ -63,7 +64,8 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
            warm: WarmStart | None) -> tuple[Search, tuple[Round, ...]]:
     """Find the value on ever finer networks; the search of least value, and all rounds.
 
-    Rounds end when no ground is coarse, and unless their number is given, when they gain little.
+    Rounds end when the network is fine enough, and unless their number is given, when they gain
+    little or the network is large.
     Raises what the first search raises.
     """
     given = options.network.refine
@@ -90,7 +92,7 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
 def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> FloatArray | None:
     """``Network.refined`` (K, 3) of the next round; None: the network is fine enough.
 
-    Added are the sites where the ambusher waits on ground that is not fine.
+    Added are the sites where the ambusher waits and the network is not fine.
     """
     game, network, reach = search.game, search.game.network, options.game.ambush_radius
     grades = grading(risk_map, options, network.refined)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solve the game of a plan; with a reach, against an ambusher anywhere in free ground."""
+"""Solve the game of a plan; with a reach, against an ambusher anywhere on the ground."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
                      warm: WarmStart | None = None, progress: Progress = no_progress) -> Strategy:
     """Solve the game on a network built on the map.
 
-    With a reach, an ambusher may wait anywhere on free ground (``holds_anywhere``): the places that
+    With a reach, an ambusher may wait anywhere on the ground (``holds_anywhere``): the places that
     matter are added to the network as nodes without edges. At the time limit, the best strategy is
     returned if it is within ``max_gap``. Raises the errors of ``solve``.
     """

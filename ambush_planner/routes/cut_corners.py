@@ -3,8 +3,8 @@
 
 A chord between the two edges at a corner can be driven instead of the corner if every place within
 the reach R of the chord is within R of the edges: then no ambush with this reach hits the chord and
-not the route (docs/theory.md, Proposition 9.2). Held ground protects by where the convoy is, so a
-corner is only cut if the edges around it are, as far as they count, either outside or inside.
+not the route (docs/theory.md, Proposition 9.2). The secured area protects by where the convoy is,
+so a corner is only cut if the edges around it are, as far as they count, either outside or inside.
 
 Before, nodes that are near each other are joined by straight lines where the ground is open: what
 meets such a line from within a little less than the reach meets an end of it (Proposition 9.3).

@@ -13,7 +13,7 @@ from ..arrays import FloatArray, IndexArray
 MAX_LEGS = 12
 # Maximum distance of a path from its legs, as a share of its length, if MAX_LEGS allow it.
 MAX_STRAY = 0.005
-# Number of points along a path that are looked up in held ground.
+# Number of points along a path that are looked up in the secured area.
 _SAMPLES = 4000
 
 
