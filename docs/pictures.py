@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, figures, plan_trip
+from ambush_planner import GameOptions, PlanningOptions, figures, plan_trip
 from ambush_planner.arrays import IndexArray
 from ambush_planner.colours import AMBUSHER, PROBABILITY
 from ambush_planner.game.hits import largest_losses
@@ -41,8 +41,7 @@ from examples.demo import ground as demo_ground
 DOCS = Path(__file__).resolve().parent
 # The trip of docs/python.md [m].
 STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
-TRIP = PlanningOptions(network=NetworkOptions(spacing=600.0),
-                       game=GameOptions(secured_radius=2000.0))
+TRIP = PlanningOptions(game=GameOptions(secured_radius=2000.0))
 TRIPS_SHOWN = 6
 # The moving picture: pixels across, steps of a day, and times that they are shown [ms].
 PIXELS, STEPS, STEP_TIME, NIGHT, LAST = 1200, 4, 130, 500, 4000

@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
+from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.maps import Elevation, OccupancyOptions, terrain_map
 from ambush_planner.maps.occupancy import risk_from_occupancy
 
@@ -21,8 +21,7 @@ ground = terrain_map(elevation)
 risk_map = risk_from_occupancy(ground.values, ground.resolution, (west, south, 0.0),
                                    OccupancyOptions(crs=elevation.crs))
 
-options = PlanningOptions(network=NetworkOptions(spacing=200.0),
-                          game=GameOptions(ambush_radius=300.0))
+options = PlanningOptions(game=GameOptions(ambush_radius=300.0))
 plan = plan_trip(risk_map, (west + 300.0, south + 2200.0), (west + 5700.0, south + 2300.0), options)
 print(f'value {plan.strategy.value:.2f}, lower bound {plan.strategy.lower_bound:.2f}')
 

@@ -57,9 +57,6 @@ def test_the_python_of_its_page_runs(tmp_path):
     routes = enumerate(drawn(a_plan, 6))
     record(tmp_path / 'runs', [departure(a_plan, each, number=k) for k, each in routes])
     page = '\n'.join(blocks('docs/python.md', 'python'))
-    coarse = 'PlanningOptions(network=NetworkOptions(spacing=40.0))'  # as the page, but sooner
-    page = page.replace('PlanningOptions()', coarse)
-    page = page.replace('start, goal)', f'start, goal, {coarse})')
     given = 'pairs = [((15.0, 150.0), (385.0, 150.0)), ((385.0, 150.0), (15.0, 150.0))]\n'
     (tmp_path / 'page.py').write_text(given + page)
     done = subprocess.run([sys.executable, 'page.py'], cwd=tmp_path, capture_output=True, text=True,
