@@ -31,9 +31,9 @@ COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
 # Least and greatest ratio of width to height of the map on the page.
 MIN_RATIO, MAX_RATIO = 0.6, 2.5
 SEVERAL = (
-    'The start, the goal or the settings changed a little, so {} strategies were computed for this '
-    'trip. The page shows probabilities and numbers of the latest one; the table has the mean loss '
-    'of each.'
+    '{} strategies were computed for this trip: its network was refined, or the start, the goal or '
+    'the settings changed a little. The page shows probabilities and numbers of the latest one; '
+    'the table has the mean loss of each.'
 )
 FIXED_SEED = (
     'At least one of these departures was drawn with a fixed seed: anyone who knows the seed can '
