@@ -58,7 +58,7 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
     count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
     options = PlanningOptions(
         network=NetworkOptions(method='uniform_grid8' if kind == 'grid' else 'uniform_delaunay',
-                               spacing=spacing),
+                               spacing=spacing, refine=0),
         game=GameOptions(ambush_radius=reach * spacing,
                          secured_radius=None if held < 0.0 else held * spacing,
                          ambushers=2 if kind == 'two' else 1),

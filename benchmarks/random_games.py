@@ -112,7 +112,8 @@ def draw_game(seed: int) -> RandomGame | None:
         nodes //= 3  # in each layer
     problem = draw(f'{kind}:{rng.choice(list(FAMILIES))}:{nodes}:{seed}')
     chosen, stops = problem.scenario, problem.stops
-    built = replace(problem.options.network, method=str(rng.choice(METHODS)), seed=seed)
+    built = replace(problem.options.network, method=str(rng.choice(METHODS)), seed=seed,
+                    refine=None)
     try:
         network = build_network(chosen.risk_map, chosen.start, chosen.goal, built, stops)
     except NO_GAME:
