@@ -65,8 +65,7 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
     """Find the value on ever finer networks; the search of least value, and all rounds.
 
     Rounds end when the network is fine enough, and unless their number is given, when they gain
-    little or the network is large.
-    Raises what the first search raises.
+    little or the network is large. Raises what the first search raises.
     """
     given = options.network.refine
     begin = time.monotonic()
@@ -124,5 +123,8 @@ def _thinned(places: FloatArray, apart: float) -> IndexArray:
 
 
 def _round(search: Search, begin: float) -> Round:
-    return Round(len(search.problem.game.network.points),
-                 ceiling(search.program.bound, search.slack), time.monotonic() - begin)
+    """The round of a search, which it reports, too."""
+    bound = float(search.program.bound)
+    value = ceiling(bound, search.slack)
+    search.problem.progress(value, bound)
+    return Round(len(search.problem.game.network.points), value, time.monotonic() - begin)
