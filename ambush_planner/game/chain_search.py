@@ -64,23 +64,9 @@ def find_chain(search: Search) -> Incumbent | None:
     """
     program, law, before = search.program, _law_around(search, search.program.flow), 0.0
     best: Incumbent | None = None
-    rating = False, -np.inf
-
-    def keep() -> None:
-        """A strategy over a budget counts for nothing."""
-        nonlocal best, rating
-        ours = law.good, law.entropy if law.good else -law.value
-        if ours > rating and search.problem.keeps_budgets(law.chain.uses(len(
-                search.game.playable))):
-            rating = ours
-            # With a reach, the rows are those of the chain before.
-            most = law.entropy_bound if law.exact else np.nan
-            best = Incumbent(law.chain, law.value, law.worst, *law.unscaled_multipliers(), most)
-            search.problem.progress(law.value, program.bound)
-
     law.measure(search.level())
     if search.problem.ground is None:  # otherwise other places may cost the flow more
-        keep()
+        best = search.better(best, law)
     for _ in range(ROUNDS):
         if search.problem.late or not law.round(program.q, program.prices, program.bound):
             break
@@ -91,7 +77,7 @@ def find_chain(search: Search) -> Incumbent | None:
             law.measure(search.level())
             continue
         law.measure(search.level())
-        keep()
+        best = search.better(best, law)
         grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
         if law.good and (law.exact or not grew):
             break

@@ -18,11 +18,12 @@ from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, padded
 from .budget import Budget
 from .certificate.certificate import lower_bound
-from .copies import LawOnCopies
+from .copies import Copies
 from .faces import Faces
 from .game import Game
 from .hits import worst_loss
 from .law.chain import MarkovChain, chain_of
+from .law.law import Law
 from .slack import Reason, ceiling
 from .value.routes import Progress, RouteMixture, no_progress
 
@@ -136,7 +137,8 @@ class Incumbent:
     ``value`` is what it costs at the sites so far, ``worst`` the row of the one that costs most
     (-1: none). ``weights`` (S,) and ``prices`` are its law's multipliers per hit and per unit of
     cost, ``entropy_bound`` [nats] the most entropy that a law within the same limits can have; NaN
-    if that is not known. On a trip, its chain may be on ``copies``.
+    if that is not known. On a trip, its chain may be on ``copies``. Of two laws the one of greater
+    ``rating`` is better: whether it is within the slack, then its entropy, or else minus its value.
     """
 
     chain: MarkovChain
@@ -145,7 +147,8 @@ class Incumbent:
     weights: FloatArray = field(default_factory=lambda: np.zeros(0))
     prices: FloatArray = field(default_factory=lambda: np.zeros(0))
     entropy_bound: float = np.nan
-    copies: LawOnCopies | None = None
+    copies: Copies | None = None
+    rating: tuple[bool, float] = (False, -np.inf)
 
 
 class Solution(NamedTuple):
@@ -233,6 +236,19 @@ class Search:
         most = max(self.program.bound, least)
         return level * (most / value)
 
+    def better(self, best: Incumbent | None, law: Law,
+               copies: Copies | None = None) -> Incumbent | None:
+        """The law as the best strategy if it is better; a strategy over a budget is not."""
+        rating = law.good, law.entropy if law.good else -law.value
+        if best and rating <= best.rating or not self.problem.keeps_budgets(
+                law.chain.uses(len(self.game.playable))):
+            return best
+        # With a reach, the rows are those of the chain before.
+        most = law.entropy_bound if law.exact else np.nan
+        self.problem.progress(law.value, self.program.bound)
+        return Incumbent(law.chain, law.value, law.worst, *law.unscaled_multipliers(), most, copies,
+                         rating)
+
     def solution(self, best: Incumbent | None) -> Solution:
         """The best strategy, by default the program's, with its value at any place."""
         if best is None:
@@ -245,27 +261,28 @@ class Search:
         if best.worst >= 0:
             kept[best.worst] = True
         added = np.flatnonzero(kept & ~own)
-        points, loss, entering = self.points[added], self.loss[added], self.entering[added]
-        game = self.game.with_sites(points, loss, csr_matrix(entering))
-        ambusher = self._ambusher(game, kept)
+        game, p, budgets = self.game, best.chain.uses(len(self.game.playable)), self.problem.budgets
+        entering = self.entering[added]
+        if best.copies:
+            edge = np.append(np.arange(len(p)), best.copies.network.edge)
+            game, p = best.copies.unrolled(best.chain)
+            entering = entering[:, edge]
+            length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in budgets)
+            budgets = length, exposure
+        game = game.with_sites(self.points[added], self.loss[added], csr_matrix(entering))
+        ambusher = self.program.ambusher(game, kept)
+        ambusher = replace(ambusher, prices=self._of_all_budgets(np.array(ambusher.prices)))
         bound = 0.0
         if self.program.bound > 0.0:  # else a search for what he proves can take minutes
-            bound = lower_bound(game, ambusher, self.problem.budgets, self.program.faces,
-                                self.problem.judged, best.value / ceiling(1.0, self.slack))
-        if best.copies is None:
-            per_hit = np.zeros(game.node_count)
-            per_hit[game.sites] = weights[kept]
-            multipliers = Multipliers(frozen_array(per_hit, np.float64),
-                                      self._of_all_budgets(best.prices))
-            return Solution(game, self.problem.budgets, best.chain.uses(len(game.playable)),
-                            best.value, bound, ambusher, multipliers, self.evaluations,
-                            best.entropy_bound, self._why())
-        edge = np.append(np.arange(len(self.game.playable)), best.copies.network.edge)
-        game, p = best.copies.unrolled(best.chain)
-        game = game.with_sites(points, loss, csr_matrix(entering[:, edge]))
-        length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.problem.budgets)
-        return Solution(game, (length, exposure), p, best.value, bound, self._ambusher(game, kept),
-                        None, self.evaluations, np.nan, self._why())
+            bound = lower_bound(game, ambusher, budgets, self.program.faces, self.problem.judged,
+                                best.value / ceiling(1.0, self.slack))
+        per_hit = np.zeros(game.node_count)
+        per_hit[game.sites] = weights[kept]
+        multipliers = Multipliers(frozen_array(per_hit, np.float64),
+                                  self._of_all_budgets(best.prices))
+        return Solution(game, budgets, p, best.value, bound, ambusher,
+                        None if best.copies else multipliers, self.evaluations, best.entropy_bound,
+                        self._why())
 
     def _worst_of(self, best: Incumbent) -> Incumbent:
         """The incumbent with its value at any place, also at those that joined for others."""
@@ -282,10 +299,6 @@ class Search:
             value, worst = float(found.mean_loss[0]), len(self.loss)
             self._add(found)
         return replace(best, value=value, worst=worst)
-
-    def _ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
-        found = self.program.ambusher(game, kept)
-        return replace(found, prices=self._of_all_budgets(np.array(found.prices)))
 
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""

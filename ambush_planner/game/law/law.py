@@ -52,7 +52,9 @@ class Law:
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
-                 ambushers: int, slack: float, exact: bool, deadline: float) -> None:
+                 ambushers: int, slack: float, exact: bool, deadline: float,
+                 aim: float | None = None) -> None:
+        self._aim = (EXACT_AIM if exact else AIM) if aim is None else aim
         self.network, self.slack, self.exact = network, slack, exact
         self.chain = MarkovChain(network, p)
         self.deadline, self._k = deadline, ambushers
@@ -96,10 +98,9 @@ class Law:
         self._rows = self._entering[near]
         if not self.exact:
             hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
-        self._hits, self.entropy = hits[near], self.chain.entropy
-        self.value = self._sum_of_largest(self._loss * hits)
-        losses = self._loss[near] * self._hits
-        self.worst = int(near[np.argmax(losses)]) if len(near) else -1
+        losses, self.entropy = self._loss * hits, self.chain.entropy
+        self.value = self._sum_of_largest(losses)
+        self.worst = int(losses.argmax()) if len(losses) else -1
 
     def _most_hits(self, chain: MarkovChain) -> FloatArray:
         """Bounds (S,) of the hits, from the entries."""
@@ -124,7 +125,7 @@ class Law:
         q (S,) and the prices of the budgets are the first multipliers, up to a factor. Returns
         False if no law is within the rows.
         """
-        near, aim = self._near, EXACT_AIM if self.exact else AIM
+        near, aim = self._near, self._aim
         most = self.level * ceiling(1.0, aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
         if not most[sites].all():  # a program that proved nothing allows no hits
