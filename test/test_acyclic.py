@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from ambush_planner import GameOptions
 from ambush_planner.game.game import make_game
 from ambush_planner.game.law.acyclic import (
-    conserved_strategy,
     forward_part,
     order_potential,
     rank_around,
     rank_by,
     without_cycles,
 )
+from ambush_planner.game.law.chain import conserved_strategy
 
 
 def mixed_walks(network, seed: int, walks: int = 16) -> np.ndarray:

@@ -145,7 +145,8 @@ def test_a_budget_below_the_best_route_is_infeasible():
     assert 0.0 < shortest.margin < 1e-9 and shortest.keeps(shortest_route_strategy(game))
     nothing = Budget(game, 0.0 * lengths, 0.0, 0.0, 'exposure', 'loss x m')
     assert 0.0 < nothing.margin < 1e-9 and nothing.keeps(shortest_route_strategy(game))
-    assert not Budget.none(game).binds and Budget.none(game).least == pytest.approx(3.0)
+    unlimited = Budget.length(game, np.inf)
+    assert not unlimited.binds and unlimited.least == pytest.approx(3.0)
 
 
 @examples(20)

@@ -70,11 +70,6 @@ class Budget:
         return cls(game, network.edge_exposure, _times(factor, least), least, 'exposure',
                    'loss x m')
 
-    @classmethod
-    def none(cls, game: Game) -> Budget:
-        """No limit of the length."""
-        return cls.length(game, math.inf)
-
     def __post_init__(self) -> None:
         if not self.binds:
             return

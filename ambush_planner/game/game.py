@@ -249,10 +249,6 @@ class Game:
         return replace(self, playable=frozen_array(kept, np.bool_),
                        known_hits=vars(self).get('hits'))
 
-    def avoiding_all_sites(self) -> Game | None:
-        """The game on the edges that no ambush hits; None if no route avoids all ambushes."""
-        return self.avoiding(self.hits)
-
     def avoiding(self, entering: csr_matrix) -> Game | None:
         """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
         return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))

@@ -121,7 +121,7 @@ def _within_budgets(problem: Problem, slack: float, cut: Cut | None) -> Potentia
     """The fastest program that finds the value within budgets, perhaps from that without."""
     game, binding = problem.game, _binding(problem)
     if game.ambushers == 1 and len(binding) <= 1:
-        faces, budget = make_faces(game), binding[0] if binding else Budget.none(game)
+        faces, budget = make_faces(game), (*binding, problem.budgets[0])[0]
         if faces and faces.same_both_ways(budget.cost):
             first = FIRST_LEVEL * cut.bound if cut else np.inf
             return Potential(faces, budget, PROGRAM_GAP * slack, problem.deadline, first)

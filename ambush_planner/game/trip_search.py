@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import SolverFailed, TimeLimit
 from .copies import Copies
-from .law.acyclic import conserved_strategy
+from .law.chain import conserved_strategy
 from .law.law import EXACT_AIM, Law
 from .search import Incumbent, Search
 from .slack import ceiling, within

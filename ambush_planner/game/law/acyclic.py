@@ -18,11 +18,10 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ...arrays import FloatArray, IndexArray, sums
+from ...arrays import FloatArray, IndexArray
 from ...network.network import Network
 from ...network.shortest_paths import edge_matrix
 from ..game import Game
-from .triangular import Recursion
 
 
 def order_potential(game: Game) -> FloatArray:
@@ -165,35 +164,3 @@ def _cancel_cycle(edges: IndexArray, p: FloatArray, cycle: list[int],
     for k in cycle:
         if p[k] <= 0.0:
             leaving[int(edges[k, 0])].remove(k)
-
-
-def conserved_strategy(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray | None:
-    """Turn an almost conserved p (M,) into an exact, acyclic strategy with the same shares.
-
-    Edges with p <= ``negligible`` and cycles are removed first. Returns None if no route remains.
-    """
-    part = game.restricted_to(p > negligible)
-    if part is None:
-        return None
-    network = game.network
-    flow = without_cycles(network, np.where(part.playable, p, 0.0))
-    part = part.restricted_to(flow > 0.0)
-    if part is None:
-        return None
-    flow = np.where(part.playable, flow, 0.0)
-    out = sums(network.tails, flow, game.node_count)
-    share = np.divide(flow, out[network.tails], out=np.zeros_like(flow), where=flow > 0.0)
-    x = _walk_visits(game, flow, share)
-    return np.where(part.playable, x[network.tails] * share, 0.0)
-
-
-def _walk_visits(game: Game, flow: FloatArray, share: FloatArray) -> FloatArray:
-    """Visits (N,) of the walk that takes each edge with probability ``share`` at its tail."""
-    network, used = game.network, flow > 0.0
-    number = order_along(network, flow)
-    assert number is not None  # the flow is acyclic
-    rank = rank_by(number)
-    tail, head = rank[network.edges[used]].T
-    start = np.zeros(game.node_count)
-    start[rank[network.source]] = 1.0
-    return Recursion(head, tail, len(rank)).solve(share[used], start)[rank]

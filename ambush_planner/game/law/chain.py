@@ -21,7 +21,8 @@ from scipy.sparse import csr_matrix
 
 from ...arrays import FloatArray, IndexArray, sums
 from ...network.network import Network
-from .acyclic import order_along
+from ..game import Game
+from .acyclic import order_along, without_cycles
 from .gibbs import AcyclicNetwork, acyclic_network
 
 # Nodes that fewer routes visit count as not visited.
@@ -171,3 +172,18 @@ def chain_of(network: Network, p: FloatArray) -> MarkovChain:
     assert rank is not None  # p is acyclic
     used = acyclic_network(network, np.flatnonzero(p > 0.0), rank)
     return MarkovChain(used, p[used.edge])
+
+
+def conserved_strategy(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray | None:
+    """Turn an almost conserved p (M,) into an exact, acyclic strategy with the same shares.
+
+    Edges with p <= ``negligible`` and cycles are removed first. Returns None if no route remains.
+    """
+    part = game.restricted_to(p > negligible)
+    if part is None:
+        return None
+    flow = without_cycles(game.network, np.where(part.playable, p, 0.0))
+    part = part.restricted_to(flow > 0.0)
+    if part is None:
+        return None
+    return chain_of(game.network, np.where(part.playable, flow, 0.0)).uses(len(p))

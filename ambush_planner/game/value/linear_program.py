@@ -129,7 +129,7 @@ def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
 
     Its value is exactly 0; on all edges, rounding would decide.
     """
-    safe = game.avoiding_all_sites()
+    safe = game.avoiding(game.hits)
     return safe if safe and length.keeps(shortest_route_strategy(safe)) else None
 
 

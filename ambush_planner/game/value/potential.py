@@ -25,7 +25,8 @@ from ..budget import Budget
 from ..faces import Circulation, Faces
 from ..game import Game
 from ..hits import hits_can_differ
-from ..law.acyclic import conserved_strategy, without_cycles
+from ..law.acyclic import without_cycles
+from ..law.chain import conserved_strategy
 from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
 

@@ -26,7 +26,7 @@ from ..budget import Budget
 from ..certificate.best_response import Grounds
 from ..faces import Faces
 from ..game import Game
-from ..law.acyclic import conserved_strategy
+from ..law.chain import conserved_strategy
 from ..slack import within
 from .mixtures import Mixture, Mixtures
 
