@@ -70,11 +70,15 @@ class Faces:
         touched = csr_matrix(rims @ sides)
         touched.sort_indices()
         disc = np.repeat(np.arange(touched.shape[0]), np.diff(touched.indptr))
-        lift, around = self._lifts(rims, disc, touched.indices)
-        _, left, right = self._sides(rims, np.arange(rims.shape[0]), disc, touched.indices)
-        joined = csr_matrix((np.ones(len(left)), (left, right)), (len(disc), len(disc)))
+        face, size = touched.indices.astype(np.int64), len(disc)
+        met = rims.tocoo()
+        key, first, link = disc * self.count + face, met.row * self.count, met.col
+        left = np.searchsorted(key, first + self.left[link])
+        right = np.searchsorted(key, first + self.right[link])
+        joined = csr_matrix((np.ones(len(left)), (left, right)), (size, size))
         part = connected_components(joined, directed=False)[1].astype(np.int64)
-        return Discs(touched.indices.astype(np.int64), disc, lift, part, around)
+        lift, around = self._lifts(link, left, right, part)
+        return Discs(face, disc, lift, part, np.isin(np.arange(rims.shape[0]), disc[around]))
 
     def same_both_ways(self, cost: FloatArray) -> bool:
         """Whether each link costs the same in both directions, from the costs (M,) of edges."""
@@ -97,28 +101,19 @@ class Faces:
         links = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), len(self.left)))
         return csr_matrix(entering.astype(bool) @ links)
 
-    def _sides(self, rims: csr_matrix, some: IndexArray, disc: IndexArray,
-               face: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray]:
-        """The links (K,) of the rims ``some``, and the pairs (K,) on their left and right."""
-        met = rims[some].tocoo()
-        key, first = disc * self.count + face, some[met.row] * self.count
-        left = np.searchsorted(key, first + self.left[met.col])
-        right = np.searchsorted(key, first + self.right[met.col])
-        return met.col, left, right
-
-    def _lifts(self, rims: csr_matrix, disc: IndexArray,
-               face: IndexArray) -> tuple[IndexArray, BoolArray]:
+    def _lifts(self, link: IndexArray, left: IndexArray, right: IndexArray,
+               part: IndexArray) -> tuple[IndexArray, IndexArray]:
         """For each pair (T,) of a disc and a face, the crossings of the route on the way there.
 
-        The way goes along the rim. Also the discs (K,) whose rims separate the ends.
+        The way goes along the rim, from the first pair of the ``part`` (T,), across links (K,) with
+        the pairs ``left`` and ``right`` of them. Also pairs of the rims that separate the ends.
         """
-        size = len(disc)
-        reached = np.flatnonzero((rims @ np.abs(self.crossed)) > 0)
-        link, left, right = self._sides(rims, reached, disc, face)
+        size = len(part)
+        crossing = np.bincount(part[left], self.crossed[link] != 0)[part[left]] > 0.0
+        link, left, right = link[crossing], left[crossing], right[crossing]
         tail, head = np.concatenate((left, right)), np.concatenate((right, left))
         gain = np.concatenate((-self.crossed[link], self.crossed[link]))
         joined = csr_matrix((np.ones(len(tail)), (tail, head)), (size, size))
-        _, part = connected_components(joined, directed=False)
         roots = np.unique(part, return_index=True)[1]
         _, tree, _ = dijkstra(joined, indices=roots, min_only=True, return_predecessors=True,
                               unweighted=True)
@@ -129,9 +124,7 @@ class Faces:
         lift[here] = gain[which[np.searchsorted(step, before[here] * size + here)]]
         while lift[before].any():  # each round doubles the part of the way that is added up
             lift, before = lift + lift[before], before[before]
-        around = np.zeros(rims.shape[0], dtype=bool)
-        around[disc[tail[lift[head] != lift[tail] + gain]]] = True
-        return lift, around
+        return lift, tail[lift[head] != lift[tail] + gain]
 
 
 @dataclass(frozen=True, eq=False)
