@@ -26,35 +26,24 @@ from scipy.sparse import csr_matrix
 from ...arrays import ROUNDING, BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
 
-# Evaluations of L-BFGS before Newton's method starts; on large networks, where Newton's steps are
-# slow, one evaluation per this many nodes.
-FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
-# Evaluations before it if the sites' multipliers are known, and in each round after it.
-WARM_EVALUATIONS, NEXT_EVALUATIONS = 50, 300
-# Limits that Newton's method moves at once, its maximum number of steps, and the maximum number of
-# further rounds of L-BFGS before it while more limits have multipliers.
-NEWTON_LIMITS, MAX_STEPS, MORE_ROUNDS = 500, 500, 3
+# Evaluations of L-BFGS before Newton's method, and in each round after it.
+EVALUATIONS = 50
+# Limits that Newton's method moves at once, and its largest number of steps.
+NEWTON_LIMITS, MAX_STEPS = 500, 500
 # Least decrease per round, relative to 1 + |value|, else the search ends.
 MIN_GAIN = 1e-5
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 5e-4
 # Largest weight of an edge; beyond, sums along a route lose all decimals.
 MAX_WEIGHT = 1e16
-# Smaller multipliers count as 0.
-MIN_MULTIPLIER = 1e-7
 # Largest scaled multiplier in a line search; large enough to prove limits infeasible.
 MAX_SCALED = 1e10
 # A limit takes part in the search when less than this share of it is unused.
 NEAR_LIMIT = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
-# Newton's damping: initial value, range, factors after bad and good steps.
-DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-2, 1e-9, 1e6
-RISE, FALL = 6.0, 0.2
-# Ratios of actual to predicted decrease at which a step is accepted and the damping reduced.
-ACCEPTED, TRUSTED = 0.01, 0.5
-# Newton's model omits limits with less excess than this share of the tolerance.
-MODEL_EXCESS = 0.1
+# Newton's damping at first, as a share of the Hessian's diagonal.
+DAMPING = 1e-2
 
 
 class _SearchEnded(Exception):
@@ -80,22 +69,20 @@ class GibbsStrategy:
 
 
 def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatArray,
-                     start: FloatArray, tolerance: float, deadline: float,
-                     sites: int = 0) -> GibbsStrategy:
+                     start: FloatArray, tolerance: float, deadline: float) -> GibbsStrategy:
     """Minimise log Z(b + C' v) + sum v over v >= 0, with b = ``weights`` (m,).
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
     entropy; when the limits are proved infeasible; when the function hardly falls any more; or at
-    ``deadline`` (``time.monotonic``). The first rows are those of ``sites``: if the ``start`` has
-    multipliers for them, Newton's method begins earlier.
+    ``deadline`` (``time.monotonic``).
     """
     if rows.shape[0] == 0:
         _, p, _ = network.law(weights)
         return GibbsStrategy(p, start, 0.0, False, 1)
     search = _DualSearch(network, rows, weights, tolerance, deadline)
     with contextlib.suppress(_SearchEnded):
-        search.run(start, bool(start[:sites].any()))
+        search.run(start)
     search.found.evaluations = search.count
     return search.found
 
@@ -137,23 +124,18 @@ class _DualSearch:
         self.gradient = 1.0 - used
         return value, self.gradient
 
-    def run(self, start: FloatArray, warm: bool) -> None:
+    def run(self, start: FloatArray) -> None:
         """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
-        first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
-        self.quasi_newton(start, WARM_EVALUATIONS if warm else first)
-        for _ in range(MORE_ROUNDS):
-            if (self.found.multipliers > MIN_MULTIPLIER).sum() <= NEWTON_LIMITS:
-                break
-            self.quasi_newton(self.found.multipliers, first)
+        self.quasi_newton(start)
         before = np.inf
         while self.least < before - MIN_GAIN * (1.0 + abs(self.least)):
             before = self.least
             self.newton()
-            self.quasi_newton(self.found.multipliers, NEXT_EVALUATIONS)
+            self.quasi_newton(self.found.multipliers)
 
-    def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
+    def quasi_newton(self, start: FloatArray) -> None:
         """Run L-BFGS-B on the near limits; another limit joins once it is the worst."""
-        last, moved, v = self.count + evaluations, np.zeros(len(start), dtype=bool), start
+        last, moved, v = self.count + EVALUATIONS, np.zeros(len(start), dtype=bool), start
         while self.count < last:
             _, gradient = self(v)
             moved |= (v > 0.0) | (gradient < NEAR_LIMIT)
@@ -185,14 +167,14 @@ class _DualSearch:
     def newton(self) -> None:
         """Take damped Newton steps while they gain, in at most ``NEWTON_LIMITS`` limits.
 
-        They are those of the largest multipliers now, or after a step in this limit alone.
+        They are those of the largest multipliers now, or after a step in this limit alone. The
+        damping follows H. B. Nielsen, Damping parameter in Marquardt's method, Technical
+        University of Denmark, IMM-REP-1999-05, 1999.
         """
-        v, damping = self.found.multipliers, DAMPING
-        v = np.where(v > MIN_MULTIPLIER, v, 0.0)
+        v, damping, rise = self.found.multipliers, DAMPING, 2.0
         value, gradient = self(v)
         for _ in range(MAX_STEPS):
-            over = np.where(gradient < -MODEL_EXCESS * self.tolerance, -gradient, 0.0)
-            weight = np.maximum(v, over * self.unit**2)
+            weight = np.maximum(v, -gradient * self.unit**2)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
             if not len(counts):
@@ -208,13 +190,10 @@ class _DualSearch:
                 tried[counts] += step
                 new_value, new_gradient = self(tried)
                 ratio = (value - new_value) / foreseen if foreseen > 0.0 else -np.inf
-                if ratio > ACCEPTED:
+                if ratio > 0.0:
                     break
-                damping *= RISE
-                if damping > MAX_DAMPING:
-                    return
-            if ratio > TRUSTED:
-                damping = max(damping * FALL, MIN_DAMPING)
+                damping, rise = damping * rise, 2.0 * rise
+            damping, rise = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0)**3), ROUNDING), 2.0
             v, value, gradient = tried, new_value, new_gradient
 
 

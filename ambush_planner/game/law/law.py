@@ -137,7 +137,7 @@ class Law:
             limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._excess)))
             start = (1.0 - later) * self._start(limits, sites, q, prices, bound)
             found = maximize_entropy(self.network, limits, past, start, self._tolerance,
-                                     self.deadline, len(sites))
+                                     self.deadline)
             self.evaluations += found.evaluations
             if not found.infeasible:
                 break
