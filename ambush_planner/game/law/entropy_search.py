@@ -8,8 +8,7 @@ has the greatest route entropy less b' p if v >= 0 minimises the convex function
 
 This function is at least the entropy less b' p of any strategy with C p <= 1. So a value below
 -max b' p proves that no such strategy exists. The search begins with L-BFGS-B, which scales the
-multipliers to bring the Hessian's diagonal near 1 and moves only those of nearly tight limits.
-Newton's method ends it, in the multipliers of the tight limits, with Levenberg-Marquardt damping.
+multipliers to bring the Hessian's diagonal near 1. Newton's method ends it, in the multipliers of the tight limits, with Levenberg-Marquardt damping.
 The search goes on as long as rounds lower the function noticeably.
 """
 
@@ -23,7 +22,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from ...arrays import ROUNDING, BoolArray, FloatArray
+from ...arrays import ROUNDING, FloatArray
 from .gibbs import AcyclicNetwork
 
 # Evaluations of L-BFGS before Newton's method, and in each round after it.
@@ -38,8 +37,6 @@ ENTROPY_TOLERANCE = 5e-4
 MAX_WEIGHT = 1e16
 # Largest scaled multiplier in a line search; large enough to prove limits infeasible.
 MAX_SCALED = 1e10
-# A limit takes part in the search when less than this share of it is unused.
-NEAR_LIMIT = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
 # Newton's damping at first, as a share of the Hessian's diagonal.
@@ -48,10 +45,6 @@ DAMPING = 1e-2
 
 class _SearchEnded(Exception):
     """Raised from within an evaluation to end the search."""
-
-
-class _LimitJoins(Exception):
-    """Raised from within an evaluation when another limit has to join the search."""
 
 
 @dataclass
@@ -134,35 +127,16 @@ class _DualSearch:
             self.quasi_newton(self.found.multipliers)
 
     def quasi_newton(self, start: FloatArray) -> None:
-        """Run L-BFGS-B on the near limits; another limit joins once it is the worst."""
-        last, moved, v = self.count + EVALUATIONS, np.zeros(len(start), dtype=bool), start
-        while self.count < last:
-            _, gradient = self(v)
-            moved |= (v > 0.0) | (gradient < NEAR_LIMIT)
-            with contextlib.suppress(_LimitJoins):
-                self._descend(moved, v, last - self.count)
-                return
-            v = self.found.multipliers
-
-    def _descend(self, moved: BoolArray, start: FloatArray, evaluations: int) -> None:
-        """Run L-BFGS-B on the limits ``moved`` (R,)."""
+        """Run L-BFGS-B on the scaled multipliers."""
         # Imported only here because it takes a seventh of the package's loading time.
         from scipy.optimize import fmin_l_bfgs_b
 
-        part, v = np.flatnonzero(moved), start.copy()
-        unit = self.unit[part]
-
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
-            v[part] = np.minimum(scaled, MAX_SCALED) * unit
-            value, gradient = self(v)
-            worst = gradient.argmin()
-            if not moved[worst] and gradient[worst] < -self.tolerance:
-                moved[worst] = True
-                raise _LimitJoins
-            return value, gradient[part] * unit
+            value, gradient = self(np.minimum(scaled, MAX_SCALED) * self.unit)
+            return value, gradient * self.unit
 
-        fmin_l_bfgs_b(function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS,
-                      factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations)
+        fmin_l_bfgs_b(function, start / self.unit, bounds=[(0.0, None)] * len(start), m=CORRECTIONS,
+                      factr=5.0, pgtol=1e-12, maxfun=EVALUATIONS, maxiter=EVALUATIONS)
 
     def newton(self) -> None:
         """Take damped Newton steps while they gain, in at most ``NEWTON_LIMITS`` limits.
