@@ -18,25 +18,24 @@ from .hits import hits_can_differ
 from .law.acyclic import forward_part, order_potential, rank_around
 from .law.chain import MarkovChain, chain_of
 from .law.gibbs import acyclic_network
-from .law.law import Law
-from .search import Incumbent, Search
+from .law.law import AIM, Law
+from .search import GROWTH, ROUNDS, Incumbent, Search
 from .slack import ceiling
 from .value.routes import APART, MIN_FLOW
 
 # Rounds in which places join before the law, in the last of them at any distance from each other;
 # more while the value is 0.
-SWEEPS, MAX_SWEEPS = 3, 20
-# Places join that cost more than the bound by this share of the slack; a law ends just below it.
-JOINING = 0.8
-# Rounds of a law, and the least growth of the entropy for another one.
-ROUNDS, GROWTH = 25, 0.03
+SWEEPS = 3
+# Places join that cost more than the bound by this share of the slack; if rows are not exact for
+# every chain, a law aims at less.
+JOINING, EARLY_AIM = 0.8, 0.7
 
 
 def find_flow(search: Search) -> None:
     """Find the least value at the places that matter for the program's flow."""
     search.solve_program()
     program = search.program
-    for sweep in range(MAX_SWEEPS):
+    for sweep in range(ROUNDS):
         if search.problem.late or (sweep >= SWEEPS and program.bound > 0.0):
             break
         flow = chain_of(search.game.network, program.flow)
@@ -68,7 +67,7 @@ def find_chain(search: Search) -> Incumbent | None:
     if search.problem.ground is None:  # otherwise other places may cost the flow more
         best = search.better(best, law)
     for _ in range(ROUNDS):
-        if search.problem.late or not law.round(program.q, program.prices, program.bound):
+        if search.problem.late or not law.round():
             break
         above = ceiling(program.bound, JOINING * search.slack)
         if _join(search, law.chain, above, APART, law=law) and program.bound == 0.0:
@@ -95,8 +94,9 @@ def _law_around(search: Search, flow: FloatArray) -> Law:
     part = forward_part(game, rank)
     assert part is not None  # it contains the flow
     network = acyclic_network(game.network, np.flatnonzero(part.playable), rank)
-    law = Law(network, flow[network.edge], problem.budgets, game.ambushers, search.slack,
-              not hits_can_differ(game), problem.deadline)
+    exact = not hits_can_differ(game)
+    law = Law(network, flow[network.edge], problem.budgets, game.ambushers, search.slack, exact,
+              problem.deadline, AIM if exact else EARLY_AIM)
     law.add_sites(search.entering, search.loss)
     if problem.warm:
         prices = zip(problem.warm.budgets, problem.budgets, strict=True)

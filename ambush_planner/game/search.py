@@ -27,6 +27,9 @@ from .law.law import Law
 from .slack import Reason, ceiling
 from .value.routes import Progress, RouteMixture, no_progress
 
+# Largest number of rounds in which places join a search, or of a law, and the least growth of the
+# entropy for another round of the law.
+ROUNDS, GROWTH = 25, 0.01
 # Share of the slack that a law may use beyond the program's flow if that costs more than the bound.
 FLOW_SLACK = 0.5
 

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import SolverFailed, TimeLimit
 from .copies import Copies
 from .law.chain import conserved_strategy
-from .law.law import EXACT_AIM, Law
-from .search import Incumbent, Search
+from .law.law import Law
+from .search import GROWTH, ROUNDS, Incumbent, Search
 from .slack import ceiling, within
 from .value.routes import APART, MIN_FLOW, TIGHT, Routes
 
@@ -22,14 +22,10 @@ SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
 # Places join that cost more than the mixture by JOINING slacks. A mixture that is better by less
 # than SMALL slacks is no better.
 JOINING, SMALL = 0.5, 0.25
-# Rounds in which places join the program, and those of the law.
-MAX_SWEEPS, ROUNDS = 20, 25
 # Routes with a copy of their own at first, and their number times the copies' width in edges.
 FEWEST, WIDTH = 16, 128
 # Share of the slack that few routes may cost more than all.
 FEW_LOSE = 1.0 / 3.0
-# Rounds of a law on copies, and the least growth of the entropy for another one.
-LAWS, GROWTH = 25, 0.01
 
 
 def find_mixture(search: Search, program: Routes) -> None:
@@ -43,7 +39,7 @@ def find_mixture(search: Search, program: Routes) -> None:
             program.prove_by_legs()
         program.solve(prove=False)
     apart, before = 1.0, program.value
-    for _ in range(MAX_SWEEPS):
+    for _ in range(ROUNDS):
         above = ceiling(program.value, JOINING * search.slack)
         if time.monotonic() > program.deadline or (
                 search.join_worst(program.mixture, above, apart) is None and apart == APART):
@@ -121,17 +117,17 @@ def law_on_copies(search: Search, program: Routes) -> Incumbent | None:
             assert ground is not None  # a route has a share of at least one in their number
             copies = Copies(game, ground, few.routes, shares, max(2 * WIDTH // count, 1))
             law = Law(copies.network, copies.p, search.problem.budgets, few.ambushers, slack,
-                      False, deadline, EXACT_AIM)
+                      False, deadline)
             law.add_sites(program.entering, program.loss)
             limit = max(ceiling(program.bound, slack), ceiling(value, slack / 2.0))
             level = few.level(shares, program.gap) * (limit / ceiling(value, slack))
             before = 0.0
-            for _ in range(LAWS):
+            for _ in range(ROUNDS):
                 law.measure(level)
                 best = search.better(best, law, copies)
                 grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
-                if search.problem.late or law.rounds and law.good and not grew or not law.round(
-                        np.zeros(len(level)), law.prices, 0.0):
+                if search.problem.late or (
+                        law.rounds and law.good and not grew) or not law.round():
                     break
             search.evaluations += law.evaluations
             if every or best and best.value <= limit:

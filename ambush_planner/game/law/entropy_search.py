@@ -8,8 +8,9 @@ has the greatest route entropy less b' p if v >= 0 minimises the convex function
 
 This function is at least the entropy less b' p of any strategy with C p <= 1. So a value below
 -max b' p proves that no such strategy exists. The search begins with L-BFGS-B, which scales the
-multipliers to bring the Hessian's diagonal near 1. Newton's method ends it, in the multipliers of the tight limits, with Levenberg-Marquardt damping.
-The search goes on as long as rounds lower the function noticeably.
+multipliers to bring the Hessian's diagonal near 1. Newton's method ends it, in the multipliers of
+the tight limits, with Levenberg-Marquardt damping. The search goes on as long as rounds lower the
+function noticeably.
 """
 
 from __future__ import annotations
@@ -167,7 +168,8 @@ class _DualSearch:
                 if ratio > 0.0:
                     break
                 damping, rise = damping * rise, 2.0 * rise
-            damping, rise = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0)**3), ROUNDING), 2.0
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0)**3)
+            damping, rise = max(damping, ROUNDING), 2.0
             v, value, gradient = tried, new_value, new_gradient
 
 

@@ -20,17 +20,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
-from ...arrays import FloatArray, IndexArray
+from ...arrays import FloatArray
 from ..budget import Budget, margin_rows
 from ..slack import ceiling, within
 from .chain import MarkovChain
-from .entropy_search import maximize_entropy
+from .entropy_search import ENTROPY_TOLERANCE, maximize_entropy
 from .gibbs import AcyclicNetwork
 
-# Share of the slack that a law aims at: if its rows are exact for every chain, and if they are not.
-EXACT_AIM, AIM = 0.95, 0.7
-# Tolerance of a law as a share of the slack, and the largest.
-TOLERANCE, MAX_TOLERANCE = 0.04, 4e-4
+# Share of the slack that a law aims at, and its tolerance, unless that of the entropy is less.
+AIM, TOLERANCE = 0.95, 0.04
 # Sites limit their hits if their entries cost at least this share of their level; else entries.
 NEAR = 0.97
 # Weight of the cross entropy to the chain before, relative to the entropy; and the least share of
@@ -38,8 +36,6 @@ NEAR = 0.97
 NEAR_PAST, LEAST_SHARE = 0.5, 1e-12
 # Shares of what p costs too much that limits may leave if those without are infeasible.
 RELAXED = (0.5, 0.75, 0.9)
-# Largest number of doublings of the first multipliers.
-DOUBLINGS = 12
 
 
 class Law:
@@ -47,18 +43,18 @@ class Law:
 
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
     ``level`` (S,) is what each site may cause; the k largest add up to the limit of the value.
+    Rounds aim at the share ``aim`` of the slack.
     ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
     and budgets.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
                  ambushers: int, slack: float, exact: bool, deadline: float,
-                 aim: float | None = None) -> None:
-        self._aim = (EXACT_AIM if exact else AIM) if aim is None else aim
+                 aim: float = AIM) -> None:
         self.network, self.slack, self.exact = network, slack, exact
         self.chain = MarkovChain(network, p)
-        self.deadline, self._k = deadline, ambushers
-        self._tolerance = min(TOLERANCE * slack, MAX_TOLERANCE)
+        self.deadline, self._k, self._aim = deadline, ambushers, aim
+        self._tolerance = min(TOLERANCE * slack, ENTROPY_TOLERANCE)
         binding = [b for b in budgets if b.binds]
         # A law may exceed its limits by the tolerance, but not a budget.
         self._margin = np.array([b.margin * (1.0 - self._tolerance) for b in binding])
@@ -119,23 +115,21 @@ class Law:
         """Whether the value is within the slack of the level's."""
         return within(self.value, self._level_value, self.slack)
 
-    def round(self, q: FloatArray, prices: FloatArray, bound: float) -> bool:
+    def round(self) -> bool:
         """The law of greatest entropy, near the one before, within rows that are exact at p.
 
-        q (S,) and the prices of the budgets are the first multipliers, up to a factor. Returns
-        False if no law is within the rows.
+        Returns False if no law is within the rows.
         """
-        near, aim = self._near, self._aim
-        most = self.level * ceiling(1.0, aim * self.slack) / self._loss
+        near, most = self._near, self.level * ceiling(1.0, self._aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
         if not most[sites].all():  # a program that proved nothing allows no hits
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
         later = NEAR_PAST if self.rounds and not self.exact else 0.0
         past = -later * np.log(np.maximum(self.chain.share, LEAST_SHARE))
+        start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         for kept in self._limits(most[sites]):
             limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._excess)))
-            start = (1.0 - later) * self._start(limits, sites, q, prices, bound)
             found = maximize_entropy(self.network, limits, past, start, self._tolerance,
                                      self.deadline)
             self.evaluations += found.evaluations
@@ -165,13 +159,3 @@ class Law:
         over = self.value / self.limit - 1.0 if self.limit else 0.0
         for share in RELAXED if over > 0.0 else ():
             yield aim * (1.0 + share * over)
-
-    def _start(self, limits: csr_matrix, sites: IndexArray, q: FloatArray, prices: FloatArray,
-               bound: float) -> FloatArray:
-        """The multipliers of the round before; at first a multiple of the ambusher's."""
-        start = np.append(self.multipliers[sites], self.prices)
-        if self.rounds or not q.any() or bound <= 0.0:
-            return start
-        ambusher = np.append(q[sites] * self.level[sites], prices * self._margin) / bound
-        starts = [start, *(ambusher * 2.0**k for k in range(DOUBLINGS))]
-        return min(starts, key=lambda v: self.network.law(limits.T @ v)[0] + float(v.sum()))
