@@ -40,12 +40,10 @@ from ..game import Game
 # which it stops: a second or less each. The cost reached by then is still a lower bound.
 SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 5_000_000))
 Searches = Sequence[tuple[float, int]]
-# Steps after which a search looks at the clock.
-CLOCK = 256
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
-# Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
-_NEGLIGIBLE = 1e-7
+# Charges and flows below this share of the largest are rounding, and not counted.
+NEGLIGIBLE = 1e-7
 
 
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
@@ -246,7 +244,7 @@ class _Labels:
 
     def __init__(self, ground: Ground, base: FloatArray, charge: FloatArray) -> None:
         rows = np.argsort(-charge, kind='stable')
-        rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
+        rows = rows[charge[rows] > NEGLIGIBLE * charge.max(initial=0.0)]
         self._met, hit = [0] * len(ground.edge), ground.entering[rows].tocoo()
         self._counts = [1.0] * len(ground.edge)  # the same for all sites that an edge meets
         for row, k, counts in zip(hit.row.tolist(), hit.col.tolist(), hit.data.tolist(),
@@ -269,13 +267,11 @@ class _Labels:
         settled: dict[int, list[tuple[float, int]]] = {}
         queue = [(behind[node], 0.0, 0, node, 0) for node in self._sources]
         heapq.heapify(queue)
-        step = 0
         while queue:
-            step += 1
             least, cost, number, node, met = heapq.heappop(queue)
             if node in self._targets:
                 return cost, self._route(labels, number)
-            if comparisons < 0 or not step % CLOCK and time.monotonic() > deadline:
+            if comparisons < 0 or time.monotonic() > deadline:
                 return least, None
             here = settled.setdefault(node, [])
             comparisons -= len(here)

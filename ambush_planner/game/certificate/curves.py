@@ -26,10 +26,7 @@ from scipy.sparse import csr_matrix
 from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..faces import Circulation, Faces
-from .best_response import SEARCHES, Grounds
-
-# Flows below this share of the largest are rounding.
-NEGLIGIBLE = 1e-7
+from .best_response import NEGLIGIBLE, SEARCHES, Grounds
 
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray, price: float,

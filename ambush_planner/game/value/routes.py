@@ -46,10 +46,9 @@ LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
 # Minimum distance of places that join at once, as a share of the reach: places near each other
 # hit nearly the same routes.
 APART = 0.25
-# Rounds before the legs' program runs for the first time, then twice as many and so on.
-FIRST_TURN = 16
-# Rounds of the legs' program, and those in which it is proved although ways still join.
-LEG_ROUNDS, PROOFS = 400, (16, 32, 64, 128, 256)
+# Rounds after which a value is proved although routes still join, then twice as many and so on; and
+# the most rounds of the legs' program.
+FIRST_PROOF, LEG_ROUNDS = 16, 400
 # Trips without a reach that are drawn from the legs' mixture to begin with.
 TRIPS = 100
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
@@ -175,7 +174,7 @@ class Routes:
         It also ends when no method finds a route that costs less. The searches over labels are
         left out unless it is to ``prove`` the value.
         """
-        precision, rounds, turn, self._fresh = LOOSE, 0, FIRST_TURN, False
+        precision, rounds, self._fresh = LOOSE, 0, False
         tight = min(TIGHT, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
@@ -189,9 +188,8 @@ class Routes:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = self._add_responses(centre, precision, prove)
             added = added or self._add_responses(mixture, precision, prove)
-            if prove and len(self._legs) > 1 and (not added or rounds == turn):
+            if prove and len(self._legs) > 1 and (not added or _proved(rounds)):
                 self.prove_by_legs()
-                turn *= 2
             if not added and (precision == tight or self._ended()):
                 return
             precision = precision if added else tight
@@ -355,7 +353,7 @@ class Routes:
                     added += quick(centre)
             was_tight = precision == TIGHT
             precision = precision if added else TIGHT
-            if not added or rounds in PROOFS:
+            if not added or _proved(rounds):
                 added += self._proof_by_legs(mixture)
             if (self._ended() or within(mixture.value, self.bound, self.gap / 2.0)
                     or was_tight and not added):
@@ -415,6 +413,11 @@ class RouteMixture:
         most = rows.max(axis=1).toarray().ravel() if len(rows.data) else np.zeros(rows.shape[0])
         met.data = np.minimum(met.data, np.repeat(most, np.diff(met.indptr)))
         return np.asarray(met @ self._shares)
+
+
+def _proved(rounds: int) -> bool:
+    """Whether a round is one of ``FIRST_PROOF``, twice as many, four times as many, ..."""
+    return rounds >= FIRST_PROOF and rounds & (rounds - 1) == 0
 
 
 def _between(centre: Mixture, newest: Mixture) -> Mixture:
