@@ -87,8 +87,9 @@ class Cut:
 
 def _solve_by_rounds(game: Game) -> CutSolution:
     split = _SplitNetwork(game)
-    flow, bound = np.zeros(len(split.edge)), _cut_bound(game)
-    best: tuple[float, BoolArray] = (np.inf, np.zeros(game.node_count, dtype=bool))
+    # All sites together are a cut, as no route avoids them all.
+    flow, sites = np.zeros(len(split.edge)), game.loss > 0.0
+    bound, best = float((1.0 / game.loss[sites]).sum()), (np.inf, sites)
     for _ in range(MAX_ROUNDS):
         total = split.total(flow)
         flow, cut = split.augment(flow, INTEGER_FLOW / (bound - total))
@@ -105,19 +106,6 @@ def _solve_by_rounds(game: Game) -> CutSolution:
     cut, q = best[1], np.zeros(game.node_count)
     q[cut] = 1.0 / game.loss[cut]
     return CutSolution(float(1.0 / q.sum()), p, q / q.sum())
-
-
-def _cut_bound(game: Game) -> float:
-    """Least capacity of a layer of sites: layer k has the sites that are k-th on the way from s.
-
-    Every route passes a site of each layer up to the least number of sites on any route.
-    """
-    network = game.network
-    is_site = game.loss > 0.0
-    depth = game.distances_ahead(is_site[network.heads].astype(np.float64))
-    reached = is_site & np.isfinite(depth)
-    capacity = np.bincount(depth[reached].astype(np.int64), weights=1.0 / game.loss[reached])
-    return float(capacity[1 : int(depth[network.target]) + 1].min())
 
 
 class _SplitNetwork:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, identity, vstack
 
-from ...arrays import ROUNDING, FloatArray, IndexArray, sums
+from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from . import highs
 
@@ -130,17 +130,6 @@ class Mixtures:
         """Expected uses (M,) of the edges."""
         routes = self.routes[: len(shares)]
         return sums(np.concatenate(routes), np.repeat(shares, list(map(len, routes))), edges)
-
-    def drawn(self, shares: FloatArray, rng: np.random.Generator) -> IndexArray:
-        """A route of edges drawn from a mixture, way by way if these lead from stop to stop."""
-        begin, end = np.array(self._between[: len(shares)]).T
-        ways, at = [], 0
-        while at < end.max():
-            weight = np.where(begin == at, shares + ROUNDING, 0.0)
-            k = int(rng.choice(len(shares), p=weight / weight.sum()))
-            ways.append(self.routes[k])
-            at = end[k]
-        return np.concatenate(ways)
 
     def of_least_excess(self) -> Mixture:
         """The mixture whose greatest excess is least: that is its value.

@@ -6,8 +6,7 @@ prices of the budgets (``mixtures``); routes that cost less against these than t
 join. They are found leg by leg by Dijkstra's method with every entry charged, except where another
 leg meets the site; later also from routes of the mixture; last by label searches, which also prove
 bounds (``best_response``). A trip's bound usually comes from its legs, each with its own share of
-every site: a program of its own, over the legs' ways, finds the shares. Without a reach it runs
-first, and trips drawn from its mixture are the first routes.
+every site: a program of its own, over the legs' ways, finds the shares.
 """
 
 from __future__ import annotations
@@ -49,8 +48,6 @@ APART = 0.25
 # Rounds after which a value is proved although routes still join, then twice as many and so on; and
 # the most rounds of the legs' program.
 FIRST_PROOF, LEG_ROUNDS = 16, 400
-# Trips without a reach that are drawn from the legs' mixture to begin with.
-TRIPS = 100
 # Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
 # edge that it does not.
 MAX_EXCESS, MIN_FLOW = 1e7, 1e-7
@@ -92,7 +89,7 @@ class Routes:
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
                  progress: Progress = no_progress) -> None:
         self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
-        self._progress, self._end, self._fresh = progress, deadline, True
+        self._progress, self._end = progress, deadline
         self._newest: Mixture | None = None  # of the legs
         binding = [b for b in budgets if b.binds]
         excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MAX_EXCESS), 0.0)
@@ -174,7 +171,7 @@ class Routes:
         It also ends when no method finds a route that costs less. The searches over labels are
         left out unless it is to ``prove`` the value.
         """
-        precision, rounds, self._fresh = LOOSE, 0, False
+        precision, rounds = LOOSE, 0
         tight = min(TIGHT, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
@@ -332,9 +329,6 @@ class Routes:
             if self._newest and self.bound == 0.0:
                 self._proof_by_legs(self._newest)
             raise
-        if self.game.reach == 0.0 and self._fresh and self._newest:
-            for _ in range(TRIPS):
-                self._add(self._of_legs.drawn(self._newest.shares, self._rng))
 
     def _solve_legs(self) -> None:
         """Solve the legs' program in rounds, in which ways join, until its value is proved."""
