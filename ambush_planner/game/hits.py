@@ -43,8 +43,7 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     chain = chain_of(game.network, p)
 
     def exact(rows: IndexArray) -> FloatArray:
-        entering = chain.network.columns(game.hits[rows])
-        return np.asarray(game.loss[game.sites[rows]] * chain.hits(entering))
+        return np.asarray(game.loss[game.sites[rows]] * chain.meets(game.hits[rows]))
 
     return largest(losses, exact, k)
 
@@ -72,12 +71,14 @@ def largest(bounds: FloatArray, exact: Callable[[IndexArray], FloatArray],
 
 
 def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None) -> FloatArray:
-    """P(hit) (K,) of the sites in ``rows`` (default: all) against p (M,), which must be acyclic."""
+    """P(hit) (K,) of the sites in ``rows`` (default: all) against p (M,).
+
+    If p has cycles, every entry counts, which is an upper bound.
+    """
     rows = np.arange(len(game.sites)) if rows is None else rows
-    if not hits_can_differ(game):
+    if not hits_can_differ(game) or not is_acyclic(game.network, p):
         return np.asarray(game.hits[rows] @ p)
-    chain = chain_of(game.network, p)
-    return chain.meets(game.hits[rows])
+    return chain_of(game.network, p).meets(game.hits[rows])
 
 
 def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
@@ -87,11 +88,7 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
     """
     at_sites = game.at_sites(q)
     rows = np.flatnonzero(at_sites > 0.0)
-    if hits_can_differ(game) and is_acyclic(game.network, p):
-        met = hit_probabilities(game, p, rows)
-    else:
-        met = np.asarray(game.hits[rows] @ p)
-    return float(at_sites[rows] @ met)
+    return float(at_sites[rows] @ hit_probabilities(game, p, rows))
 
 
 def entry_value(game: Game, p: FloatArray) -> float:
