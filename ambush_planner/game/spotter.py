@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import ROUNDING, FloatArray, IndexArray
 from .hits import largest
 from .law.acyclic import is_acyclic
 from .law.chain import MarkovChain, chain_of
@@ -24,8 +24,6 @@ from .strategy import Strategy
 
 # Largest number of sites that are tried for the spotter; of more, every second, third, ...
 MAX_PLACES = 300
-# Probabilities of passing, or not passing, below which a spotter tells nothing.
-CERTAIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ def worst_spotter(strategy: Strategy) -> Spotter | None:
     chain = chain_of(game.network, p)
     rows, alpha = chain.network.columns(game.hits), game.loss[game.sites]
     hits = chain.hits(rows)
-    some = np.flatnonzero((hits > CERTAIN) & (hits < 1.0 - CERTAIN))
+    some = np.flatnonzero((hits > ROUNDING) & (hits < 1.0 - ROUNDING))
     some = some[:: -(-len(some) // MAX_PLACES) or 1]
     if not len(some):
         return None

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...arrays import FloatArray, IndexArray, sums
+from ...arrays import ROUNDING, FloatArray, IndexArray, sums
 from ...network.network import Network
 from ..game import Game
 from .acyclic import order_along, without_cycles
@@ -27,8 +27,6 @@ from .gibbs import AcyclicNetwork, acyclic_network
 
 # Nodes that fewer routes visit count as not visited.
 MIN_VISITS = 1e-13
-# Sites whose expected entries exceed P(hit) by less have a derivative of 1 at their entries.
-MIN_EXCESS = 1e-9
 
 
 class MarkovChain:
@@ -100,7 +98,8 @@ class MarkovChain:
             unhit[a:b] = arriving[a:b] * self._per_visit[a:b] + self._unvisited[a:b]
             edge, weight = entering, unhit[self.network.tail[entering]] * counts
             hit[site] = weight @ self.p[entering]
-            if b > a and hit[site] < counts @ self.p[entering] - MIN_EXCESS:
+            # Where the expected entries exceed P(hit) by rounding, the derivative there is 1.
+            if b > a and hit[site] < counts @ self.p[entering] - ROUNDING:
                 later, more = self._changes_later_hits(entering, counts, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
             unhit[a:b] = 1.0

@@ -39,8 +39,6 @@ STEP = 0.92
 MANY = 0.03
 # Flow through a disc that counts as unbounded: z is infeasible.
 ENDLESS = 1e6
-# Share of a route's flow below which it is rounding.
-NEGLIGIBLE = 1e-9
 
 
 class Potential:
@@ -142,7 +140,7 @@ class Potential:
         shortest = shortest_route_strategy(self.game, self.budget.cost)
         if self._kept is None:
             return shortest
-        p = conserved_strategy(self.game, self.faces.flow(self._kept), NEGLIGIBLE)
+        p = conserved_strategy(self.game, self.faces.flow(self._kept), ROUNDING)
         if p is None:
             return shortest
         excess = float(p[p > 0.0] @ self.budget.excess[p > 0.0])

@@ -40,8 +40,8 @@ STARTS, RESTARTS = 4, 8
 # which sites are left out. Few sites make a search fast, but each that is left out weakens it.
 SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
             (math.inf, 4_000_000, 1e-2))
-# The same for the ways of one leg.
-LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000), (3, 300_000), (9, 300_000)), 1e-3
+# The first of these for the ways of one leg, and its share below which sites are left out.
+LEG_SEARCH, LEG_NEGLIGIBLE = tuple(search[:2] for search in SEARCHES[:3]), 1e-3
 # Minimum distance of places that join at once, as a share of the reach: places near each other
 # hit nearly the same routes.
 APART = 0.25
