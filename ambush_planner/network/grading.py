@@ -18,6 +18,9 @@ from ..arrays import FloatArray
 # Growth of the wanted spacing per distance from the rim of the secured area, and from the discs
 # around refined places.
 END_GROWTH, PLACE_GROWTH = 0.25, 0.5
+# Places with less than this spacing are fine in a ring only; its radius and half its width. All are
+# shares of the radius around places.
+RING_BELOW, RING, HALF_WIDTH = 0.07, 0.88, 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,8 @@ class Grading:
     rim
         Radius of the secured area around start, stops and goal [m].
     refined : (K, 3), around
-        Places (x, y) and the spacing [m] within this radius [m] of each.
+        Places (x, y) and the spacing [m] within this radius [m] of each; the smallest spacings are
+        wanted in a ring only, where routes squeeze past an ambush.
     """
 
     finest: float
@@ -45,6 +49,9 @@ class Grading:
         wanted = np.maximum(END_GROWTH * beyond, self.finest)
         for finest in np.unique(self.refined[:, 2]):
             places = self.refined[self.refined[:, 2] == finest, :2]
-            beyond = PLACE_GROWTH * (cKDTree(places).query(points)[0] - self.around)
-            wanted = np.minimum(wanted, np.maximum(beyond, finest))
+            apart = cKDTree(places).query(points)[0] / self.around
+            beyond = apart - 1.0
+            if finest < RING_BELOW * self.around:
+                beyond = np.abs(apart - RING) - HALF_WIDTH
+            wanted = np.minimum(wanted, np.maximum(PLACE_GROWTH * self.around * beyond, finest))
         return np.minimum(wanted, spacing)

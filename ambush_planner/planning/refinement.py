@@ -34,9 +34,9 @@ LEAST_FALL = 0.02
 # Sites that cause less than this share of the ambusher's mean loss are not refined. If those where
 # the network is not fine cause at most the second share of it together, the network is fine enough.
 SHARE, COARSE_SHARE = 0.003, 0.1
-# At sites that cause more than this share the flow is narrow: there the whole disc has to be fine,
-# and the first spacing is wanted, at other sites the second [reaches].
-NARROW_SHARE, SPACINGS = 0.1, (1.0 / 9.0, 1.0 / 6.0)
+# At sites that cause more than the first share the flow is narrow: their rims have to be fine, too.
+# Spacings that are wanted at sites that cause less than each share, and more [reaches].
+NARROW, SPACINGS = (0.1, 0.25), (1.0 / 6.0, 1.0 / 9.0, 1.0 / 18.0)
 # The network is fine where its spacing is at most this many times what is wanted.
 FINE = 1.5
 # Directions in which the rim of a disc is looked at.
@@ -100,8 +100,9 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     if grades is None or not charge.any():
         return None
     sites = np.flatnonzero(charge > SHARE * charge.sum())
-    narrow, points = charge[sites] > NARROW_SHARE * charge.sum(), search.points[sites]
-    finest = np.where(narrow, *(finest_spacing(risk_map, each * reach) for each in SPACINGS))
+    share, points = charge[sites] / charge.sum(), search.points[sites]
+    narrow, level = share > NARROW[0], np.searchsorted(NARROW, share)
+    finest = np.array([finest_spacing(risk_map, each * reach) for each in SPACINGS])[level]
     ends = network.points[[network.source, *network.stops, network.target]]
     rims = np.where(narrow, game.reach, 0.0)[:, None] * COMPASS[:, None]
     plain = node_spacing(risk_map, options.network)

@@ -6,8 +6,9 @@ of greatest entropy is found by rounds. Each one limits the hits by rows that ar
 before (``MarkovChain.hits_with_derivatives``) and finds the Gibbs law of greatest entropy within
 these limits, which after the first round is also drawn towards the chain before: it maximises
 
-    H(p) + NEAR_PAST sum of p ln(share before),    share: the probability of an edge at its tail.
+    H(p) + w sum of p ln(share before),    share: the probability of an edge at its tail,
 
+with the weight w of the past (``PAST``, later ``LATER_PAST``, as rounds can swing back and forth).
 Where rounds stand still, the chain before is the new one, so p has the greatest entropy (theory.md,
 Proposition 8.5). Where no route can meet a site twice, the rows are exact for every chain, and one
 round does it.
@@ -31,9 +32,9 @@ from .gibbs import AcyclicNetwork
 AIM, TOLERANCE = 0.95, 0.04
 # Sites limit their hits if their entries cost at least this share of their level; else entries.
 NEAR = 0.97
-# Weight of the cross entropy to the chain before, relative to the entropy; and the least share of
-# an edge in it.
-NEAR_PAST, LEAST_SHARE = 0.5, 1e-12
+# Weight of the cross entropy to the chain before, relative to the entropy: after the first round,
+# and after SWINGS rounds; and the least share of an edge in it.
+PAST, LATER_PAST, SWINGS, LEAST_SHARE = 0.5, 0.8, 8, 1e-12
 # Shares of what p costs too much that limits may leave if those without are infeasible.
 RELAXED = (0.5, 0.75, 0.9)
 
@@ -125,7 +126,8 @@ class Law:
         if not most[sites].all():  # a program that proved nothing allows no hits
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
-        later = NEAR_PAST if self.rounds and not self.exact else 0.0
+        later = 0.0 if self.exact or not self.rounds else (
+            PAST if self.rounds <= SWINGS else LATER_PAST)
         past = -later * np.log(np.maximum(self.chain.share, LEAST_SHARE))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         for kept in self._limits(most[sites]):
