@@ -181,10 +181,9 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
         console.fact('mean length', f'{distance(plan.driven_length)} as driven' + (
             '' if few else f' (along the network {distance(strategy.expected_length)}, {ratio})'))
     if len(plan.refinement) > 1:
-        values = ' ... '.join(f'{each.value:.4g}' for each in plan.refinement)
+        values = ' ... '.join(dict.fromkeys(f'{each.value:.4g}' for each in plan.refinement))
         known = ' at a known time' * bool(day)
-        console.fact('refined',
-                     f'value{known} {values}, on {plan.refinement[-1].nodes} nodes at last')
+        console.fact('refined', f'value{known} {values}, on {plan.refinement[-1].nodes} nodes')
     if few:
         price = few.value / few.lower_bound if few.lower_bound else math.inf
         console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '

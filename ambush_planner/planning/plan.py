@@ -27,6 +27,7 @@ from ..notebook import Shown
 from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
+from ..words import distance
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
 from .solving import WarmStart
 
@@ -119,8 +120,8 @@ class Plan(Shown):
         return self.few.lower_bound if self.few else self.strategy.lower_bound
 
     def _summary(self) -> dict[str, str]:
-        return {**self.strategy._summary(), 'node spacing': f'{self.spacing:g} m',
-                'held ground': f'{self.strategy.game.options.held_radius:g} m',
+        return {**self.strategy._summary(), 'node spacing': distance(self.spacing),
+                'held ground': distance(self.strategy.game.options.held_radius),
                 'planned in': f'{self.seconds:.2g} s'}
 
     def plot(self, axes: Any = None) -> Any:
