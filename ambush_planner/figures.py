@@ -354,7 +354,7 @@ def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[Float
 
 
 def free_spots(points: FloatArray, taken: FloatArray, apart: float) -> list[FloatArray]:
-    """Where the numbers of points (K, 2) can stand: there, or beside other numbers and ``taken``.
+    """Places for the numbers of points (K, 2), apart from each other and from ``taken``.
 
     ``taken`` are (P, 2), ``apart`` is the least distance [m].
     """

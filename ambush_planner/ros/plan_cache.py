@@ -47,7 +47,7 @@ class CachedPlan:
 
     @property
     def asked(self) -> NodeParameters:
-        """The parameters of whoever asked for the plan."""
+        """The parameters with which the plan was requested."""
         return self.refined_by or self.parameters
 
     def ends(self, trip: Trip) -> Ends:
