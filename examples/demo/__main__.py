@@ -38,7 +38,7 @@ NETWORK: dict[str, float] = {}
 # Friendly forces hold the ground around start and goal [m].
 SECURED_RADIUS = 2000.0
 # Detours and slacks of the frontier, and the time limit of each solve [s].
-DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.1, 1.2, 1.5), (0.01,), 25.0
+DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.1, 1.2, 1.5), (0.01, 0.1), 25.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,

@@ -57,14 +57,18 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
         right.annotate(f'{route.name}\n{length:.1f} km', place,
                        xytext=(12 if side == 'left' else -12, 0), textcoords='offset points',
                        ha=side, va='center', color=colour, path_effects=HALO, zorder=9)
-    # The place further right has the upper label, so that the lines do not cross.
-    for k, route in enumerate(sorted(fixed, key=lambda route: -route.worst_place[0])):
+    # The place further right has the label at the lower right, so that no line meets another place.
+    corners = ((0.97, 0.3), 'right'), ((0.02, 0.93), 'left')
+    for (corner, side), route in zip(
+        corners, sorted(fixed, key=lambda route: -route.worst_place[0]), strict=True
+    ):
         right.scatter(*route.worst_place, s=130, color=AMBUSHER, edgecolors='white', zorder=5)
         right.annotate(
-            f'worst place of the\n{route.name}: loss {route.loss:.2f}', route.worst_place,
-            xytext=(0.97, 0.33 - 0.14 * k), textcoords='axes fraction', ha='right', ma='left',
+            f'worst place of\nthe {route.name}:\nloss {route.loss:.2f}', route.worst_place,
+            xytext=corner, textcoords='axes fraction', ha=side, va='center', ma='left',
             path_effects=HALO, zorder=9,
-            arrowprops={'arrowstyle': '-', 'relpos': (0.0, 0.5), 'linewidth': 1.2},
+            arrowprops={'arrowstyle': '-', 'relpos': (0.5, 0.0 if side == 'left' else 1.0),
+                        'linewidth': 1.2},
         )
     figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
     figure.legend(handles=[SITES, HELD_GROUND, OBSTACLE], loc='outside lower center', ncols=2,
