@@ -55,8 +55,13 @@ class Goals:
 
     def result(self, handle):
         """Return the status and the result of a goal, once it is there."""
-        answer = self._answer('a result', handle.get_result_async)
-        return answer.status, answer.result
+        answer = self.result_of(handle)
+        wait_until(answer.done, 'a result')
+        return answer.result().status, answer.result().result
+
+    def result_of(self, handle):
+        """The future of a goal's status and result."""
+        return self._sent(handle.get_result_async)
 
     def cancel(self, handle):
         """Return how many goals are being cancelled."""
@@ -64,11 +69,15 @@ class Goals:
         return len(answer.goals_canceling)
 
     def _answer(self, what, send, *arguments):
+        answer = self._sent(send, *arguments)
+        wait_until(answer.done, what)
+        return answer.result()
+
+    def _sent(self, send, *arguments):
         """Send from the executor's thread: rclpy loses answers that come before it is done."""
         sent = self.client.node.executor.create_task(send, *arguments)
         wait_until(sent.done, 'the sending')
-        wait_until(sent.result().done, what)
-        return sent.result().result()
+        return sent.result()
 
     def refused(self, **fields):
         """Return the code and the message of a goal that is given up."""
