@@ -58,18 +58,18 @@ MIN_PROBABILITY = 1e-3
 MAX_CELLS = 2000
 WIDTH = 7.0  # inches
 DOTS_PER_INCH = 200
-HELD_DASHES = (0, (4, 3))
+SECURED_DASHES = (0, (4, 3))
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
 # Distance between numbers, as a share of the picture.
 BADGE = 0.07
-# Minimum radius of held ground that a mark does not cover, as a share of the picture.
+# Minimum radius of the secured area that a mark does not cover, as a share of the picture.
 SEEN = 0.015
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 # Legend entries of the layers below.
 SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours.AMBUSHER,
                markeredgecolor='white', label='ambush site: the larger, the likelier')
-HELD_GROUND = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
-                     label='held ground: nobody can wait here')
+SECURED_AREA = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES,
+                     label='secured area: nobody can wait here')
 OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
 UNKNOWN = Patch(facecolor='#f2f2f2', edgecolor='#a8a8a8', hatch='////', label='unknown')
 NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
@@ -78,7 +78,7 @@ NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
 
 def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
                 small: bool = False) -> AxesImage:
-    """Draw the map with start, stops, goal and held ground of a strategy.
+    """Draw the map with start, stops, goal and secured area of a strategy.
 
     A ``small`` panel, which another one explains, has no ticks, names or scale.
     """
@@ -274,20 +274,20 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
 
 
 def draw_ends(axes: Axes, strategy: Strategy, named: bool = True, size: float = 1.0) -> None:
-    """Mark start, stops and goal of a strategy's network, and its held ground.
+    """Mark start, stops and goal of a strategy's network, and its secured area.
 
     ``size`` is that of the marks, as a share of the usual area.
     """
     network, options = strategy.network, strategy.game.options
     draw_places(axes, network.points[[network.source, *network.stops, network.target]],
-                options.held_radius, named, size)
+                options.secured_distance, named, size)
     for x, y, radius in options.held_places:
         _circle(axes, (x, y), radius)
 
 
-def draw_places(axes: Axes, places: FloatArray, held_radius: float, named: bool = True,
+def draw_places(axes: Axes, places: FloatArray, secured_distance: float, named: bool = True,
                 size: float = 1.0) -> None:
-    """Mark start (square), stops (diamonds) and goal (star) with names; circle held ground."""
+    """Mark start (square), stops (diamonds) and goal (star) with names; circle the secured area."""
     stops = [('D', 70, f'stop {k}') for k in range(1, len(places) - 1)]
     marks = [('s', 90, 'start'), *stops, ('*', 260, 'goal')]
     if np.array_equal(places[0], places[-1]):  # a round trip
@@ -298,13 +298,13 @@ def draw_places(axes: Axes, places: FloatArray, held_radius: float, named: bool 
         if named:
             axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
                           va='top', weight='bold', path_effects=HALO, zorder=10)
-        if held_radius > 0.0:
-            _circle(axes, (x, y), held_radius)
+        if secured_distance > 0.0:
+            _circle(axes, (x, y), secured_distance)
 
 
 def _circle(axes: Axes, centre: tuple[float, float], radius: float) -> None:
     axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
-                          linestyle=HELD_DASHES, zorder=6))
+                          linestyle=SECURED_DASHES, zorder=6))
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
@@ -413,8 +413,8 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     if strategy.value > 0.0:
         draw_sites(axes, strategy)
         key = [SITES, *key]
-    if strategy.game.held.radii.max(initial=0.0) > SEEN * np.ptp(axes.get_xlim()):
-        key = [*key, HELD_GROUND]
+    if strategy.game.secured.radii.max(initial=0.0) > SEEN * np.ptp(axes.get_xlim()):
+        key = [*key, SECURED_AREA]
     drawn = f'{len(routes)} route{"s" * (len(routes) != 1)} drawn'
     axes.legend(key, [drawn if isinstance(each, tuple) else each.get_label() for each in key],
                 handler_map={tuple: HandlerTuple(None, 0.0)}, loc='upper left',

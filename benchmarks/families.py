@@ -2,7 +2,7 @@
 """Random problems, each drawn from a seed: map, start, goal and all options of a plan.
 
 A problem's name is ``kind:family:nodes:seed``. Nothing is chosen by hand: losses, obstacles,
-places, reach, held ground and detour are drawn. Each layer of a trip has about ``nodes`` places.
+places, reach, secured area and detour are drawn. Each layer of a trip has about ``nodes`` places.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
 CELLS_PER_NODE = 1.3, 6.0
-# Maximum reach, as a share of the distance from start to goal: held ground leaves some ground.
+# Maximum reach, as a share of the distance from start to goal: the secured area leaves some ground.
 MAX_REACH = 0.2
 
 Position = tuple[float, float]
@@ -53,21 +53,21 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
         fine = math.exp(rng.uniform(*np.log(CELLS_PER_NODE)))
     scenario, own = FAMILIES[family](rng, round(fine * math.sqrt(int(nodes))))
     spacing = spacing_for(scenario.risk_map, int(nodes))
-    reach, held = _reach_and_held(kind, rng, scenario, spacing)
+    reach, secured = _reach_and_secured(kind, rng, scenario, spacing)
     detour = own or float(rng.choice(DETOURS))
     count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
     options = PlanningOptions(
         network=NetworkOptions(method='uniform_grid8' if kind == 'grid' else 'uniform_delaunay',
                                spacing=spacing, refine=0),
         game=GameOptions(ambush_radius=reach * spacing,
-                         secured_radius=None if held < 0.0 else held * spacing,
+                         secured_radius=None if secured < 0.0 else secured * spacing,
                          ambushers=2 if kind == 'two' else 1),
         strategy=StrategyOptions(max_detour=detour,
                                  max_exposure=1.1 if kind == 'budgets' else math.inf,
                                  time_limit=time_limit),
     )
     rows, columns = scenario.risk_map.alpha.shape
-    words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '
+    words = (f'{rows} x {columns} cells reach {reach:.2g} held {secured:.2g} detour {detour:.3g} '
              f'stops {count}')
     return Problem(scenario, options, _places(rng, scenario.risk_map, int(count)), words)
 
@@ -78,9 +78,9 @@ def spacing_for(risk_map: RiskMap, nodes: int) -> float:
     return max(risk_map.resolution, math.sqrt(free / nodes))
 
 
-def _reach_and_held(kind: str, rng: np.random.Generator, scenario: Scenario,
+def _reach_and_secured(kind: str, rng: np.random.Generator, scenario: Scenario,
                     spacing: float) -> tuple[float, float]:
-    """Reach and radius of held ground [spacings]; -1: as far as the reach."""
+    """Reach and radius of the secured area [spacings]; -1: as far as the reach."""
     if kind == 'nodes':
         return 0.0, 0.03 * max(scenario.risk_map.size) / spacing
     if kind == 'plan':

@@ -68,12 +68,12 @@ def draw(family: str, seed: int) -> Ground:
         scenario = terrain() if family == 'terrain' else _across(
             read_risk_map(YARD if family == 'yard' else family))
     reach = math.exp(rng.uniform(*np.log(REACH))) * max(scenario.risk_map.size)
-    detour, held = rng.uniform(*DETOUR), rng.choice([-1.0, 2.0 * reach])
+    detour, secured = rng.uniform(*DETOUR), rng.choice([-1.0, 2.0 * reach])
     if family == 'terrain':
-        reach, held, detour = 500.0, 2000.0, 1.2
-    options = PlanningOptions(game=GameOptions(ambush_radius=reach, secured_radius=held),
+        reach, secured, detour = 500.0, 2000.0, 1.2
+    options = PlanningOptions(game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour))
-    return Ground(scenario, options, f'reach {reach:.3g} held {held:.3g} detour {detour:.3g}')
+    return Ground(scenario, options, f'reach {reach:.3g} held {secured:.3g} detour {detour:.3g}')
 
 
 def _across(risk_map: RiskMap) -> Scenario:

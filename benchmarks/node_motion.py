@@ -151,7 +151,7 @@ class Trip:
 
     way: int
     value: float = math.nan
-    held: float = 0.0
+    secured: float = 0.0
     drawn: float = 0.0
     driven: float = 0.0
     trace: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -229,7 +229,7 @@ class Patrol:
         if kind == 'new' and math.isnan(trip.value):
             self._caller.wait(lambda: self._caller.status.get('departure_value'), 'the value')
             trip.value = float(self._caller.status['departure_value'])
-            trip.held = float(self._caller.status['held_radius'])
+            trip.secured = float(self._caller.status['secured_radius'])
 
     def _ask_for_the_impossible(self) -> None:
         goal, expected = next(self._closed)
@@ -253,10 +253,10 @@ def worst_met(trips: list[Trip]) -> tuple[float, float, int]:
     met = np.zeros(len(free))
     for trip in trips:
         ends = trip.trace[0], ENDS[trip.way]
-        held = np.min([np.hypot(*(trip.trace - end).T) for end in ends], axis=0) <= trip.held
-        outside = np.min([np.hypot(*(free - end).T) for end in ends], axis=0) > trip.held
-        if (~held).any():
-            near, _ = cKDTree(trip.trace[~held]).query(free, distance_upper_bound=REACH)
+        secured = np.min([np.hypot(*(trip.trace - end).T) for end in ends], axis=0) <= trip.secured
+        outside = np.min([np.hypot(*(free - end).T) for end in ends], axis=0) > trip.secured
+        if (~secured).any():
+            near, _ = cKDTree(trip.trace[~secured]).query(free, distance_upper_bound=REACH)
             met += (near <= REACH) & outside
     value = float(np.mean([trip.value for trip in trips]))
     return float(met.max() / len(trips)), value, len(trips)

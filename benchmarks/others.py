@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What random routes without a game cost: how others vary their routes, at our mean length.
 
-On the same network, against the same ambusher: the largest loss over all free cells outside held
-ground, each route counted once, over the value of our plan. Amplitudes of noise and numbers of
-alternatives are the largest whose mean length is at most ours.
+On the same network, against the same ambusher: the largest loss over all free cells outside the
+secured area, each route counted once, over the value of our plan. Amplitudes of noise and numbers
+of alternatives are the largest whose mean length is at most ours.
 """
 
 from __future__ import annotations
@@ -120,14 +120,14 @@ def compared(name: str) -> Answer:
         return {'failed': True, 'seconds': plan.seconds, 'status': 'nothing to lose'}
     network, strategy, tube = plan.network, plan.strategy, plan.tube or 0.0
     reach = game.ambush_radius + tube
-    held = reach if game.secured_radius is None else game.secured_radius
-    places, alpha = standing_places(scenario.risk_map, network, held)
+    secured = reach if game.secured_radius is None else game.secured_radius
+    places, alpha = standing_places(scenario.risk_map, network, secured)
     others = Others(scenario.risk_map, network, strategy.expected_length, len(places))
     drawn = {planner: make() for planner, make in others.planners().items()}
     worst = dict.fromkeys(drawn, 0.0)
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)
-        near = meets(network, places[some], reach, held - tube)
+        near = meets(network, places[some], reach, secured - tube)
         for planner, routes in drawn.items():
             hit = np.mean([near[:, route].any(axis=1) for route in routes], axis=0)
             worst[planner] = max(worst[planner], float((alpha[some] * hit).max()))

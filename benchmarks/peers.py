@@ -20,7 +20,7 @@ from ambush_planner.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class LP:
     """Minimise cost x, rows x in low..high, x in 0..most; x is p (M,), t, s."""
 
     cost: FloatArray
@@ -30,8 +30,8 @@ class Program:
     high: FloatArray
 
 
-def value_program(network: Network, losses: csr_matrix, budgets: list[tuple[FloatArray, float]],
-                  ambushers: int = 1, usable: BoolArray | None = None) -> Program:
+def value_lp(network: Network, losses: csr_matrix, budgets: list[tuple[FloatArray, float]],
+             ambushers: int = 1, usable: BoolArray | None = None) -> LP:
     """Minimise k t + sum s: ``losses`` (S, M) p <= t + s, one unit of flow p within ``budgets``.
 
     Each budget is the costs (M,) of the edges and its limit; p is 0 on edges that are not
@@ -53,8 +53,8 @@ def value_program(network: Network, losses: csr_matrix, budgets: list[tuple[Floa
     most = np.full(m + 1 + several, np.inf)
     if usable is not None:
         most[:m][~usable] = 0.0
-    return Program(np.r_[np.zeros(m), ambushers, np.ones(several)], most, csc_matrix(rows),
-                   np.r_[np.full(len(above), -np.inf), supply], np.r_[above, supply])
+    return LP(np.r_[np.zeros(m), ambushers, np.ones(several)], most, csc_matrix(rows),
+              np.r_[np.full(len(above), -np.inf), supply], np.r_[above, supply])
 
 
 def best_route(network: Network, weights: FloatArray) -> list[int]:
@@ -68,16 +68,16 @@ def best_route(network: Network, weights: FloatArray) -> list[int]:
     return nodes[::-1]
 
 
-def highs(program: Program, **options: Any) -> dict[str, Any]:
+def highs(lp: LP, **options: Any) -> dict[str, Any]:
     """HiGHS' status, its value, and its processor seconds."""
-    model, (rows, columns) = highspy.HighsLp(), program.rows.shape
+    model, (rows, columns) = highspy.HighsLp(), lp.rows.shape
     model.num_row_, model.num_col_ = rows, columns
-    model.col_cost_, model.col_lower_ = program.cost, np.zeros(columns)
-    model.col_upper_ = program.most
-    model.row_lower_, model.row_upper_ = program.low, program.high
+    model.col_cost_, model.col_lower_ = lp.cost, np.zeros(columns)
+    model.col_upper_ = lp.most
+    model.row_lower_, model.row_upper_ = lp.low, lp.high
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    model.a_matrix_.start_, model.a_matrix_.index_ = program.rows.indptr, program.rows.indices
-    model.a_matrix_.value_ = program.rows.data
+    model.a_matrix_.start_, model.a_matrix_.index_ = lp.rows.indptr, lp.rows.indices
+    model.a_matrix_.value_ = lp.rows.data
     engine = highspy.Highs()
     settings = {'output_flag': False, 'threads': 1, 'solver': 'simplex', **options}
     for name, setting in settings.items():

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random valid games as users have them: does any fail, and is what is published right?
 
-Maps, networks, trips, roads, reaches, held ground, budgets, thresholds and ambushers are drawn from
-a seed of each game's own: ``--first SEED --count 1`` repeats a game. All strategies are checked by
-laws. Up to ``CHECKED`` nodes, values are computed again by geometry and recursions that are not the
-package's (test/games.py), and bounds are compared with HiGHS' dual simplex method.
+Maps, networks, trips, roads, reaches, secured areas, budgets, thresholds and ambushers are drawn
+from a seed of each game's own: ``--first SEED --count 1`` repeats a game. All strategies are
+checked by laws. Up to ``CHECKED`` nodes, values are computed again by geometry and recursions that
+are not the package's (test/games.py), and bounds are compared with HiGHS' dual simplex method.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from families import FAMILIES, draw
-from peers import highs, value_program
+from peers import highs, value_lp
 from report import conditions, new_parser, publish, quantiles, table
 from scenarios import Scenario
 from scipy.sparse import csr_matrix
@@ -143,10 +143,10 @@ def drawn_options(rng: np.random.Generator, network: Network,
                   network_options: NetworkOptions) -> PlanningOptions:
     spacing = float(np.median(network.lengths))
     reach = spacing * float(rng.choice([0.0, 0.0, rng.uniform(0.3, 6.0)]))
-    held = float(rng.choice([0.0, -1.0, 2.0 * reach, spacing * rng.uniform(0.0, 6.0), 1e9],
+    secured = float(rng.choice([0.0, -1.0, 2.0 * reach, spacing * rng.uniform(0.0, 6.0), 1e9],
                             p=[0.25, 0.25, 0.25, 0.22, 0.03]))
     above = float(np.quantile(network.alpha, rng.uniform(0.7, 0.99)))
-    game = GameOptions(ambush_radius=reach, secured_radius=None if held < 0.0 else held,
+    game = GameOptions(ambush_radius=reach, secured_radius=None if secured < 0.0 else secured,
                        alpha_threshold=float(rng.choice([math.inf] * 3 + [above])),
                        ambushers=int(rng.choice([1] * 6 + [2, 4])))
     strategy = StrategyOptions(
@@ -161,8 +161,8 @@ def drawn_options(rng: np.random.Generator, network: Network,
 def words_of(seed: int, kind: str, network: Network, options: PlanningOptions) -> str:
     game, strategy, spacing = options.game, options.strategy, float(np.median(network.lengths))
     return (f'seed {seed}: {kind} {options.network.method} {len(network.points)} nodes, '
-            f'reach {game.ambush_radius / spacing:.2g} spacings, held '
-            f'{game.held_radius / spacing:.2g}, threshold {game.alpha_threshold:.3g}, '
+            f'reach {game.ambush_radius / spacing:.2g} spacings, secured '
+            f'{game.secured_distance / spacing:.2g}, threshold {game.alpha_threshold:.3g}, '
             f'ambushers {game.ambushers}, detour {strategy.max_detour:.10g}, '
             f'exposure {strategy.max_exposure:g}, slack {strategy.risk_slack:g}')
 
@@ -230,30 +230,30 @@ def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
 def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
     """Compare value and bound with what geometry, recursion and HiGHS find."""
     network, value, options = strategy.network, strategy.value, game.options.game
-    p, reach, held = strategy.edge_probability, options.ambush_radius, options.held_radius
+    p, reach, secured = strategy.edge_probability, options.ambush_radius, options.secured_distance
     _, site = np.unique(network.points, axis=0, return_index=True)
     at_end = (network.points[:, None] == network.points[network.ends]).all(axis=2).any(axis=1)
-    site = site[(may_wait(network, held) & ~at_end)[site]]
+    site = site[(may_wait(network, secured) & ~at_end)[site]]
     if reach > 0.0:
-        hits = meets(network, network.points[site], reach, held)
-        entries = geometric_hits(network, reach, held)[site]
+        hits = meets(network, network.points[site], reach, secured)
+        entries = geometric_hits(network, reach, secured)[site]
     else:
         hits = (network.points[network.heads] == network.points[site][:, None]).all(axis=2)
         entries = csr_matrix(hits.astype(float))
     own = np.sort(network.alpha[site] * hit_once(network, p, hits))[-options.ambushers:].sum()
     anywhere = game.scenario is not None and reach > 0.0 and options.ambushers == 1
     if anywhere and game.scenario:
-        points, alpha = standing_places(game.scenario.risk_map, network, held)
-        hits = meets(network, points, reach, held)
+        points, alpha = standing_places(game.scenario.risk_map, network, secured)
+        hits = meets(network, points, reach, secured)
         own = max(own, (alpha * hit_once(network, p, hits)).max(initial=0.0))
     rounding = SAME**2 * float(network.alpha.max())
     if own > value * (1.0 + SAME) + rounding or (
             not anywhere and value > own * (1.0 + SAME) + rounding):
         yield f'value {value:.9g}, computed again {own:.9g}'
-    if anywhere:  # the bound is that of larger discs, also around places nearer to held ground
+    if anywhere:  # the bound is that of larger discs, also around places nearer to the secured area
         site, entries = strategy.game.sites, strategy.game.hits
     usable = (network.alpha <= options.alpha_threshold)[network.edges].all(axis=1)
-    found = highs(value_program(
+    found = highs(value_lp(
         network, csr_matrix(entries.multiply(network.alpha[site][:, None])),
         [(network.travel_costs, strategy.length_budget),
          (network.edge_exposure, strategy.exposure_budget)], options.ambushers, usable),

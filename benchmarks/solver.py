@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from families import KINDS, Problem, draw, problem_parser
 from one_run import Answer, run
-from peers import highs, value_program
+from peers import highs, value_lp
 from report import conditions, publish, quantiles, table
 from scipy.sparse import csr_matrix
 
@@ -112,14 +112,14 @@ def value_by_highs(name: str, budget: float) -> Answer:
     """The value at the nodes within the length budget [m], by HiGHS' dual simplex method."""
     problem = draw(name)
     network = problem.scenario.network(problem.options.network)
-    losses = losses_at_nodes(network, problem.options.game.held_radius)
-    return highs(value_program(network, losses, [(network.lengths, budget)]))
+    losses = losses_at_nodes(network, problem.options.game.secured_distance)
+    return highs(value_lp(network, losses, [(network.lengths, budget)]))
 
 
-def losses_at_nodes(network: Network, held: float) -> csr_matrix:
-    """(N, M): the loss of each edge into a node outside held ground."""
+def losses_at_nodes(network: Network, secured: float) -> csr_matrix:
+    """(N, M): the loss of each edge into a node outside the secured area."""
     apart = np.linalg.norm(network.points[:, None] - network.points[network.ends], axis=2)
-    loss: FloatArray = np.where((apart > held).all(axis=1), network.alpha, 0.0)[network.heads]
+    loss: FloatArray = np.where((apart > secured).all(axis=1), network.alpha, 0.0)[network.heads]
     edge = np.arange(len(loss))
     return csr_matrix((loss, (network.heads, edge)), (len(network.points), len(loss)))
 

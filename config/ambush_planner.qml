@@ -7,7 +7,7 @@
       <rule key="{routes}" symbol="0" label="routes, a colour each" filter="attribute('departure') IS NOT NULL OR attribute('share') IS NOT NULL"/>
       <rule key="{edges}" symbol="1" label="edges, darker if likelier" filter="attribute('probability') IS NOT NULL AND geometry_type($geometry) = 'Line'"/>
       <rule key="{sites}" symbol="2" label="ambush sites, larger if likelier" filter="attribute('probability') IS NOT NULL AND geometry_type($geometry) = 'Point'"/>
-      <rule key="{held}" symbol="3" label="held ground" filter="attribute('radius') IS NOT NULL"/>
+      <rule key="{held}" symbol="3" label="secured area" filter="attribute('radius') IS NOT NULL"/>
       <rule key="{places}" symbol="5" label="start, stops and goal" filter="attribute('name') IS NOT NULL AND geometry_type($geometry) = 'Point'"/>
       <rule key="{forbidden}" symbol="4" label="forbidden ground" filter="attribute('radius') IS NULL AND geometry_type($geometry) = 'Polygon'"/>
     </rules>

@@ -108,7 +108,8 @@ def trip(demo: Section) -> Figure:
     right.label_outer()
     figures.probability_bar(figure, edges, left, location='bottom')
     figures.risk_bar(figure, risk, right, location='bottom')
-    figure.legend(handles=[figures.SITES, figures.HELD_GROUND, figures.OBSTACLE], ncols=3, **LEGEND)
+    figure.legend(handles=[figures.SITES, figures.SECURED_AREA, figures.OBSTACLE], ncols=3,
+                  **LEGEND)
     return figure
 
 
@@ -178,7 +179,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     )
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
     figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle.\n'
-                     'Dashed: held ground, where nobody can wait.', fontsize=9)
+                     'Dashed: the secured area, where nobody can wait.', fontsize=9)
     figure.draw_without_rendering()
     figure.set_layout_engine('none')  # labels near the edge would move the panels
     same = energy_efficient_route(chosen.game)

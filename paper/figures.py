@@ -63,7 +63,7 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
         ('figure_6_energy', _energy(results)),
         ('figure_7_threshold', _thresholds(results)),
         ('figure_ours', _methods(results, 'max_entropy', 'max_entropy')),
-        ('figure_ours_held_ground', _held_ground(results)),
+        ('figure_ours_secured_area', _secured_area(results)),
         ('figure_solvers', _solvers(results)),
     ):
         say(f'drawing {name}.png')
@@ -89,10 +89,10 @@ def _energy(results: Results) -> Figure:
     return _rows(results.risk_map, [(title, results.weighted)])
 
 
-def _held_ground(results: Results) -> Figure:
-    title = f'{METHOD_3}, max_entropy\nheld ground: {SECURED_RADIUS:g} m around the ends'
-    figure = _rows(results.risk_map, [(title, results.held)])
-    _draw_sites(figure.axes[0], results.held)
+def _secured_area(results: Results) -> Figure:
+    title = f'{METHOD_3}, max_entropy\nsecured area: {SECURED_RADIUS:g} m around the ends'
+    figure = _rows(results.risk_map, [(title, results.secured)])
+    _draw_sites(figure.axes[0], results.secured)
     figure.legend(handles=[OBSTACLE, SITES], **LEGEND)
     return figure
 

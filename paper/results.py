@@ -42,7 +42,7 @@ PAPER_ENTROPY = {
 }
 STOCHASTIC, SHORTEST, SAFEST = 'stochastic', 'energy efficient', 'risk avoidance'
 WEIGHTED = 'stochastic, 0.99 / 0.01'
-HELD = f'ours, held ground within {SECURED_RADIUS:g} m'
+SECURED = f'ours, secured area within {SECURED_RADIUS:g} m'
 # Expected length, P_1, P_inf, V_inf; for the weighted variant the text states only the length.
 PAPER_MEASURES: dict[str, tuple[float | None, ...]] = {
     STOCHASTIC: (89.57, 0.33, 0.33, 1.09),
@@ -108,7 +108,7 @@ class Results:
     strategies: Mapping[tuple[str, str], Strategy]
     weighted: Strategy
     budgeted: Mapping[float, Strategy]
-    held: Strategy
+    secured: Strategy
     thresholds: Mapping[float, Strategy]
     table_2: tuple[Spread, ...]
     table_3: tuple[PlannerRow, ...]
@@ -166,11 +166,11 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
                          _paper_options('interior_point'))
         for threshold in THRESHOLDS
     }
-    held = solve(network, GameOptions(secured_radius=SECURED_RADIUS), _our_options())
+    secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS), _our_options())
     named = {
         WEIGHTED: weighted,
         **{budgeted_name(d): strategy for d, strategy in budgeted.items()},
-        HELD: held,
+        SECURED: secured,
     }
     return Results(
         risk_map,
@@ -178,7 +178,7 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
         strategies,
         weighted,
         budgeted,
-        held,
+        secured,
         thresholds,
         tuple(table_2),
         _planner_rows(strategies[METHOD_3, 'interior_point'], named),

@@ -17,7 +17,7 @@ from ambush_planner import (
     StartBlocked,
     build_network,
 )
-from ambush_planner.game.discs import HeldGround
+from ambush_planner.game.discs import SecuredArea
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import make_corridors
@@ -80,9 +80,9 @@ def drive(seed):
             continue
         tube = (None, None, 0.05, 0.3, 1.0)[rng.integers(5)]
         reach = 0.0 if tube is None else tube + (-tube, 0.5, 2.0, 8.0)[rng.integers(4)]
-        held = HeldGround(ends, rng.uniform(0.0, 4.0, 2))
+        secured = SecuredArea(ends, rng.uniform(0.0, 4.0, 2))
         corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge, reach=reach,
-                                   held=held)
+                                   secured=secured)
         return corridors, route, risk_map, clearance, tube, clear_of_edge
 
 
@@ -90,27 +90,27 @@ def drive(seed):
 drives = st.integers(0, 50 * HUNT).map(drive)
 
 
-def excess(path, drawn, tube, reach, held_ground):
+def excess(path, drawn, tube, reach, secured_area):
     """How far beyond ``reach`` of the drawn route (L, 2) an ambush may be that meets the path
     (K, 2) within ``reach`` less the tube [m].
 
-    It meets neither in held ground, of which the route has what is left within the tube.
+    It meets neither in the secured area, of which the route has what is left within the tube.
     """
-    centres, radii = held_ground
+    centres, radii = secured_area
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     around = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (reach - tube)
     steps = [np.linspace(a, b, 2 + int(np.hypot(*(b - a)) / STEP)) for a, b in pairwise(drawn)]
     points = np.concatenate(steps)
 
-    def held(points, more):
+    def within(points, more):
         away = np.linalg.norm(points[:, None] - centres, axis=2)
         return (away < radii + more).any(axis=1)
 
-    path = path[~held(path, tube + 1e-9)]
+    path = path[~within(path, tube + 1e-9)]
     if not len(path):
         return -np.inf
     places = (path[:, None] + np.concatenate((around, 0.5 * around))).reshape(-1, 2)
-    return cKDTree(points[~held(points, -STEP)]).query(places)[0].max() - reach
+    return cKDTree(points[~within(points, -STEP)]).query(places)[0].max() - reach
 
 
 def distance_to(points, line):

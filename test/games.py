@@ -169,10 +169,10 @@ def exact_value(network: Network) -> Fraction:
         return Fraction(0)
 
 
-def meets(network: Network, centres: np.ndarray, radius: float, held: float) -> np.ndarray:
-    """(K, M): whether an edge comes into the disc of a centre further than ``held`` from all ends.
+def meets(network: Network, centres: np.ndarray, radius: float, secured: float) -> np.ndarray:
+    """(K, M): whether an edge comes into the disc of a centre, ``secured`` or more from all ends.
     """
-    edge, begin, end = exposed_parts(network, held)
+    edge, begin, end = exposed_parts(network, secured)
     along, hit = end - begin, np.zeros((len(centres), len(network.edges)), bool)
     if not len(edge):
         return hit
@@ -189,27 +189,27 @@ def meets(network: Network, centres: np.ndarray, radius: float, held: float) -> 
     return hit
 
 
-def exposed_parts(network: Network, held: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The parts of edges further than ``held`` from all ends: edges (K,), begins, ends (K, 2)."""
+def exposed_parts(network: Network, secured: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The parts of edges ``secured`` or more from all ends: edges (K,), begins, ends (K, 2)."""
     ends = np.unique(network.points[network.ends], axis=0)
     start = network.points[network.tails]
     along = network.points[network.heads] - start
     length = np.hypot(*along.T)
     near = ((ends[:, None] - start) * along).sum(axis=2) / length**2
     off = np.linalg.norm(start + near[..., None] * along - ends[:, None], axis=2)
-    half = np.sqrt(np.maximum(held**2 - off**2, 0.0)) / length
+    half = np.sqrt(np.maximum(secured**2 - off**2, 0.0)) / length
     cuts = np.vstack((0.0 * length, near - half, near + half, 0.0 * length + 1.0))
     cuts = np.sort(np.clip(cuts, 0.0, 1.0), axis=0)
     middle = start + ((cuts[1:] + cuts[:-1]) / 2)[..., None] * along
-    outside = np.linalg.norm(middle[:, :, None] - ends, axis=3).min(axis=2) > held
+    outside = np.linalg.norm(middle[:, :, None] - ends, axis=3).min(axis=2) > secured
     piece, edge = np.nonzero(outside & (cuts[1:] > cuts[:-1] + 1e-12))
     begin, end = (start[edge] + cuts[piece + k, edge][:, None] * along[edge] for k in (0, 1))
     return edge, begin, end
 
 
-def standing_places(risk_map: RiskMap, network: Network, held: float,
+def standing_places(risk_map: RiskMap, network: Network, secured: float,
                     within: tuple[float, ...] = (0.5,)) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (K, 2) in free cells outside held ground, at shares ``within`` of a cell; losses.
+    """Positions (K, 2) in free cells that are not secured, at shares ``within`` of a cell; losses.
     """
     rows, columns = np.nonzero(~risk_map.obstacles)
     offsets = np.array([(u, v) for u in within for v in within])
@@ -217,30 +217,30 @@ def standing_places(risk_map: RiskMap, network: Network, held: float,
     points = risk_map.to_world(cells.reshape(-1, 2) * risk_map.resolution)
     alpha = np.repeat(risk_map.alpha[rows, columns], len(offsets))
     ends = np.unique(network.points[network.ends], axis=0)
-    outside = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) > held
+    outside = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) > secured
     return points[outside], alpha[outside]
 
 
-def may_wait(network: Network, held: float) -> np.ndarray:
-    """(N,): whether a node is outside held ground and costs something."""
+def may_wait(network: Network, secured: float) -> np.ndarray:
+    """(N,): whether a node is outside the secured area and costs something."""
     apart = np.linalg.norm(network.points[:, None] - network.points[network.ends], axis=2)
-    return (network.alpha > 0.0) & ((apart > held).all(axis=1) | (held == 0.0))
+    return (network.alpha > 0.0) & ((apart > secured).all(axis=1) | (secured == 0.0))
 
 
-def reached(network: Network, reach: float, held: float) -> np.ndarray:
-    """(N, M): whether an edge comes into reach of a node outside held ground, where it counts."""
-    return meets(network, network.points, reach, held) & may_wait(network, held)[:, None]
+def reached(network: Network, reach: float, secured: float) -> np.ndarray:
+    """(N, M): whether an edge comes into reach of a node outside the secured area, and counts."""
+    return meets(network, network.points, reach, secured) & may_wait(network, secured)[:, None]
 
 
-def geometric_hits(network: Network, radius: float, held: float | None = None) -> csr_matrix:
-    """(N, M): edges that bring a route into the disc of a node; held ground: as far as it."""
-    held = radius if held is None else held
-    near = meets(network, network.points, radius, held)
+def geometric_hits(network: Network, radius: float, secured: float | None = None) -> csr_matrix:
+    """(N, M): edges that bring a route into the disc of a node; secured: as far as that."""
+    secured = radius if secured is None else secured
+    near = meets(network, network.points, radius, secured)
     apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
-    exposed = (apart[:, network.ends] > held).all(axis=1) | (held == 0.0)
+    exposed = (apart[:, network.ends] > secured).all(axis=1) | (secured == 0.0)
     exposed[network.source] = False
     before = (apart <= radius)[:, network.tails] & exposed[network.tails]
-    return csr_matrix((near & ~before & may_wait(network, held)[:, None]).astype(float))
+    return csr_matrix((near & ~before & may_wait(network, secured)[:, None]).astype(float))
 
 
 def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
@@ -260,7 +260,7 @@ def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
     return 1.0 - unhit[network.target]
 
 
-def program_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf,
+def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf,
                   ambushers: int = 1) -> float:
     """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
 
@@ -336,11 +336,11 @@ def value_is_right(network: Network, value: float, budget: float, slack: float =
     At most by the part ``slack`` over the least. Where routes are nearly as short as the shortest,
     the value is steep in the budget.
     """
-    least = program_value(network, None, budget)
+    least = lp_value(network, None, budget)
     room = 2e-6 * least + 1e-8
     if least - room <= value <= (least + room) * (1 + slack):
         return True
-    loose = program_value(network, None, budget * (1 + 2e-7))
+    loose = lp_value(network, None, budget * (1 + 2e-7))
     return loose - room <= value <= (2 * least - loose + room) * (1 + slack)
 
 

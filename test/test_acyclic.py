@@ -9,15 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions
-from ambush_planner.game.game import make_game
-from ambush_planner.game.law.acyclic import (
-    forward_part,
+from ambush_planner.game.distribution.acyclic import (
+    acyclic_subnetwork,
     order_potential,
-    rank_around,
-    rank_by,
+    positions_by,
+    topological_order,
     without_cycles,
 )
-from ambush_planner.game.law.chain import conserved_strategy
+from ambush_planner.game.distribution.chain import conserved_strategy
+from ambush_planner.game.game import make_game
 
 
 def mixed_walks(network, seed: int, walks: int = 16) -> np.ndarray:
@@ -46,7 +46,7 @@ def mixed_walks(network, seed: int, walks: int = 16) -> np.ndarray:
 def test_forward_parts_are_acyclic_and_every_edge_is_on_a_route(network):
     game = make_game(network, GameOptions())
     for potential in (order_potential(game), np.arange(game.node_count)):
-        part = forward_part(game, rank_by(potential))
+        part = acyclic_subnetwork(game, positions_by(potential))
         if part is None:
             continue
         used = part.playable.astype(float)
@@ -63,7 +63,7 @@ def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, se
     """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
     network = terrain_network(seed, method, 14)
     game = make_game(network, GameOptions())
-    part = forward_part(game, rank_by(order_potential(game)))
+    part = acyclic_subnetwork(game, positions_by(order_potential(game)))
     undirected = {frozenset(e) for e in network.edges[game.playable].tolist()}
     kept = {frozenset(e) for e in network.edges[part.playable].tolist()}
     simple = networkx.Graph([tuple(e) for e in undirected])
@@ -82,10 +82,10 @@ def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, se
 def test_an_order_around_a_strategy_keeps_it(network, seed):
     game = make_game(network, GameOptions())
     p = without_cycles(network, mixed_walks(network, seed))
-    rank = rank_around(game, p, order_potential(game))
+    position = topological_order(game, p, order_potential(game))
     used = p > 0.0
-    assert (rank[network.tails[used]] < rank[network.heads[used]]).all()
-    part = forward_part(game, rank)
+    assert (position[network.tails[used]] < position[network.heads[used]]).all()
+    part = acyclic_subnetwork(game, position)
     assert part.playable[used].all() and is_acyclic(network, part.playable.astype(float))
 
 

@@ -31,8 +31,8 @@ from ambush_planner import (
     TimeLimit,
     plan_trip,
 )
-from ambush_planner.game.law.chain import chain_of
-from ambush_planner.game.law.law import Law
+from ambush_planner.game.distribution.chain import chain_of
+from ambush_planner.game.distribution.route_distribution import RouteDistribution
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.cell_losses import CellLosses, CellSearch
@@ -57,7 +57,7 @@ class Case(NamedTuple):
     risk_map: RiskMap
     plan: object
     reach: float
-    held: float
+    secured: float
     tube: float
 
     def losses(self):
@@ -67,8 +67,8 @@ class Case(NamedTuple):
     def losses_on(self, p):
         """The same for another strategy (M,) on the plan's network."""
         network = self.plan.network
-        places, alpha = standing_places(self.risk_map, network, self.held, DENSE)
-        hits = meets(network, places, self.reach + self.tube, self.held - self.tube)
+        places, alpha = standing_places(self.risk_map, network, self.secured, DENSE)
+        hits = meets(network, places, self.reach + self.tube, self.secured - self.tube)
         return alpha * hit_once(network, p, hits)
 
     def least(self, routes, detour, cover=0.0):
@@ -77,8 +77,8 @@ class Case(NamedTuple):
         With ``cover``, against no fewer than all places that are at most so far from the lattice.
         """
         network, strategy = self.plan.network, self.plan.strategy
-        places, alpha = standing_places(self.risk_map, network, self.held - cover, DENSE)
-        near = meets(network, places, self.reach + self.tube + cover, self.held - self.tube)
+        places, alpha = standing_places(self.risk_map, network, self.secured - cover, DENSE)
+        near = meets(network, places, self.reach + self.tube + cover, self.secured - self.tube)
         # Of places that hit the same edges, the one of the largest loss counts.
         order = np.argsort(-alpha)
         first = np.unique(np.packbits(near[order], axis=1), axis=0, return_index=True)[1]
@@ -93,8 +93,8 @@ def solved(risk_map, start, goal, reach, secured, detour, tube):
                               game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour),
                               drive=DriveOptions(tube=tube))
-    held = reach + tube if secured == -1.0 else secured
-    return Case(risk_map, plan_trip(risk_map, start, goal, options), reach, held, tube)
+    radius = reach + tube if secured == -1.0 else secured
+    return Case(risk_map, plan_trip(risk_map, start, goal, options), reach, radius, tube)
 
 
 @cache
@@ -133,9 +133,9 @@ def test_no_mixture_of_drawn_routes_costs_less_than_the_bound(case):
 
 
 @pytest.mark.filterwarnings('ignore:the gap is')
-def test_if_no_law_is_found_the_flow_of_the_program_is_the_strategy(monkeypatch):
+def test_if_no_distribution_is_found_the_flow_of_the_lp_is_the_strategy(monkeypatch):
     kept = solved_case('hills', 2.5, -1.0, 1.2, 0.3)
-    monkeypatch.setattr(Law, 'round', lambda *_: False)
+    monkeypatch.setattr(RouteDistribution, 'round', lambda *_: False)
     solution = solved(*ground(11, 'hills', 22), 2.5 * SPACING, -1.0, 1.2, 0.3)
     strategy = solution.plan.strategy
     assert strategy.expected_length <= 1.2 * strategy.shortest_length * (1.0 + 1e-6)
@@ -227,7 +227,7 @@ def test_on_a_changed_map_no_place_costs_more_than_the_value(hides):
 
 
 def test_a_flow_whose_chain_costs_too_much_is_led_within_the_slack():
-    """Cells as large as the reach: no law near the program's flow was within its limits."""
+    """Cells as large as the reach: no distribution near the LP's flow was within its limits."""
     alpha = np.random.default_rng(1).uniform(1.0, 5.0, (20, 30))
     options = PlanningOptions(network=plain_options(spacing=2.0),
                               game=GameOptions(ambush_radius=2.0))

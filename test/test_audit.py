@@ -87,7 +87,7 @@ def reweighted(strategy, count, power):
 @pytest.mark.parametrize(('planner', 'options'), [
     (cycled, (18, 3)), (reweighted, (20, 0.0)), (reweighted, (100, 2.0)),
 ])
-def test_planners_that_do_not_follow_the_law_are_found(terrain, planner, options):
+def test_planners_that_do_not_follow_the_strategy_are_found(terrain, planner, options):
     routes = planner(terrain, *options)
     result = run(terrain, routes)
     assert result.finding and result.impossible == 0 and result.departures == len(routes)
@@ -98,7 +98,7 @@ def test_honest_draws_are_no_finding(terrain):
     assert not result.finding and result.p_value > 0.01
 
 
-def test_two_strategies_are_tested_each_under_its_own_law(terrain, paper):
+def test_two_strategies_are_tested_each_under_its_own_distribution(terrain, paper):
     other = solve(terrain.network, options=StrategyOptions(max_detour=1.05))
     three = (terrain, paper, other)
     honest = [Departure(s, route) for s in three for route in drawn(s, 20, 8)]

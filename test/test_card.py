@@ -23,7 +23,7 @@ from ambush_planner.routes.legs import (
     MAX_LEGS,
     bearings,
     distances_along,
-    held_stretches,
+    secured_stretches,
     way_points,
 )
 
@@ -49,9 +49,9 @@ def test_corners_are_way_points_and_bearings_are_clockwise_from_y():
     assert bearings(path[at]).tolist() == [0, 90, 180]
 
 
-def test_held_ground_is_where_the_path_is_near_a_place():
+def test_the_secured_area_is_where_the_path_is_near_a_place():
     path = np.array([(0, 0), (100, 0)], float)
-    stretches = held_stretches(path, np.array([(0, 0), (50, 6), (100, 0)], float), 10.0)
+    stretches = secured_stretches(path, np.array([(0, 0), (50, 6), (100, 0)], float), 10.0)
     np.testing.assert_allclose(stretches, [(0, 10), (42, 58), (90, 100)], atol=0.05)
 
 
@@ -91,7 +91,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     length = round(np.hypot(*np.diff(routes[1], axis=0).T).sum())
     assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
     assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{round(length / 60) - 1}'
-    assert 'Held ground (circles), 40 m around start and goal: 0 m to 4' in page
+    assert 'Secured area (circles), 40 m around start and goal: 0 m to 4' in page
 
 
 def test_grid_references_agree_with_pyproj(runs, tmp_path):
@@ -130,7 +130,7 @@ def test_one_of_few_routes(tmp_path):
     places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
     assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
-    assert 'No ground is held' in page and len(rows[0]) == 5 and 'km/h' not in page
+    assert 'No area on the way is secured' in page and len(rows[0]) == 5 and 'km/h' not in page
     count = len(plan.few.paths)
     for options, words in (('', '--route NUMBER'),
                            ('--route 9', f'has routes 1 to {count}, not 9')):

@@ -142,16 +142,16 @@ def test_a_budget_below_the_best_route_is_infeasible():
     with pytest.raises(BudgetInfeasible, match=r'length 3 .*raise max_detour'):
         Budget(game, lengths, 2.9, 3.0, 'length', 'm')
     shortest = Budget.length(game, 1.0)
-    assert 0.0 < shortest.margin < 1e-9 and shortest.keeps(shortest_route_strategy(game))
+    assert 0.0 < shortest.slack < 1e-9 and shortest.keeps(shortest_route_strategy(game))
     nothing = Budget(game, 0.0 * lengths, 0.0, 0.0, 'exposure', 'loss x m')
-    assert 0.0 < nothing.margin < 1e-9 and nothing.keeps(shortest_route_strategy(game))
+    assert 0.0 < nothing.slack < 1e-9 and nothing.keeps(shortest_route_strategy(game))
     unlimited = Budget.length(game, np.inf)
     assert not unlimited.binds and unlimited.least == pytest.approx(3.0)
 
 
 @examples(20)
 @given(networks())
-def test_excess_along_a_route_is_its_cost_over_the_best(network):
+def test_the_reduced_cost_along_a_route_is_its_cost_over_the_best(network):
     game = make_game(network, GameOptions())
     length, exposure = make_budgets(game, StrategyOptions(max_detour=2.0, max_exposure=3.0))
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
@@ -160,8 +160,8 @@ def test_excess_along_a_route_is_its_cost_over_the_best(network):
     used = [k for k, edge in enumerate(network.edges.tolist()) if tuple(edge) in pairs]
     for budget in (length, exposure):
         over = budget.cost[used].sum() - budget.least
-        assert budget.excess[used].sum() == pytest.approx(over, abs=1e-9 * (1 + budget.least))
-        assert (budget.excess >= 0.0).all()
+        assert budget.reduced_cost[used].sum() == pytest.approx(over, abs=1e-9 * (1 + budget.least))
+        assert (budget.reduced_cost >= 0.0).all()
 
 
 # Scale.

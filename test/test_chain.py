@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions
+from ambush_planner.game.distribution import triangular
+from ambush_planner.game.distribution.acyclic import acyclic_subnetwork, positions_by
+from ambush_planner.game.distribution.chain import MarkovChain
+from ambush_planner.game.distribution.gibbs import acyclic_network
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import hit_probabilities
-from ambush_planner.game.law import triangular
-from ambush_planner.game.law.acyclic import forward_part, rank_by
-from ambush_planner.game.law.chain import MarkovChain
-from ambush_planner.game.law.gibbs import acyclic_network
 from ambush_planner.network.network import Network
 
 
@@ -32,15 +32,15 @@ class Case:
     def __init__(self, seed: int, reach: float) -> None:
         self.rng = np.random.default_rng(seed)
         network = small_grid(seed) if seed % 3 == 0 else planar_network(seed)
-        held = [0.0, -1.0][seed % 2]
-        self.game = make_game(network, GameOptions(ambush_radius=reach, secured_radius=held))
+        secured = [0.0, -1.0][seed % 2]
+        self.game = make_game(network, GameOptions(ambush_radius=reach, secured_radius=secured))
         ahead, part = self.game.distances_ahead(network.lengths), None
         while part is None:
             order = ahead + self.rng.uniform(0.0, 2.0, len(ahead)) * self.rng.integers(0, 2)
             order[[network.source, network.target]] = -np.inf, np.inf
-            rank = rank_by(order)
-            part = forward_part(self.game, rank)
-        self.network = acyclic_network(network, np.flatnonzero(part.playable), rank)
+            position = positions_by(order)
+            part = acyclic_subnetwork(self.game, position)
+        self.network = acyclic_network(network, np.flatnonzero(part.playable), position)
         self.entering = self.network.columns(self.game.hits)
         place = {edge: k for k, edge in enumerate(self.network.edge.tolist())}
         self.routes = [[place[edge] for edge in route] for route in routes_of(network)

@@ -100,7 +100,7 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     drawn = moved.uv[route]
     assert length(uv) <= 1.05 * length(drawn)
     if corridors.reach > 0.0:
-        assert excess(uv, drawn, tube, corridors.reach, corridors.held) <= STEP
+        assert excess(uv, drawn, tube, corridors.reach, corridors.secured) <= STEP
     elif tube is not None:
         assert distance_to(uv, drawn).max() <= tube + 1e-9
 

@@ -21,7 +21,7 @@ from scipy.spatial import Delaunay
 from ambush_planner import GameOptions, Network, SolverFailed
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate.best_response import SEARCHES, Grounds
+from ambush_planner.game.certificate.best_response import SEARCHES, TripNetworks
 from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.certificate.curves import Circulation
 from ambush_planner.game.faces import make_faces
@@ -51,7 +51,7 @@ class Case:
         if not 0 < len(routes) <= 1000:
             return
         self.game = make_game(network, GameOptions(ambush_radius=reach))
-        self.near = reached(network, reach, self.game.options.held_radius)
+        self.near = reached(network, reach, self.game.options.secured_distance)
         self.ambusher, self.budgets, self.bound = proof(self.game, detour)
         self.met = np.array([self.near[:, route].any(axis=1) for route in routes])
         self.length = np.array([network.lengths[route].sum() for route in routes])
@@ -154,8 +154,8 @@ def test_the_circulation_of_another_network_is_refused():
                     (Budget.length(crossing, 1.2),))
 
 
-def nearly_two_held_radii_apart(seed):
-    """A game and a detour: the held discs of start and goal overlap in a narrow lens."""
+def nearly_two_secured_radii_apart(seed):
+    """A game and a detour: the secured discs of start and goal overlap in a narrow lens."""
     rng = np.random.default_rng(seed)
     n = rng.integers(25, 90)
     points = rng.uniform(-1.0, 1.0, (n, 2)) * [1.3, 1.0]
@@ -169,22 +169,23 @@ def nearly_two_held_radii_apart(seed):
     alpha[:2] = 0.0
     with pytest.warns(UserWarning, match='dropped'):
         network = Network(points, alpha, np.vstack((links, links[:, ::-1])), 0, 1)
-    held = half / rng.uniform(0.88, 0.99)
+    secured = half / rng.uniform(0.88, 0.99)
     game = make_game(network,
-                     GameOptions(ambush_radius=held * rng.uniform(0.9, 1.2), secured_radius=held))
+                     GameOptions(ambush_radius=secured * rng.uniform(0.9, 1.2),
+                                 secured_radius=secured))
     return game, rng.choice([1.05, 1.2, 1.5, 3.0])
 
 
-def test_a_curve_does_not_lead_through_held_ground_that_cuts_a_disc_in_two():
+def test_a_curve_does_not_lead_through_a_secured_area_that_cuts_a_disc_in_two():
     """The curves prove no more than some route costs."""
-    game, detour = nearly_two_held_radii_apart(1519)
+    game, detour = nearly_two_secured_radii_apart(1519)
     faces = make_faces(game)
     discs = faces.discs(game.hits)
     assert len(np.unique(discs.part)) > len(np.unique(discs.disc))
     ambusher, (budget,), bound = proof(game, detour)
-    charge = (game.loss * ambusher.q)[None, game.sites]
-    base = ambusher.prices[0] * budget.excess
-    _, route = Grounds(game, game.hits).least_cost(base, charge, SEARCHES)
+    dual_weights = (game.loss * ambusher.q)[None, game.sites]
+    base = ambusher.prices[0] * budget.reduced_cost
+    _, route = TripNetworks(game, game.hits).least_cost(base, dual_weights, SEARCHES)
     met = game.hits[:, route].getnnz(axis=1) > 0
     cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
     cost += ambusher.prices[0] * (budget.cost[route].sum() - budget.limit)

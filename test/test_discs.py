@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, solve
-from ambush_planner.game.discs import ExposedEdges, held_ground
+from ambush_planner.game.discs import ExposedEdges, secured_area
 
 # Points along each edge; distances within NEAR radii of the circle are ambiguous.
 DENSE, NEAR = 2000, 1e-6
@@ -28,7 +28,7 @@ def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
 
 
 def _everywhere(network: Network) -> ExposedEdges:
-    return ExposedEdges(network, held_ground(network, 0.0).shrunk(0.0))
+    return ExposedEdges(network, secured_area(network, 0.0).shrunk(0.0))
 
 
 def drawn(points: np.ndarray) -> np.ndarray:
@@ -100,8 +100,8 @@ def test_without_sites_there_are_no_rows():
     assert _everywhere(network).entering(np.empty((0, 2)), 1.0).shape == (0, 2)
 
 
-def test_a_node_on_the_rim_of_held_ground_hides_no_hit():
-    """Rounding puts the third node a hair outside held ground; the way passes 1.62 m away."""
+def test_a_node_on_the_rim_of_the_secured_area_hides_no_hit():
+    """Rounding puts the third node a hair outside the secured area; the way passes 1.62 m away."""
     step, cells = 0.2, 9
     row = [((column + 0.5) * step, 3.5 * step) for column in (15, 23, 24, 25, 75)]
     site = row[2][0] + 0.1 * step, row[2][1] + 0.9 * cells * step

@@ -58,7 +58,7 @@ def planned(ground, reach, tube, tracking_error=0.0, spacing=SPACING, secured=SE
     )
 
 
-def losses(a_plan, lines, reach, places=None, held=SECURED):
+def losses(a_plan, lines, reach, places=None, radius=SECURED):
     """Mean loss by an ambush at each place (P, 2), by default the nodes, and its standard error.
 
     Points along lines (L, 2), half a metre apart at most, against discs.
@@ -69,7 +69,7 @@ def losses(a_plan, lines, reach, places=None, held=SECURED):
     ends = network.points[[network.source, network.target]]
 
     def secured(points):
-        return np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) <= held
+        return np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) <= radius
 
     hits = np.zeros(len(places))
     for line in lines:
@@ -114,7 +114,7 @@ def test_by_default_no_ambush_costs_more_than_the_value_wherever_it_waits(ground
     a_plan, rng = planned(ground, REACH, None, spacing=None, secured=None), np.random.default_rng(1)
     paths = departure_paths(a_plan, DRAWS, 0.1 * REACH, rng)
     mean, error = losses(a_plan, [dense(path[:, :2], 0.02 * REACH) for path in paths], REACH,
-                         anywhere(a_plan.risk_map, rng), held=1.1 * REACH)
+                         anywhere(a_plan.risk_map, rng), radius=1.1 * REACH)
     assert (mean - 4 * error).max() <= a_plan.value
     assert mean.max() > 0.8 * a_plan.value
 

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from ambush_planner import InvalidOption, Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.shortest_paths import shortest_path
-from ambush_planner.routes.corridors import NOTHING_HELD, make_corridors
+from ambush_planner.routes.corridors import NOTHING_SECURED, make_corridors
 from ambush_planner.routes.driven_path import (
     MAX_MARGIN,
     different_paths,
@@ -45,7 +45,7 @@ def test_the_path_stays_clear_in_its_tube_and_short(drive):
     assert not risk_map.obstacles[risk_map.cells(risk_map.to_map_axes(dense(poses)))].any()
     if corridors.reach > 0.0:
         line = risk_map.to_map_axes(dense(poses, 5))
-        assert excess(line, corridors.uv[route], tube, corridors.reach, corridors.held) <= STEP
+        assert excess(line, corridors.uv[route], tube, corridors.reach, corridors.secured) <= STEP
     elif tube is not None:
         assert distance_to(dense(poses), network.points[route]).max() <= tube + 1e-9
     else:
@@ -270,4 +270,4 @@ def test_portals_approached_from_behind():
     arrays = (np.array(values, float) for values in (nodes, leftward, left, right))
     count = len(nodes)
     assert_taut(Portals(*arrays, np.zeros(count), np.array([0, count]), np.zeros((count, 2)), 0.0,
-                        NOTHING_HELD), 0.0)
+                        NOTHING_SECURED), 0.0)

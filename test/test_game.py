@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of the game: forbidden nodes, held ground, sites off the road, ranges."""
+"""The options of the game: forbidden nodes, the secured area, sites off the road, ranges."""
 
 import numpy as np
 import pytest

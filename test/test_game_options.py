@@ -35,7 +35,7 @@ def test_an_ambush_that_meets_the_path_meets_the_route_with_its_tube(tmp_path, t
         strayed.append(distance_to(each.path_poses[:, :2], line).max())
         assert (game.options.ambush_radius, game.options.tube) == (1.5, pytest.approx(tube))
         assert excess(each.path_poses[:, :2], line, tube, 1.5 + tube,
-                      game.held.shrunk(tube)) <= STEP
+                      game.secured.shrunk(tube)) <= STEP
     assert max(strayed) > 0.1  # also without a tube: corners are cut
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Gibbs law: gradient, entropy, all routes by hand, Clarabel, and weights beyond e^700."""
+"""The Gibbs distribution: gradient, entropy, routes by hand, Clarabel, weights beyond e^700."""
 
 import math
 from dataclasses import replace
@@ -21,10 +21,14 @@ from route_entropy import most_route_entropy, route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, Network
+from ambush_planner.game.distribution.acyclic import (
+    acyclic_subnetwork,
+    order_potential,
+    positions_by,
+)
+from ambush_planner.game.distribution.entropy_search import maximize_entropy
+from ambush_planner.game.distribution.gibbs import acyclic_network
 from ambush_planner.game.game import make_game
-from ambush_planner.game.law.acyclic import forward_part, order_potential, rank_by
-from ambush_planner.game.law.entropy_search import maximize_entropy
-from ambush_planner.game.law.gibbs import acyclic_network
 
 NEVER = math.inf
 
@@ -32,10 +36,10 @@ NEVER = math.inf
 def forward(network):
     """The acyclic part by the harmonic potential, and its edges in order; None without a route."""
     game = make_game(network, GameOptions())
-    rank = rank_by(order_potential(game))
-    part = forward_part(game, rank)
+    position = positions_by(order_potential(game))
+    part = acyclic_subnetwork(game, position)
     return None if part is None else (
-        part, acyclic_network(network, np.flatnonzero(part.playable), rank))
+        part, acyclic_network(network, np.flatnonzero(part.playable), position))
 
 
 def on_all(network, acyclic, values) -> np.ndarray:
@@ -52,7 +56,7 @@ def test_every_route_has_the_probability_of_its_weight(network, seed, size):
     assume(case is not None)
     acyclic = case[1]
     weights = size * np.random.default_rng(seed).random(len(acyclic.edge))
-    log_z, p, share = acyclic.law(weights)
+    log_z, p, share = acyclic.distribution(weights)
     place = np.full(len(network.edges), -1)
     place[acyclic.edge] = np.arange(len(acyclic.edge))
     routes = [place[route] for route in routes_of(network, place >= 0)]
@@ -79,7 +83,7 @@ def test_the_entropy_of_p_is_the_dual_value(seed, size):
     part, acyclic = forward(network)
     rows = rows_of(part, acyclic)
     v = size * np.random.default_rng(seed).random(rows.shape[0])
-    log_z, p, _ = acyclic.law(rows.T @ v)
+    log_z, p, _ = acyclic.distribution(rows.T @ v)
     whole = on_all(network, acyclic, p)
     assert unbalanced(network, whole) < 1e-12 and p.min() >= 0.0
     assert route_entropy(network, whole) == pytest.approx(log_z + v @ (rows @ p), rel=1e-9)
@@ -94,10 +98,11 @@ def test_covariances_are_derivatives(seed, size, reach):
     rows = rows_of(replace(part, options=GameOptions(ambush_radius=reach)), acyclic).tocsr()
     rng = np.random.default_rng(seed)
     v = size * rng.random(rows.shape[0])
-    _, p, share = acyclic.law(rows.T @ v)
+    _, p, share = acyclic.distribution(rows.T @ v)
     covariance = acyclic.covariance(share, p, rows)
     direction = rng.normal(size=len(v))
-    ahead, behind = (rows @ acyclic.law(rows.T @ (v + h * direction))[1] for h in (1e-5, -1e-5))
+    ahead, behind = (rows @ acyclic.distribution(rows.T @ (v + h * direction))[1]
+                     for h in (1e-5, -1e-5))
     assert covariance @ direction == pytest.approx((behind - ahead) / 2e-5, abs=1e-5)
 
 
@@ -106,8 +111,8 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     network = terrain_network(3, cells=cells)
     part, acyclic = forward(network)
     game = make_game(network, GameOptions(ambush_radius=reach))
-    _, uniform, _ = acyclic.law(np.zeros(len(acyclic.edge)))
-    # Limits at 0.9 and 0.95 of what the law without limits does.
+    _, uniform, _ = acyclic.distribution(np.zeros(len(acyclic.edge)))
+    # Limits at 0.9 and 0.95 of what the distribution without limits does.
     lengths = network.lengths[acyclic.edge]
     hits = game.hits[:, acyclic.edge]
     limits = np.append(np.full(hits.shape[0], 0.9 * (hits @ uniform).max()),
@@ -123,10 +128,10 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     if found.infeasible:
         assert np.isnan(most)
         return
-    assert found.excess < 1e-4
+    assert found.violation < 1e-4
     own = route_entropy(network, on_all(network, acyclic, found.p))
     assert own == pytest.approx(most, rel=1e-4)
-    dual = acyclic.law(scaled.T @ found.multipliers)[0] + found.multipliers.sum()
+    dual = acyclic.distribution(scaled.T @ found.multipliers)[0] + found.multipliers.sum()
     assert dual == pytest.approx(most, rel=1e-5)
 
 
@@ -144,7 +149,7 @@ def test_infeasible_limits_are_proved_infeasible(network, tightness, heaviest):
     # And limits that can be kept are never called infeasible.
     kept = maximize_entropy(acyclic, csr_matrix(out * tightness), weights, np.zeros(1), 1e-9,
                             NEVER)
-    assert not kept.infeasible and kept.excess <= 1e-9
+    assert not kept.infeasible and kept.violation <= 1e-9
 
 
 def ladder(rungs: int) -> Network:
@@ -165,7 +170,7 @@ def test_partition_functions_beyond_floating_point(weight):
     _, acyclic = forward(network)
     exact = rungs * math.log(2.0) - (rungs + 1) * weight
     for _ in range(2):
-        log_z, p, _ = acyclic.law(np.full(len(acyclic.edge), weight))
+        log_z, p, _ = acyclic.distribution(np.full(len(acyclic.edge), weight))
         assert log_z == pytest.approx(exact, rel=1e-10)
         assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9
-        acyclic.law(np.full(len(acyclic.edge), weight + 1.0))
+        acyclic.distribution(np.full(len(acyclic.edge), weight + 1.0))

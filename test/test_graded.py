@@ -54,7 +54,7 @@ def network_of(risk_map, options, refined=NONE):
     return trip_network(risk_map, START, GOAL, options, (), 'given', refined)
 
 
-def test_the_network_is_fine_around_held_ground_and_refined_places():
+def test_the_network_is_fine_around_the_secured_area_and_refined_places():
     options = planning(1)
     refined = np.array([[30.0, 30.0, 0.8]])
     network = network_of(yard(), options, refined)

@@ -89,7 +89,7 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour, 
     assert bound_if_held(before, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
 
 
-def test_the_ambusher_of_a_trip_bounds_it_with_more_held_ground(yard):
+def test_the_ambusher_of_a_trip_bounds_it_with_more_secured_area(yard):
     strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).strategy
     assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
     for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none

@@ -254,7 +254,7 @@ def test_recordings_are_judged(tmp_path):
     (QUICK, 4, '0 trips within 2.6 m of start and goal\n'
      'left out: track 1 of a.csv never comes within 2.6 m of the start\n'
      'ambush judge: no track has a trip from start to goal\n'),
-    ((*QUICK, '--held', 60), 2, 'held ground covers everything'),
+    ((*QUICK, '--held', 60), 2, 'secured area covers everything'),
     ((), 2, 'how far does an ambusher reach? Add --reach METRES'),
     ((*QUICK, '--detour', 1.2), 2, 'leave it out'),
 ])

@@ -11,9 +11,9 @@ from games import (
     examples,
     is_acyclic,
     least_weight,
+    lp_value,
     networks,
     paper_example,
-    program_value,
     terrain_network,
 )
 from hypothesis import given
@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 
 from ambush_planner import Network, SolverFailed, StrategyOptions, TimeLimit, solve
-from ambush_planner.game.value.highs import Program, run
+from ambush_planner.game.value.highs import LP, run
 
 ANY = np.inf
 LINEAR = ('interior_point', 'simplex')
@@ -81,7 +81,7 @@ def test_length_weight_minimises_the_weighted_sum(network, weight, solver):
     own = weighted(strategy.value, strategy.expected_length)
     for detour in (1.0001, 1.1, 1.5, 3.0):
         budget = detour * shortest
-        assert own <= weighted(program_value(network, None, budget), budget) * (1 + 1e-6) + 1e-7
+        assert own <= weighted(lp_value(network, None, budget), budget) * (1 + 1e-6) + 1e-7
     assert strategy.lower_bound <= strategy.value
 
 
@@ -108,7 +108,7 @@ def test_the_interior_point_method_finds_the_shortest_routes(seed):
 @pytest.mark.parametrize('solver', LINEAR)
 def test_a_program_without_time_or_without_an_optimum_is_an_error_by_name(solver):
     nothing, empty = np.empty(0), csr_matrix((0, 1))
-    endless = Program(np.array([-1.0]), empty, nothing, empty, nothing)
+    endless = LP(np.array([-1.0]), empty, nothing, empty, nothing)
     with pytest.raises(TimeLimit, match=f'{solver}: the time limit passed'):
         run(endless, solver, 0.0)
     with pytest.raises(SolverFailed, match=solver):

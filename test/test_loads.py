@@ -23,7 +23,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.commands import cli
-from ambush_planner.game.law.chain import chain_of
+from ambush_planner.game.distribution.chain import chain_of
 
 LOADS = (1.0, 0.6, 0.2)
 MOST_TRIPS = 5000  # of a game that is enumerated

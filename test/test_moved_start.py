@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A convoy that has moved on: the joined routes' law and value, against enumeration by hand."""
+"""A convoy that has moved on: distribution and value of the joined routes, by enumeration."""
 
 import math
 from itertools import pairwise
@@ -58,7 +58,7 @@ def joined_by_hand(network, route, place):
 
 
 def losses_by_hand(strategy, risk_map):
-    """Mean losses at the nodes, and with a reach also at the cells outside held ground."""
+    """Mean losses at the nodes, and with a reach also at the cells outside the secured area."""
     network, options, p = strategy.network, strategy.game.options, strategy.edge_probability
     if not options.reach:
         return network.alpha * np.bincount(network.heads, p, len(network.points))
@@ -66,15 +66,15 @@ def losses_by_hand(strategy, risk_map):
     places = np.vstack((network.points, np.stack((columns, rows), axis=1) * 0.25 + 0.125))
     alpha = np.concatenate((network.alpha, risk_map.alpha.ravel()))
     apart = np.linalg.norm(places[:, None] - network.points[network.ends], axis=2)
-    free = (apart > options.held_radius).all(axis=1)
-    hits = meets(network, places[free], options.reach, options.held_radius - options.tube)
+    free = (apart > options.secured_distance).all(axis=1)
+    hits = meets(network, places[free], options.reach, options.secured_distance - options.tube)
     return alpha[free] * hit_once(network, p, hits)
 
 
 @examples(9)
 @given(seed=st.integers(0, 2**31), angle=st.floats(0.0, 6.28), away=st.floats(0.05, 0.95),
        radius=st.sampled_from([0.0, 1.2]))
-def test_law_and_value_are_those_of_the_joined_routes(seed, angle, away, radius):
+def test_distribution_and_value_are_those_of_the_joined_routes(seed, angle, away, radius):
     values = np.random.default_rng(seed).integers(0, 60, (24, 40), dtype=np.int8)
     ground, grid = ground_on(values, radius, spacing=1.9)
     network, distance = ground.plan.network, away * REGION * ground.plan.spacing
@@ -159,11 +159,11 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
     clear = ClearGround(newest, OccupancyOptions(), plan.options.network)
     assert clear.drivable_steps(path[:, :2]).all()
-    assert_law_of_rests(ground, newest, route.nodes, rest.nodes)
+    assert_distribution_of_rests(ground, newest, route.nodes, rest.nodes)
 
 
-def assert_law_of_rests(ground, newest, left, drawn):
-    """The law of the whole route is that of the plan's routes, given how it began."""
+def assert_distribution_of_rests(ground, newest, left, drawn):
+    """The distribution of the whole route is that of the plan's routes, given how it began."""
     network, node = ground.plan.network, int(drawn[1])
     lost = {tuple(edge) for edge in network.edges[ground.compare(newest).lost].tolist()}
     expected, begin = {}, tuple(left[:left.tolist().index(node)].tolist())

@@ -49,14 +49,14 @@ def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
     plan = plan_trip(risk_map, START, GOAL, OPTIONS)
     paths, shares = plan.paths(5, rng), rng.dirichlet(np.ones(5))
     found = PathMixtures(risk_map, plan, paths).judged(shares)
-    # Dense places outside held ground; nobody is hit whose whole path near them is in it.
+    # Dense places outside the secured area; nobody is hit whose whole path near them is in it.
     game = plan.strategy.game.options
     cells = rng.uniform(0.0, 1.0, (3000, 2)) * (40.0, 20.0)
     away = np.min([np.hypot(*(cells - end).T) for end in (START, GOAL)], axis=0)
-    cells = cells[away > game.held_radius]
+    cells = cells[away > game.secured_distance]
     loss = np.where(risk_map.obstacles, 0.0, risk_map.alpha)[tuple(cells[:, ::-1].astype(int).T)]
     far = [p[np.min([np.hypot(*(p[:, :2] - end).T) for end in (START, GOAL)], axis=0)
-             > game.held_radius] for p in paths]
+             > game.secured_distance] for p in paths]
     hit = [distances(path, cells) <= game.ambush_radius for path in far]
     assert (loss * (shares @ hit)).max() <= found.value * (1.0 + 1e-9)
     at = found.worst_xy[None]
@@ -84,8 +84,8 @@ def test_two_ways_round_a_wall_are_driven_alike():
     alpha, obstacles = np.ones((20, 40)), np.zeros((20, 40), dtype=bool)
     obstacles[6:14, 8:32] = True
     risk_map = RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
-    held = GameOptions(ambush_radius=2.0, secured_radius=4.0)  # where the ways part
-    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=held))
+    secured = GameOptions(ambush_radius=2.0, secured_radius=4.0)  # where the ways part
+    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=secured))
     paths = [np.array([START, (8.0, y), (32.0, y), GOAL]) for y in (4.0, 16.0, 3.5)]
     best = PathMixtures(risk_map, plan, paths).best()
     assert best.value == pytest.approx(0.5, rel=1e-3)

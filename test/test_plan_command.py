@@ -148,15 +148,15 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
         assert (along[0], along[-1]) == ([-195.0, -50.0], [190.0, 105.0])  # exactly
         assert [-50.0, 95.0] in along
     layers = dict(pyogrio.list_layers(files[1]))
-    assert set(layers) == set(lines) == {'routes', 'edges', 'sites', 'places', 'held_ground',
+    assert set(layers) == set(lines) == {'routes', 'edges', 'sites', 'places', 'secured_area',
                                         'forbidden'}
     tables = {name: geopandas.read_file(files[1], layer=name) for name in layers}
     assert tables['sites']['probability'].sum() == pytest.approx(1.0, abs=1e-3)
     assert tables['forbidden'].area.sum() == 60 * 100.0
-    held = tables['held_ground'].union_all()
-    inside = held.buffer(-0.03 * 40.0)  # a site stands for places around it
-    assert len(tables['held_ground']) == 3 and not inside.contains(tables['sites'].geometry).any()
-    assert held.distance(shapely.Point(-155.0, -50.0)) == pytest.approx(0.0, abs=1e-9)
+    secured = tables['secured_area'].union_all()
+    inside = secured.buffer(-0.03 * 40.0)  # a site stands for places around it
+    assert len(tables['secured_area']) == 3 and not inside.contains(tables['sites'].geometry).any()
+    assert secured.distance(shapely.Point(-155.0, -50.0)) == pytest.approx(0.0, abs=1e-9)
     drawn_on = tables['edges'].union_all().buffer(0.3 * 40.0)  # tube and cut corners
     assert drawn_on.covers(tables['routes'].geometry).all()
 
@@ -179,7 +179,7 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     assert all(stat.S_IMODE(file.stat().st_mode) == 0o600 for file in files)
     layers = dict(pyogrio.list_layers(tmp_path / 'r.gpkg'))
     assert set(layers) == {*(f'route_{k + 1}' for k in range(count)), 'places',
-                           'held_ground', 'forbidden'}
+                           'secured_area', 'forbidden'}
     for k, share in enumerate(few['shares'], start=1):
         row, = geopandas.read_file(tmp_path / 'r.gpkg', layer=f'route_{k}').itertuples()
         assert (row.route, row.share) == (k, share) and row.length == pytest.approx(

@@ -34,7 +34,7 @@ def test_tables_of_edges_and_sites(plan):
     assert sites['probability'].sum() == pytest.approx(1.0, abs=1e-3)
 
 
-def test_the_graph_of_networkx_has_the_law(plan):
+def test_the_graph_of_networkx_has_the_strategy(plan):
     networkx = pytest.importorskip('networkx')
     graph = plan.to_networkx()
     source, target = graph.graph['source'], graph.graph['target']

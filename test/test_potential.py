@@ -16,7 +16,7 @@ import pytest
 from games import (
     examples,
     least_weight,
-    program_value,
+    lp_value,
     reached,
     routes_of,
     terrain_network,
@@ -38,26 +38,26 @@ WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key'
 FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
 
 
-def program_of(game, detour=np.inf) -> Potential:
-    """The program of a game, solved."""
-    program = Potential(make_faces(game), Budget.length(game, detour), 1e-3, math.inf)
-    program.solve()
-    return program
+def lp_of(game, detour=np.inf) -> Potential:
+    """The LP of a game, solved."""
+    lp = Potential(make_faces(game), Budget.length(game, detour), 1e-3, math.inf)
+    lp.solve()
+    return lp
 
 
-def program_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
-    """The program, whose sites join from the last part to the first; its q as the game's sites.
+def lp_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
+    """The LP, whose sites join from the last part to the first; its q as the game's sites.
 
     Sites near the source are the first ones, and often set the value.
     """
     *others, begun = np.array_split(np.arange(len(game.sites)), parts)
     later = ~np.isin(np.arange(game.node_count), game.sites[begun])
-    program = program_of(game.without_sites(later), detour)
+    lp = lp_of(game.without_sites(later), detour)
     for some in reversed(others):
-        program.add_sites(game.hits[some], game.loss[game.sites[some]])
-        program.solve()
+        lp.add_sites(game.hits[some], game.loss[game.sites[some]])
+        lp.solve()
     order = np.concatenate((begun, *reversed(others)))
-    return program, program.q[np.argsort(order)]
+    return lp, lp.q[np.argsort(order)]
 
 
 @examples(10)
@@ -65,9 +65,9 @@ def program_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
        st.sampled_from(('uniform_delaunay', 'random_delaunay', 'lattice_delaunay')))
 def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, method):
     network = terrain_network(seed, method, 14)
-    program = program_of(make_game(network, GameOptions()), detour)
-    least = program_value(network, None, detour * least_weight(network, network.lengths))
-    assert least * (1.0 - PRECISION) <= program.bound <= least * (1.0 + 1e-6)
+    lp = lp_of(make_game(network, GameOptions()), detour)
+    least = lp_value(network, None, detour * least_weight(network, network.lengths))
+    assert least * (1.0 - PRECISION) <= lp.bound <= least * (1.0 + 1e-6)
 
 
 @examples(10)
@@ -75,9 +75,9 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
        st.integers(2, 4))
 def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     game = make_game(terrain_network(seed, cells=12), GameOptions(ambush_radius=reach))
-    once, (later, q) = program_of(game, detour), program_in_parts(game, detour, parts)
+    once, (later, q) = lp_of(game, detour), lp_in_parts(game, detour, parts)
     assert later.bound == pytest.approx(once.bound, rel=PRECISION)
-    assert len(later.q) == len(later.level) == len(game.sites)
+    assert len(later.q) == len(later.caps) == len(game.sites)
     ambusher = Ambusher(at_nodes(game, q), tuple(later.prices) or (0.0,))
     assert lower_bound(game, ambusher, (later.budget,)) == pytest.approx(later.bound, rel=1e-6)
 
@@ -87,9 +87,9 @@ def test_with_no_site_to_limit_the_value_is_0():
                      GameOptions(ambush_radius=1.0, secured_radius=99.0))
     assert len(game.sites) == 0
     for detour in (1.0, np.inf):
-        program = program_of(game, detour)
-        assert program.bound == 0.0 and len(program.q) == 0
-        assert program.flow @ game.network.lengths == pytest.approx(program.budget.least)
+        lp = lp_of(game, detour)
+        assert lp.bound == 0.0 and len(lp.q) == 0
+        assert lp.flow @ game.network.lengths == pytest.approx(lp.budget.least)
 
 
 def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
@@ -108,9 +108,9 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     game = make_game(network, GameOptions(ambush_radius=2.5, secured_radius=0.4))
     near = reached(network, 2.5, 0.4)
     assert value_by_routes(alpha, near, routes_of(network)) == pytest.approx(2 / 5)
-    program = program_of(game)
-    assert program.bound == pytest.approx(2 / 5, rel=PRECISION)
-    curves = replace(program.circulation, site=game.sites[program.circulation.site])
+    lp = lp_of(game)
+    assert lp.bound == pytest.approx(2 / 5, rel=PRECISION)
+    curves = replace(lp.circulation, site=game.sites[lp.circulation.site])
     q = np.repeat([0.0, 0.2, 0.0], [21, 5, 1])
     for ambusher in Ambusher(q, ()), Ambusher(q, (), circulation=curves):
         assert lower_bound(game, ambusher, ()) == pytest.approx(2 / 5)
@@ -118,10 +118,10 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
-    program = Potential(make_faces(game), Budget.length(game, 1.2), 1e-3, time.monotonic() - 1.0)
-    with pytest.raises(TimeLimit, match='before the program in potentials'):
-        program.solve()
-    assert program.flow @ game.network.lengths == pytest.approx(program.budget.least)
+    lp = Potential(make_faces(game), Budget.length(game, 1.2), 1e-3, time.monotonic() - 1.0)
+    with pytest.raises(TimeLimit, match='before the LP in potentials'):
+        lp.solve()
+    assert lp.flow @ game.network.lengths == pytest.approx(lp.budget.least)
 
 
 def test_links_that_cross_or_are_one_way_have_no_faces():
@@ -138,26 +138,26 @@ def test_links_that_cross_or_are_one_way_have_no_faces():
 @pytest.mark.parametrize('flows', FLOWS)
 def test_circulations_on_a_graph_that_grows(flows):
     """Against networkx' least cost flow, after each of three additions and a change of costs."""
-    rng, program = np.random.default_rng(4), flows()
-    program.add_nodes(4)
+    rng, lp = np.random.default_rng(4), flows()
+    lp.add_nodes(4)
     tails, heads, costs, highs = (np.zeros(0, dtype=np.int64) for _ in range(4))
     for round_, nodes in enumerate((0, 3, 2)):
         if nodes:
-            program.add_nodes(nodes)
+            lp.add_nodes(nodes)
         count = 4 + 3 * (round_ > 0) + 2 * (round_ > 1)
         tail, head = rng.integers(0, count, (2, 12))
         tail, head = tail[tail != head], head[tail != head]
         cost, high = rng.integers(-9, 9, len(tail)), rng.integers(1, 9, len(tail))
-        program.add_columns(tail, head, cost.astype(float), np.zeros(len(tail)), high.astype(float))
+        lp.add_columns(tail, head, cost.astype(float), np.zeros(len(tail)), high.astype(float))
         tails, heads = np.append(tails, tail), np.append(heads, head)
         costs, highs = np.append(costs, cost), np.append(highs, high)
         if round_:
             costs[5:] = rng.integers(-9, 9, len(costs) - 5)
-            program.change_costs(5, costs[5:].astype(float))
+            lp.change_costs(5, costs[5:].astype(float))
         graph = networkx.MultiDiGraph()
         for a, b, c, h in zip(tails, heads, costs, highs, strict=True):
             graph.add_edge(int(a), int(b), weight=int(c), capacity=int(h))
-        found = program.solve(math.inf)
+        found = lp.solve(math.inf)
         assert found.cost == pytest.approx(networkx.capacity_scaling(graph)[0], abs=1e-6)
         reduced = costs - found.potential[tails] + found.potential[heads]
         assert (found.x[reduced > 1e-6] < 1e-6).all()
@@ -175,23 +175,23 @@ def test_a_budget_far_over_the_best_route_is_no_endless_search():
     game = make_game(network, GameOptions(ambush_radius=2.0, secured_radius=1.0))
     found = []
     for detour in (50.0, np.inf):
-        program = Potential(make_faces(game), Budget.length(game, detour), 0.0,
+        lp = Potential(make_faces(game), Budget.length(game, detour), 0.0,
                             time.monotonic() + 60.0)
-        program.solve()
-        found.append(program.bound)
+        lp.solve()
+        found.append(lp.bound)
     assert found[0] == pytest.approx(found[1], rel=1e-4)
 
 
 @pytest.mark.parametrize('flows', FLOWS)
-def test_a_program_without_time_or_without_an_optimum_ends_by_name(flows):
-    program = flows()
-    program.add_nodes(2)
+def test_an_lp_without_time_or_without_an_optimum_ends_by_name(flows):
+    lp = flows()
+    lp.add_nodes(2)
     ends = np.array([0, 1])
-    program.add_columns(ends, ends[::-1], -np.ones(2), np.zeros(2), np.full(2, np.inf))
-    with pytest.raises(SolverFailed, match='program in potentials'):
-        program.solve(math.inf)
+    lp.add_columns(ends, ends[::-1], -np.ones(2), np.zeros(2), np.full(2, np.inf))
+    with pytest.raises(SolverFailed, match='LP in potentials'):
+        lp.solve(math.inf)
     with pytest.raises(TimeLimit):
-        program.solve(time.monotonic() - 1.0)
+        lp.solve(time.monotonic() - 1.0)
 
 
 PRINTS = """

@@ -22,7 +22,7 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.certificate.best_response import Grounds, best_response
+from ambush_planner.game.certificate.best_response import TripNetworks, best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import entry_value
 from ambush_planner.game.strategy import make_budgets
@@ -34,15 +34,15 @@ EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 @given(st.integers(1, 3), st.integers(0, 10**6), st.floats(0.2, 1.5),
        st.sampled_from([-1.0, 0.0, 0.5, 2.0]), st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
 def test_value_and_bound_enclose_the_value_over_all_routes(
-    ambushers, seed, reach, held, detour, inside
+    ambushers, seed, reach, secured, detour, inside
 ):
     """And the bound is that value, up to the program's precision."""
     network = planar_network(seed, inside)
     routes = routes_of(network)
     assume(0 < len(routes) <= 1000)
-    game = GameOptions(ambush_radius=reach, secured_radius=held, ambushers=ambushers)
+    game = GameOptions(ambush_radius=reach, secured_radius=secured, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
-    near = reached(network, reach, game.held_radius)
+    near = reached(network, reach, game.secured_distance)
     limits = [(network.lengths, strategy.length_budget)]
     once = value_by_routes(network.alpha, near, routes, limits, ambushers)
     assert strategy.lower_bound <= once * (1 + 1e-7) + 1e-9
@@ -54,12 +54,12 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
 
 @examples(6)
 @given(st.integers(0, 10**6), st.floats(0.0, 2.0), st.sampled_from((1.1, np.inf)))
-def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
+def test_the_optimum_never_falls_when_the_reach_grows(seed, secured, detour):
     network = terrain_network(seed, cells=9)
     options = StrategyOptions(max_detour=detour)
     bound = 0.0
     for reach in (0.0, 0.7, 1.5, 3.0, 6.0):
-        strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=held), options)
+        strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=secured), options)
         assert strategy.value >= bound * (1.0 - 1e-6)
         bound = max(bound, strategy.lower_bound)
 
@@ -75,14 +75,15 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     routes = routes_of(network)
     assume(len(routes) <= 1000)
     met = np.array([(game.hits[:, route].getnnz(axis=1) > 0) for route in routes])
-    over = np.array([budgets[0].excess[route].sum() - budgets[0].margin for route in routes])
+    over = np.array([budgets[0].reduced_cost[route].sum() - budgets[0].slack for route in routes])
     costs = met @ (game.loss * q)[game.sites] + price * over
     bound = best_response(game, q, budgets, (price,))
     assert bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
     # A search that is cut short proves no more.
-    base, charge = price * budgets[0].excess, (game.loss * q)[None, game.sites]
-    least = costs.min() + price * budgets[0].margin
-    bound, edges = Grounds(game, game.hits).least_cost(base, charge, ((9, 3), (81, 10**6)))
+    base, dual_weights = price * budgets[0].reduced_cost, (game.loss * q)[None, game.sites]
+    least = costs.min() + price * budgets[0].slack
+    bound, edges = TripNetworks(game, game.hits).least_cost(
+        base, dual_weights, ((9, 3), (81, 10**6)))
     assert sorted(edges.tolist()) in [sorted(route) for route in routes]
     assert bound <= least * (1.0 + 1e-9) + 1e-9
 

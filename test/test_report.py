@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from test_driven_certificate import dense
 
 from ambush_planner.commands import console, report, report_words
-from ambush_planner.game.spotter import worst_spotter
+from ambush_planner.game.informant import worst_informant
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.plan import path_lengths
@@ -119,10 +119,10 @@ def test_the_numbers_are_those_of_the_strategy(made):
     assert f'{rows["energy_efficient"].v_repeated:.3g}' in report_words.tiles(section)[0][1]
     assert f'{strategy.value:.3g}' in texts[0] and f'{strategy.lower_bound:.3g}' in texts[2]
     assert 'At whichever node' in texts[0] and 'within 40 m of start and goal' in texts[3]
-    seen = worst_spotter(strategy)
+    seen = worst_informant(strategy)
     assert f'the mean loss to {seen.loss:.3g}, ' in texts[1]
     corner = section.risk_map.origin[:2]
-    assert map_data(section)['spotter'] == pytest.approx(np.array((seen.x, seen.y)) - corner)
+    assert map_data(section)['informant'] == pytest.approx(np.array((seen.x, seen.y)) - corner)
 
 
 @pytest.mark.parametrize(('metres', 'said'), [

@@ -219,7 +219,7 @@ def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, rea
     game, p = a_plan.strategy.game, a_plan.strategy.edge_probability
     at = a_plan.network.points[game.sites].round(9).tolist()
     found = browser.evaluate(f'{at}.map(([x, y]) => map.measure(x, y))')
-    assert len(at) > 50 and not any(each['held'] for each in found)
+    assert len(at) > 50 and not any(each['secured'] for each in found)
     costs = np.array([each['cost'] for each in found])
     wanted = game.loss[game.sites] * hit_probabilities(game, p)
     np.testing.assert_allclose(costs, wanted, rtol=1e-4, atol=1e-4)

@@ -123,10 +123,10 @@ def test_roads_open_obstacles_that_forbidden_polygons_close_and_held_ground_cost
     assert (steps[0].obstacles & road).any() and not steps[1].obstacles[road].any()
     assert np.array_equal(steps[0].obstacles | road, steps[1].obstacles | road)
     assert np.isfinite(steps[1].alpha).all()
-    held = steps[2].alpha == 0.0
+    secured = steps[2].alpha == 0.0
     zones = geopandas.read_file(folder / 'zones.geojson').to_crs(CRS).union_all()
-    assert np.mean(held != on_grid(shapely.contains_xy(zones, cells()))) < 0.002
-    assert (steps[3].obstacles & held).any() and not (steps[3].obstacles & held).all()
+    assert np.mean(secured != on_grid(shapely.contains_xy(zones, cells()))) < 0.002
+    assert (steps[3].obstacles & secured).any() and not (steps[3].obstacles & secured).all()
 
 
 @pytest.mark.parametrize('options', [

@@ -9,7 +9,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 import pytest
-from games import exact_value, program_value
+from games import exact_value, lp_value
 
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
@@ -114,7 +114,7 @@ def test_a_town_against_networkx(streets, name, detour):
     assert network.travel_unit == ('s' if timed else 'm')
     assert strategy.shortest_length == pytest.approx(least, rel=1e-6)
     assert strategy.expected_length <= detour * least * (1.0 + 1e-6)
-    value = float(exact_value(network)) if detour == math.inf else program_value(
+    value = float(exact_value(network)) if detour == math.inf else lp_value(
         network, None, detour * strategy.shortest_length)
     assert strategy.value == pytest.approx(value, rel=1e-4)
     assert strategy.lower_bound <= value * (1.0 + 1e-9)

@@ -93,13 +93,13 @@ def test_the_bound_is_below_every_mixture_and_the_value_is_one(seed, stops, reac
 
 
 def check(found, budgets, least):
-    """Laws of a solved program, whose least value is known."""
+    """Laws of a solved LP, whose least value is known."""
     game, k = found.game, min(found.game.ambushers, len(found.q))
     assert found.bound <= least * (1.0 + 1e-6) + 1e-9
     assert found.value >= least * (1.0 - 1e-6) - 1e-9
     assert found.q.min(initial=0.0) >= 0.0 and found.q.max(initial=0.0) <= 1.0 + 1e-9
     assert found.q.sum() == pytest.approx(k)
-    assert np.sort(found.level)[len(found.level) - k :].sum() == pytest.approx(found.value)
+    assert np.sort(found.caps)[len(found.caps) - k :].sum() == pytest.approx(found.value)
     assert found.shares.min() >= 0.0 and found.shares.sum() == pytest.approx(1.0)
     assert unbalanced(game.network, found.flow) < 1e-9 and is_acyclic(game.network, found.flow)
     assert all(budget.keeps(found.flow) for budget in budgets)

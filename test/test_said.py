@@ -78,11 +78,11 @@ def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, fil
 
 @pytest.mark.parametrize('tolerance', [0.0, np.inf])
 def test_by_default_no_place_covers_every_way_out(tolerance):
-    """Held ground is as wide as the reach, tube and start tolerance."""
+    """The secured area is as wide as the reach, tube and start tolerance."""
     made = plan_trip(ground(), START, GOAL, PlanningOptions(
         network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=20.0),
         drive=DriveOptions(start_tolerance=tolerance)))
-    assert made.strategy.game.options.held_radius == 22.0 and made.value < 0.9
+    assert made.strategy.game.options.secured_distance == 22.0 and made.value < 0.9
     assert not any('covers every way' in text for text in concerns(made))
 
 

@@ -16,9 +16,9 @@ from games import (
     hit_once,
     is_acyclic,
     least_weight,
+    lp_value,
     networks,
     paper_example,
-    program_value,
     quiet_network,
     terrain_network,
     terrain_networks,
@@ -54,7 +54,7 @@ SLACK = StrategyOptions().risk_slack
 
 
 def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None:
-    """Check the laws of strategies with ambush radius 0 and no held ground."""
+    """Check the laws of strategies with ambush radius 0 and no secured area."""
     network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
     check_flow(network, p, solver)
     visits = np.bincount(network.heads, weights=p, minlength=len(q))
@@ -134,8 +134,8 @@ def test_several_ambushers_are_within_the_slack_of_the_linear_program(
     strategy = solve(network, GameOptions(ambushers=count), StrategyOptions(
         max_detour=detour, risk_slack=slack))
     # Where a budget is as good as none for detours, the value is steep in it.
-    loose = program_value(network, None, detour * shortest * (1 + 2e-6), count)
-    tight = program_value(network, None, detour * shortest * (1 + 1e-12), count)
+    loose = lp_value(network, None, detour * shortest * (1 + 2e-6), count)
+    tight = lp_value(network, None, detour * shortest * (1 + 1e-12), count)
     assert strategy.value >= loose * (1 - 1e-6) - 1e-9
     assert strategy.value <= tight * (1 + slack + 2e-5) + 1e-9
 

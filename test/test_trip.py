@@ -280,7 +280,7 @@ def value_of_all_routes(game, network, budget):
 def legs_of(game):
     """The games of the legs of a trip, each on all places, with the sites of the trip."""
     network, place, first = game.network, game.network.places, game.network.representatives
-    playable = game.without_copies().playable
+    playable = game.without_layers().playable
     at = [network.source, *network.stops.tolist(), network.target]
     for leg, (source, target) in enumerate(itertools.pairwise(at)):
         own = playable & (network.leg[network.tails] == leg)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A costmap's obstacles on a risk map: the pure law, and the node with both topics and TF."""
+"""A costmap's obstacles on a risk map: the pure rule, and the node with both topics and TF."""
 
 import math
 

@@ -90,7 +90,7 @@ FORGERIES = {
     'a wider budget': (NEW_ROUTE, lambda f: scaled(f, 'length_budget', 1.1),
                        'its length budget is'),
     'another reach': (NEW_ROUTE, lambda f: f.set_arrays(tube=np.array(0.3)),
-                      'strategy: its reach or held ground'),
+                      'strategy: its reach or secured area'),
     'points moved': (GET_PLAN, lambda f: scaled(f, 'points', 1.0 + 1e-9), 'network: '),
     'another map': (NEW_ROUTE, lambda f: f.edit(
         'map', lambda m: m.data.__setitem__(slice(180, 230), m.data[170:220])), 'network: '),

@@ -27,9 +27,9 @@ from ambush_planner import (
     plan_trip,
 )
 from ambush_planner.commands import audit, card, draw, export, report, verify
-from ambush_planner.game.law.chain import chain_of
+from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.maps.road_file import RoadGraph
-from ambush_planner.planning.few_law import few_law
+from ambush_planner.planning.few_strategy import few_strategy
 from ambush_planner.planning.slots import mix_slots
 from ambush_planner.recordings import UnreadableRecording, read_departure, schemas
 from ambush_planner.recordings.plan_departures import draw_departure
@@ -146,16 +146,16 @@ def test_other_readers_take_the_recordings_and_definitions_are_those_installed(p
     schemas.load_definition.cache_clear()
 
 
-def test_few_routes_are_a_law_with_their_shares(plans):
+def test_few_routes_are_a_strategy_with_their_shares(plans):
     plan, _ = plans['few']
-    law, routes = few_law(plan.strategy, plan.few)
-    assert law.value == plan.few.value and law.lower_bound == plan.lower_bound
-    drawn = law.sample_routes(4000, np.random.default_rng(1))
+    mixture, routes = few_strategy(plan.strategy, plan.few)
+    assert mixture.value == plan.few.value and mixture.lower_bound == plan.lower_bound
+    drawn = mixture.sample_routes(4000, np.random.default_rng(1))
     for route, nodes, share in zip(routes, plan.few.routes, plan.few.shares, strict=True):
         count = sum(np.array_equal(each, route) for each in drawn)
         assert abs(count / 4000 - share) < 0.04
-        assert np.array_equal(law.network.points[route], plan.network.points[nodes])
-    assert chain_of(law.network, law.edge_probability) is not None
+        assert np.array_equal(mixture.network.points[route], plan.network.points[nodes])
+    assert chain_of(mixture.network, mixture.edge_probability) is not None
 
 
 def test_the_week_needs_no_ros(plans, tmp_path):
@@ -211,7 +211,7 @@ def test_a_dry_run_records_nothing(plans, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ['card.html', 'week.plan']
 
 
-def test_slots_and_routes_follow_the_law(plans):
+def test_slots_and_routes_follow_the_strategy(plans):
     saved = read_plan(plans['few'][1])
     drawn = [draw_departure(saved) for _ in range(3000)]
     for slot, share in zip(SLOTS.times, SLOTS.mixture.shares, strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush audit``: do departures follow the published law, and could one predict them?"""
+"""``ambush audit``: do departures follow the published strategy, and could one predict them?"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver's sheet as one HTML page: map, way points and held ground of a single route.
+"""The driver's sheet as one HTML page: map, way points and secured area of a single route.
 
 Nothing on it tells of other routes: no probabilities, ambush sites or values.
 """
@@ -26,7 +26,7 @@ from ..maps.grid_references import mgrs_references, true_bearings, utm_reference
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..planning.plan import path_lengths
-from ..routes.legs import bearings, distances_along, held_stretches, way_points
+from ..routes.legs import bearings, distances_along, secured_stretches, way_points
 from .cli import Console, number, resource
 from .console import distance, duration, rounded
 
@@ -45,14 +45,14 @@ _MIN_SIDE = 0.7
 class Card:
     """A path (L, 2) [m], and what its driver may know.
 
-    ``places`` (P, 2) are start, stops and goal, around which ground is held. ``speed`` is in km/h,
-    None if that is unknown; ``start`` is when he leaves, on which ``day``.
+    ``places`` (P, 2) are start, stops and goal, around which the area is secured. ``speed`` is in
+    km/h, None if that is unknown; ``start`` is when he leaves, on which ``day``.
     """
 
     path: FloatArray
     risk_map: RiskMap
     places: FloatArray
-    held_radius: float
+    secured_distance: float
     speed: float | None
     start: datetime | None
     day: str = ''
@@ -95,7 +95,7 @@ def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy,
     """
     network = strategy.network
     ends = [network.source, *network.stops, network.target]
-    return Card(path[:, :2], risk_map, network.points[ends], strategy.game.options.held_radius,
+    return Card(path[:, :2], risk_map, network.points[ends], strategy.game.options.secured_distance,
                 speed or _mean_speed(*drawn, float(path_lengths([path])[0])),
                 datetime.strptime(start, '%H:%M') if start else None, day)
 
@@ -166,17 +166,18 @@ def _notes(card: Card) -> list[str]:
     unit = '' if card.start else ' min'
     stretches = [f'{distance(first)} to {distance(last)}' + (
                      f' ({card.time(first)} to {card.time(last)}{unit})' if card.speed else '')
-                 for first, last in held_stretches(card.path, card.places, card.held_radius)]
+                 for first, last in secured_stretches(card.path, card.places,
+                                                      card.secured_distance)]
     names = 'start, stops and goal' if len(card.places) > 2 else 'start and goal'
-    held = (f'Held ground (circles), {distance(card.held_radius)} around {names}: '
+    secured = (f'Secured area (circles), {distance(card.secured_distance)} around {names}: '
             f'{"; ".join(stretches)}.'
-            if card.held_radius > 0.0 else 'No ground is held on the way.')
+            if card.secured_distance > 0.0 else 'No area on the way is secured.')
     north, systems = (
         ('true north; a compass differs by the local declination',
          ' Positions are WGS 84; N or S after the UTM zone is the hemisphere.')
         if card.risk_map.crs else ("the map's y axis", ''))
     colour = 'darker' if card.risk_map.heights is None else 'browner'
-    return [held,
+    return [secured,
             f'On the map, the {colour} the ground, the more dangerous it is; black: obstacles.',
             f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
             f'follow the path.{systems}']
@@ -194,7 +195,7 @@ def _picture(card: Card) -> bytes:
     axes = figure.subplots()
     figures.draw_map(axes, card.risk_map, box=box)
     axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=figures.HALO, zorder=4)
-    figures.draw_places(axes, card.places, card.held_radius)
+    figures.draw_places(axes, card.places, card.secured_distance)
     numbered = sorted(set(range(len(card.points))) - set(card.names))
     spots = figures.free_spots(card.points[numbered], card.places, _BADGE * max(width, height))
     for k, spot in zip(numbered, spots, strict=True):

@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from ..colours import AMBUSHER, ROUTES
 from ..figures import (
     HALO,
-    HELD_DASHES,
     ROUTE_WIDTH,
+    SECURED_DASHES,
     WIDTH,
     badge_places,
     draw_ground,
@@ -75,9 +75,9 @@ def _key(drawn: FewDrawn, axes: Axes) -> None:
              for k, name in enumerate(drawn.names[:MAX_KEYS])]
     worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
                    markeredgecolor='white', label='worst ambush')
-    held = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
-                  label='held ground')
-    axes.legend(handles=[*lines, worst, held, *ground_key(drawn.risk_map)], frameon=False,
+    secured = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES,
+                  label='secured area')
+    axes.legend(handles=[*lines, worst, secured, *ground_key(drawn.risk_map)], frameon=False,
                 title='route and share', loc='upper left', alignment='left',
                 ncols=1 + len(lines) // 11, labelspacing=0.3,
                 fontsize='medium' if len(lines) < 11 else 'small')

@@ -13,7 +13,7 @@ from .cli import Console, count, file_of, place, require
 FORMATS_HELP = """\
 FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
 .geojson have the routes (departure, length [m], time of drawing), the edges (probability), the
-ambush sites (probability, loss), held and forbidden ground. .geojson (property layer) is in
+ambush sites (probability, loss), secured area, forbidden ground. .geojson (property layer) is in
 latitude and longitude if the map has a coordinate system, .gpkg in the map's. .gpx has each
 departure as a route with its corners and as a track. .kml has the routes as lines; .csv too, in the
 map's coordinates (WKT); .png is a picture. Routes are secret: files have mode 0600."""

@@ -61,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
                       help='number of places to hold (default: 5)')
     made.add_argument('--radius', type=float, required=True, metavar='METRES',
-                      help='radius of the ground that holding a place covers')
+                      help='radius of the area that holding a place secures')
     made.add_argument('--candidates', metavar='PLACES', help='the places that can '
                       "be held (default: places around the ambusher's sites)")
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
@@ -126,14 +126,14 @@ def _tell(found: Holding, rows: list[dict[str, Any]], count: int, like: Position
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
     figure = Figure(figsize=(WIDTH, 8.4), layout='compressed')
-    ground, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
-    draw_strategy(ground, found.strategies[-1], risk_map)
+    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
+    draw_strategy(overview, found.strategies[-1], risk_map)
     held = f'{cli.count(len(found.steps), "place")} held (green)'
-    ground.set_title(f'{held}\n{ground.get_title(loc="left")}', fontsize='medium', loc='left',
+    overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
                      linespacing=1.4)
     for number, step in enumerate(found.steps, 1):
-        ground.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
-        number_badge(ground, number, np.array(step.xy), HELD)
+        overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
+        number_badge(overview, number, np.array(step.xy), HELD)
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
                label='lower bound', **style)

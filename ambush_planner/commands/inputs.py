@@ -56,7 +56,7 @@ KINDS = {float: 'a number', int: 'a whole number', bool: 'true or false', str: '
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
               '(default: 0, only the network nodes that he waits at)'),
-    'held': ('game.secured_radius', 'METRES', 'radius of the ground that you hold around start, '
+    'held': ('game.secured_radius', 'METRES', 'radius of the area that you hold around start, '
              'stops and goal: nobody can wait there (default: as far as the reach)'),
     'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
                "route's (default: 1.2)"),

@@ -78,7 +78,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     start, goal, _ = places_on(arguments, risk_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
     game = solved_game(risk_map, options.planning)
-    near = max(game.ambush_radius, game.held_radius, NEAR * math.dist(start, goal))
+    near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))
     trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
     console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal')
     for sentence in left_out:

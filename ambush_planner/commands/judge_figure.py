@@ -20,7 +20,7 @@ from .console import distance
 # Minimum share of trips and edges that are shown.
 MIN_SHARE = 0.001
 # What the panels show around the trips, as a multiple of their size; size of start and goal, which
-# must not cover held ground.
+# must not cover the secured area.
 MARGIN, MARKS = 1.25, 0.35
 _CONVOY, _HIT = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
 _LEGEND = (
@@ -73,7 +73,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     figures.draw_sites(panels[2], strategy)
     figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
                      anchor=(0.0, 1.0))
-    shown = [*_LEGEND, *[figures.HELD_GROUND] * bool(strategy.game.held.radii.any()),
+    shown = [*_LEGEND, *[figures.SECURED_AREA] * bool(strategy.game.secured.radii.any()),
              *figures.ground_key(risk_map)]
     figure.legend(handles=shown, ncols=2, loc='outside lower left', frameon=False)
     return figure

@@ -65,7 +65,7 @@ the cards that stand for each route, by the nearest shares, and the value of eac
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 {OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "driven_length", "shortest_route_loss", "spotter": {{"x", "y", "loss",
+"shortest_length", "driven_length", "shortest_route_loss", "informant": {{"x", "y", "loss",
 "factor"}}, "refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
 or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
 "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
@@ -103,7 +103,7 @@ def parser() -> argparse.ArgumentParser:
                       help='always draw the same routes; for tests only, as they can be predicted')
     add_crs(made)
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
-                      'all assumptions, and what a spotter is worth')
+                      'all assumptions, and what an informant is worth')
     return made
 
 
@@ -190,7 +190,7 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
                      'that were tried, mixed at best')
     if not arguments.verbose:
         console.fact('assumption', main_assumption(plan))
-    seen = plan.spotter
+    seen = plan.informant
     if arguments.verbose:
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
@@ -198,7 +198,7 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
         if seen:
             where: Position = arguments.start[0]
             assert plan.risk_map is not None
-            console.fact('spotter', f'one at {where.like((seen.x, seen.y), plan.risk_map)} who '
+            console.fact('informant', f'one at {where.like((seen.x, seen.y), plan.risk_map)} who '
                          f'sees whether you pass raises {strategy.value:.4g}'
                          f'{", the value at a known time," * bool(day)} to {seen.loss:.4g}, '
                          f'{seen.factor:.2f} times')
@@ -213,7 +213,7 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
         'value': value, 'lower_bound': bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
         'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
-        'spotter': seen and asdict(seen), 'few': None, 'slots': None,
+        'informant': seen and asdict(seen), 'few': None, 'slots': None,
     }
 
 

@@ -115,12 +115,12 @@ class View {
 
   // What an ambush at a place costs: the loss there times the share of departures that it hits.
   measure(x, y) {
-    const { reach, held, ends } = this.data;
+    const { reach, secured, ends } = this.data;
     const [u, v] = reach > 0 ? [x, y] : this.#nearest(x, y);
     const hit = this.data.ordered ? this.#hit(u, v) : this.#entering(u, v);
     const near = Math.min(...ends.map(([a, b]) => Math.hypot(u - a, v - b)));
     const loss = this.#loss(u, v);
-    return { here: this.#loss(x, y), loss, hit, cost: loss * hit, held: near <= held };
+    return { here: this.#loss(x, y), loss, hit, cost: loss * hit, secured: near <= secured };
   }
 
   // Loss by the map: NaN in obstacles, undefined off the map.
@@ -133,7 +133,7 @@ class View {
     return level === OBSTACLE ? NaN : levels[level];
   }
 
-  // Chance that a departure comes into the disc outside held ground, counted once: what has not met
+  // Chance that a departure comes into the disc outside the secured area, once: what has not met
   // it is passed on along the stretches, which are in the order of the way.
   #hit(x, y) {
     const { edges, chances, source, target } = this.data, unhit = new Float64Array(this.leaving.length);
@@ -154,7 +154,7 @@ class View {
     }, 0);
   }
 
-  // Whether the part of a stretch outside held ground comes into the disc; ends there, without one.
+  // Whether the part of a stretch outside the secured area comes into the disc; ends there, without one.
   #meets(k, x, y) {
     const { points, edges, reach, shelter, ends } = this.data;
     const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
@@ -234,7 +234,7 @@ class View {
 
   #draw() {
     this.drawing = 0;
-    const { pen, data, scale, fine } = this, { yaw, cell, columns, rows, held } = data;
+    const { pen, data, scale, fine } = this, { yaw, cell, columns, rows, secured } = data;
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     pen.setTransform(fine * scale, 0, 0, -fine * scale,
@@ -249,10 +249,10 @@ class View {
     if (this.layers.chances.checked) {
       for (const { path, colour, width } of this.stretches) this.#stroke(path, colour, width);
     }
-    if (held > 0) {
-      for (const [x, y] of data.ends) this.#stroke(disc(x, y, held), 'white', 4);
+    if (secured > 0) {
+      for (const [x, y] of data.ends) this.#stroke(disc(x, y, secured), 'white', 4);
       pen.setLineDash([7 / scale, 5 / scale]);
-      for (const [x, y] of data.ends) this.#stroke(disc(x, y, held), 'black', 2);
+      for (const [x, y] of data.ends) this.#stroke(disc(x, y, secured), 'black', 2);
       pen.setLineDash([]);
     }
     if (this.layers.routes.checked) this.#drawRoutes();
@@ -290,8 +290,8 @@ class View {
       this.pen.fill(path);
       this.#stroke(path, 'white', 1.5);
     }
-    if (!this.data.spotter) return;
-    const path = disc(...this.data.spotter, 8 / this.scale);
+    if (!this.data.informant) return;
+    const path = disc(...this.data.informant, 8 / this.scale);
     this.#stroke(path, 'white', 5);
     this.#stroke(path, colours('ambusher')[0], 2.5);
   }
@@ -416,9 +416,9 @@ class View {
       + (this.#latLon(u, v) || []).map((each, k) => (k ? ', ' : '\n') + each.toFixed(5)).join('');
   }
 
-  #verdict({ held, cost }) {
-    if (held && this.data.held > 0) return 'Held ground: nobody can wait here';
-    if (held) return 'Start, stops and goal: nobody can wait here';
+  #verdict({ secured, cost }) {
+    if (secured && this.data.secured > 0) return 'Secured area: nobody can wait here';
+    if (secured) return 'Start, stops and goal: nobody can wait here';
     if (Number.isNaN(cost)) return 'Obstacle';
     const loss = cost < LEAST * this.data.value ? 'practically nothing' : digits(cost);
     return `An ambush here costs ${loss} on average`;

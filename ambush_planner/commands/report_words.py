@@ -27,8 +27,8 @@ OPTIMAL = 1e-5
 def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
-        _guarantee(section), *_spotter(section), _optimality(section),
-        ' '.join(filter(None, (_assumptions(section.strategy), held(section)))),
+        _guarantee(section), *_informant(section), _optimality(section),
+        ' '.join(filter(None, (_assumptions(section.strategy), secured(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
     ]
@@ -38,7 +38,7 @@ def _guarantee(section: Section) -> str:
     strategy, (value, _) = section.strategy, section.bounds
     anywhere = strategy.game.options.widened > 0.0
     where = 'Wherever' if anywhere else 'At whichever node of the network'
-    outside = f', except on the held ground around {ends(strategy)}' if held(section) else ''
+    outside = f', except on the secured area around {ends(strategy)}' if secured(section) else ''
     timed = section.slots is not None
     when_known = (' He can wait at one time of departure only; if he knows the time, it is at most '
                   f'{rounded(strategy.value)}.') * timed
@@ -48,9 +48,9 @@ def _guarantee(section: Section) -> str:
             f'route{" and time" * timed}.')
 
 
-def _spotter(section: Section) -> list[str]:
+def _informant(section: Section) -> list[str]:
     """What somebody is worth to him who sees whether the convoy passes; empty if nothing."""
-    if (seen := section.spotter) is None:
+    if (seen := section.informant) is None:
         return []
     at = f'x {rounded(seen.x, 7)} m, y {rounded(seen.y, 7)} m'
     try:
@@ -58,8 +58,8 @@ def _spotter(section: Section) -> list[str]:
         at = f'{lat:.5f}, {lon:.5f}, {at}'
     except InvalidCoordinates:
         pass  # the map does not know its system
-    return [f'A spotter can tell him more: one at the worst place, {at}, who reports whether the '
-            f'convoy passes before he chooses where to wait, raises the mean loss to '
+    return [f'An informant can tell him more: one at the worst place, {at}, who reports whether '
+            f'the convoy passes before he chooses where to wait, raises the mean loss to '
             f'{rounded(seen.loss)}, {rounded(seen.factor)} times as much.']
 
 
@@ -86,16 +86,16 @@ def _assumptions(strategy: Strategy) -> str:
             f'drawn, hits {hits}, and causes the loss of the risk map there.')
 
 
-def held(section: Section) -> str:
-    """The assumption about held ground; '' if there is none."""
-    radius = section.strategy.game.options.held_radius
+def secured(section: Section) -> str:
+    """The assumption about the secured area; '' if there is none."""
+    radius = section.strategy.game.options.secured_distance
     asked = section.departures[-1].parameters.planning.game.secured_radius
     if not radius > 0.0:
         return ''
     margin = ''
     if asked is not None and round(asked - radius) > 0:
         margin = f' ({distance(asked)}, less how far start and goal may move)'
-    return (f'Held ground is assumed: nobody can wait within {distance(radius)} of '
+    return (f'A secured area is assumed: nobody can wait within {distance(radius)} of '
             f'{ends(section.strategy)}{margin}.')
 
 

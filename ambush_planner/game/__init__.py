@@ -3,6 +3,6 @@
 
 ``game`` has the ambush sites and losses, ``discs`` the edges that enter an ambush's reach.
 ``certificate`` bounds the value from both sides. ``solver`` finds the strategy: ``value`` has the
-programs that find the least value, ``law`` the most unpredictable strategy near it. Use
-``strategy`` from outside: the record ``Strategy``, its options, and ``solve``.
+linear programs (LPs) that find the least value, ``distribution`` the most unpredictable strategy
+near it. Use ``strategy`` from outside: the record ``Strategy``, its options, and ``solve``.
 """

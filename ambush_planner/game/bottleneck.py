@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import IndexArray, frozen_array
-from .discs import held_ground
+from .discs import secured_area
 from .revaluation import budgets_in_game
 from .solver import least_value
 from .strategy import Strategy
@@ -42,7 +42,7 @@ def find_bottleneck(strategy: Strategy) -> Bottleneck:
     decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss[first] > 0.0)
     sites = first[decisive & (strategy.value > 0.0)]
     distance = NEAR_EDGES * float(np.median(network.lengths[game.playable]))
-    near = held_ground(network, distance).covers(network.points[sites])
+    near = secured_area(network, distance).covers(network.points[sites])
     return Bottleneck(frozen_array(sites, np.int64), int(near.sum()), distance)
 
 
@@ -53,7 +53,7 @@ def secured_bound(strategy: Strategy, distance: float,
     It keeps the strategy's budgets and counts the sites known so far, so that another search could
     find a greater one. None if nothing is proved by ``deadline`` (``time.monotonic``).
     """
-    near = held_ground(strategy.network, distance).covers(strategy.network.points)
-    game = strategy.game.without_copies().without_sites(near)
+    near = secured_area(strategy.network, distance).covers(strategy.network.points)
+    game = strategy.game.without_layers().without_sites(near)
     found = least_value(game, budgets_in_game(game, strategy), SECURED_TOLERANCE, deadline)
     return None if found is None else min(found, strategy.value)

@@ -17,9 +17,9 @@ from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from .game import Game
 
-# Least margin of a budget as a share of the best route's cost, or of an edge's largest cost if that
-# is 0: if a budget allowed the best routes only, a program would have no room.
-LEAST_MARGIN = 1e-10
+# Least slack of a budget, as a share of the best route's cost, or of an edge's largest cost if that
+# is 0: if a budget allowed the best routes only, an LP would have no room.
+LEAST_SLACK = 1e-10
 # Relative overrun of a budget that is a solver's rounding.
 BUDGET_TOLERANCE = 1e-6
 
@@ -35,7 +35,7 @@ class Budget:
     cost : (M,)
         Cost of each edge, >= 0.
     limit
-        Largest mean cost; ``inf``: no limit. It is raised to leave the least margin.
+        Largest mean cost; ``inf``: no limit. It is raised to leave the least slack.
     least
         Cost of the best route of the whole network, or of the shortest way over the ground.
     name, unit
@@ -81,7 +81,7 @@ class Budget:
                 'alpha_threshold'
             )
         scale = best or float(self.cost.max(initial=0.0)) or 1.0
-        object.__setattr__(self, 'limit', max(self.limit, best + LEAST_MARGIN * scale))
+        object.__setattr__(self, 'limit', max(self.limit, best + LEAST_SLACK * scale))
 
     @cached_property
     def _behind(self) -> FloatArray:
@@ -98,12 +98,12 @@ class Budget:
         return bool(np.isfinite(self.limit))
 
     @cached_property
-    def margin(self) -> float:
+    def slack(self) -> float:
         """The limit minus the best playable route's cost, > 0."""
         return self.limit - float(self._behind[self.game.network.source])
 
     @cached_property
-    def excess(self) -> FloatArray:
+    def reduced_cost(self) -> FloatArray:
         """Cost (M,) that each edge adds to the best way on from its tail; inf if not playable.
 
         Along a route they add up to its cost minus the best route's, without cancellation.
@@ -124,12 +124,12 @@ class Budget:
     def overrun(self, p: FloatArray) -> float:
         """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
         used = p > 0.0
-        return max(float(p[used] @ self.excess[used]) - self.margin, 0.0)
+        return max(float(p[used] @ self.reduced_cost[used]) - self.slack, 0.0)
 
 
-def margin_rows(budgets: Sequence[Budget], edge: IndexArray) -> csr_matrix:
-    """Rows (B, m) of the budgets that bind: shares of the margin that edges (m,) take."""
-    rows = [b.excess[edge] / b.margin for b in budgets if b.binds]
+def budget_rows(budgets: Sequence[Budget], edge: IndexArray) -> csr_matrix:
+    """Rows (B, m) of the budgets that bind: shares of the budget slack that edges (m,) take."""
+    rows = [b.reduced_cost[edge] / b.slack for b in budgets if b.binds]
     return csr_matrix(np.reshape(rows, (len(rows), len(edge))))
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ambushes with a reach: held ground, and the edges that bring a route into a site's disc.
+"""Ambushes with a reach: the secured area, and the edges that bring a route into a site's disc.
 
-Held ground protects convoys inside it: only the exposed part of an edge, outside held ground, can
-be hit.
+The secured area protects convoys inside it: only the exposed part of an edge, outside that area,
+can be hit.
 """
 
 from __future__ import annotations
@@ -29,45 +29,45 @@ def inside(offset: FloatArray, radius: float) -> BoolArray:
     return np.asarray(np.einsum('ij,ij->i', offset, offset) <= radius * radius)
 
 
-class HeldGround(NamedTuple):
-    """Discs of held ground: ``centres`` (E, 2) and ``radii`` (E,) [m]."""
+class SecuredArea(NamedTuple):
+    """Discs of the secured area: ``centres`` (E, 2) and ``radii`` (E,) [m]."""
 
     centres: FloatArray
     radii: FloatArray
 
-    def shrunk(self, by: float) -> HeldGround:
+    def shrunk(self, by: float) -> SecuredArea:
         """The discs with radii reduced ``by`` some metres, without those that vanish."""
         kept = self.radii > by
-        return HeldGround(self.centres[kept], self.radii[kept] - by)
+        return SecuredArea(self.centres[kept], self.radii[kept] - by)
 
     def covers(self, points: FloatArray) -> BoolArray:
-        """Whether points (K, 2) are in held ground."""
+        """Whether points (K, 2) are in the secured area."""
         covered = np.zeros(len(points), dtype=bool)
         for centre, radius in zip(*self, strict=True):
             covered |= inside(points - centre, radius)
         return covered
 
 
-def held_ground(network: Network, radius: float,
-                places: Sequence[tuple[float, float, float]] = ()) -> HeldGround:
+def secured_area(network: Network, radius: float,
+                places: Sequence[tuple[float, float, float]] = ()) -> SecuredArea:
     """Discs of ``radius`` [m] around source, stops and target, and ``places`` (x, y, radius)."""
     ends = network.points[network.representatives[np.unique(network.places[network.ends])]]
     more = np.array(places, dtype=np.float64).reshape(-1, 3)
-    return HeldGround(np.concatenate((ends, more[:, :2])),
+    return SecuredArea(np.concatenate((ends, more[:, :2])),
                       np.append(np.full(len(ends), radius), more[:, 2]))
 
 
 class ExposedEdges:
-    """The parts of edges, by default all, outside held ground, and the discs that they enter."""
+    """The parts of edges, by default all, outside the secured area, and the discs they enter."""
 
-    def __init__(self, network: Network, held: HeldGround, edges: IndexArray | None = None,
+    def __init__(self, network: Network, secured: SecuredArea, edges: IndexArray | None = None,
                  counts: FloatArray | None = None) -> None:
         self._counts = np.ones(len(network.edges)) if counts is None else counts
         edges = np.arange(len(network.edges)) if edges is None else edges
         self._count = len(network.edges)
-        self._parts = parts = _exposed_parts(network, edges, held)
+        self._parts = parts = _exposed_parts(network, edges, secured)
         # By a margin, so that the edge before an exposed node certainly has an exposed part there.
-        exposed = ~held._replace(radii=held.radii * (1.0 + ROUNDING)).covers(network.points)
+        exposed = ~secured._replace(radii=secured.radii * (1.0 + ROUNDING)).covers(network.points)
         exposed[network.source] = False  # no edge before it
         tails = network.tails[parts.edge]
         self._tails, self._from_exposed = network.points[tails], exposed[tails]
@@ -121,12 +121,12 @@ class _Parts(NamedTuple):
     end: FloatArray
 
 
-def _exposed_parts(network: Network, edges: IndexArray, held: HeldGround) -> _Parts:
-    """The parts of ``edges`` outside held ground."""
+def _exposed_parts(network: Network, edges: IndexArray, secured: SecuredArea) -> _Parts:
+    """The parts of ``edges`` outside the secured area."""
     tail, head = (network.points[network.edges[edges, k]] for k in (0, 1))
     which = np.arange(len(edges))
     first, last = np.zeros(len(edges)), np.ones(len(edges))
-    for centre, radius in zip(*held, strict=True):
+    for centre, radius in zip(*secured, strict=True):
         begin, end = _inside_interval(tail[which] - centre, head[which] - centre, radius)
         pieces = (first, np.minimum(last, begin)), (np.maximum(first, end), last)
         which = np.tile(which, 2)

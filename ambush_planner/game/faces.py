@@ -25,14 +25,15 @@ from .route_sampler import shortest_route
 class Discs(NamedTuple):
     """The pairs (T,) of a disc and a face on its rim, ordered by disc.
 
-    The links that enter a disc connect a ``part`` of its rim; held ground can cut it into several.
-    Parts are numbered from 0, disc by disc. ``lift`` counts the crossings of the reference route
-    along the part. Every route meets the discs that are ``around`` (K,) one end.
+    The links that enter a disc connect a ``part`` of its rim; the secured area can cut it into
+    several. Parts are numbered from 0, disc by disc. ``offset``, the winding offset, counts the
+    crossings of the reference route along the part. Every route meets the discs that are ``around``
+    (K,) one end.
     """
 
     face: IndexArray
     disc: IndexArray
-    lift: IndexArray
+    offset: IndexArray
     part: IndexArray
     around: BoolArray
 
@@ -77,8 +78,8 @@ class Faces:
         right = np.searchsorted(key, first + self.right[link])
         joined = csr_matrix((np.ones(len(left)), (left, right)), (size, size))
         part = connected_components(joined, directed=False)[1].astype(np.int64)
-        lift, around = self._lifts(link, left, right, part)
-        return Discs(face, disc, lift, part, np.isin(np.arange(rims.shape[0]), disc[around]))
+        offset, around = self._winding_offsets(link, left, right, part)
+        return Discs(face, disc, offset, part, np.isin(np.arange(rims.shape[0]), disc[around]))
 
     def same_both_ways(self, cost: FloatArray) -> bool:
         """Whether each link costs the same in both directions, from the costs (M,) of edges."""
@@ -101,7 +102,7 @@ class Faces:
         links = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), len(self.left)))
         return csr_matrix(entering.astype(bool) @ links)
 
-    def _lifts(self, link: IndexArray, left: IndexArray, right: IndexArray,
+    def _winding_offsets(self, link: IndexArray, left: IndexArray, right: IndexArray,
                part: IndexArray) -> tuple[IndexArray, IndexArray]:
         """For each pair (T,) of a disc and a face, the crossings of the route on the way there.
 
@@ -120,11 +121,11 @@ class Faces:
         here = np.flatnonzero(tree >= 0)
         before = np.where(tree >= 0, tree, np.arange(size))
         step, which = np.unique(tail * size + head, return_index=True)
-        lift = np.zeros(size, dtype=np.int64)
-        lift[here] = gain[which[np.searchsorted(step, before[here] * size + here)]]
-        while lift[before].any():  # each round doubles the part of the way that is added up
-            lift, before = lift + lift[before], before[before]
-        return lift, tail[lift[head] != lift[tail] + gain]
+        offset = np.zeros(size, dtype=np.int64)
+        offset[here] = gain[which[np.searchsorted(step, before[here] * size + here)]]
+        while offset[before].any():  # each round doubles the part of the way that is added up
+            offset, before = offset + offset[before], before[before]
+        return offset, tail[offset[head] != offset[tail] + gain]
 
 
 @dataclass(frozen=True, eq=False)

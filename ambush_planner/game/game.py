@@ -22,10 +22,10 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole, none_for
-from .discs import ExposedEdges, HeldGround, held_ground
+from .discs import ExposedEdges, SecuredArea, secured_area
 
-# Position and radius (x, y, radius) [m] of a disc of held ground.
-HeldPlace = tuple[float, float, float]
+# Position and radius (x, y, radius) [m] of a disc of a secured area.
+SecuredPlace = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,13 +38,13 @@ class GameOptions:
         An ambush hits every route that passes within this distance of its site [m]; 0: routes
         through the site's node.
     secured_radius
-        Radius of the held ground around the source, each stop and the target [m]: nobody can wait
+        Radius of the secured area around the source, each stop and the target [m]: nobody can wait
         there, and with a reach nobody who drives there is hit. None: as far as the reach and the
         tube, an assumption.
     held_places
-        More held ground: discs (x, y, radius) [m] in world coordinates, such as a checkpoint on the
-        way. As around the ends, nobody can wait there, and with a reach nobody who drives there is
-        hit.
+        More of the secured area: discs (x, y, radius) [m] in world coordinates, such as a
+        checkpoint on the way. As around the ends, nobody can wait there, and with a reach nobody
+        who drives there is hit.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
@@ -54,8 +54,8 @@ class GameOptions:
         With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
         without edges.
     tube
-        How far the driven path may leave the drawn route [m]. It adds to the reach, and held ground
-        protects only routes whose whole tube is in it. A plan sets it.
+        How far the driven path may leave the drawn route [m]. It adds to the reach, and the secured
+        area protects only routes whose whole tube is in it. A plan sets it.
     widened
         How far from a site the ambusher may wait instead [m]. It adds to the reach, so that the
         sites stand for all places around them. A plan sets it.
@@ -77,7 +77,7 @@ class GameOptions:
     tube: float = 0.0
     widened: float = 0.0
     loads: tuple[float, ...] = ()
-    held_places: tuple[HeldPlace, ...] = ()
+    held_places: tuple[SecuredPlace, ...] = ()
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
@@ -103,14 +103,14 @@ class GameOptions:
         return self.ambush_radius + self.tube + self.widened
 
     @property
-    def held_radius(self) -> float:
-        """Radius of the held ground around source, stops and target [m]."""
+    def secured_distance(self) -> float:
+        """Radius of the secured area around source, stops and target [m]."""
         if self.secured_radius is None:
             return self.ambush_radius + self.tube
         return self.secured_radius
 
 
-def _checked_places(given: Iterable[Iterable[float]]) -> tuple[HeldPlace, ...]:
+def _checked_places(given: Iterable[Iterable[float]]) -> tuple[SecuredPlace, ...]:
     """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
     try:
         places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)
@@ -158,9 +158,9 @@ class Game:
         return len(self.network.points)
 
     @cached_property
-    def held(self) -> HeldGround:
+    def secured(self) -> SecuredArea:
         """Where nobody can wait: around source, stops and target, and at the held places."""
-        return held_ground(self.network, self.options.held_radius, self.options.held_places)
+        return secured_area(self.network, self.options.secured_distance, self.options.held_places)
 
     @cached_property
     def sites(self) -> IndexArray:
@@ -194,9 +194,9 @@ class Game:
         return np.asarray(loads[self.network.leg[self.network.tails]])
 
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
-        """The parts of edges, by default all, outside held ground."""
-        held = self.held.shrunk(self.options.tube)
-        return ExposedEdges(self.network, held, edges, self._aboard)
+        """The parts of edges, by default all, outside the secured area."""
+        secured = self.secured.shrunk(self.options.tube)
+        return ExposedEdges(self.network, secured, edges, self._aboard)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
@@ -253,8 +253,8 @@ class Game:
         """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
         return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))
 
-    def without_copies(self) -> Game:
-        """The game on one node for each place and leg: no edges between a trip's copies."""
+    def without_layers(self) -> Game:
+        """The game on one node for each place and leg: no edges of a layered graph's layers."""
         network = self.network
         node = network.places * network.legs + network.leg
         first = np.zeros(self.node_count, dtype=bool)
@@ -296,8 +296,8 @@ def make_game(network: Network, options: GameOptions) -> Game:
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(network, options, frozen_array(np.ones(len(network.edges)), np.bool_),
                       network.alpha)
-    held = everywhere.held.shrunk(options.widened)  # sites stand for places around them
-    everywhere = everywhere.without_sites(held.covers(network.points))
+    secured = everywhere.secured.shrunk(options.widened)  # sites stand for places around them
+    everywhere = everywhere.without_sites(secured.covers(network.points))
     game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
     if game is None:
         raise _no_route(network, options, int((~allowed).sum()))

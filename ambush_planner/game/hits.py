@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
+from .distribution.acyclic import is_acyclic
+from .distribution.chain import chain_of
 from .game import Game
-from .law.acyclic import is_acyclic
-from .law.chain import chain_of
 
 # Most sites whose probabilities are computed before the others are screened again.
 _SITES_AT_ONCE = 64

@@ -14,7 +14,7 @@ from .ambusher import Ambusher, at_nodes
 from .budget import Budget, least_cost
 from .certificate.certificate import Certificate, lower_bound
 from .faces import Circulation
-from .game import Game, HeldPlace, make_game
+from .game import Game, SecuredPlace, make_game
 from .hits import worst_loss
 from .slack import CERTIFICATE_TOLERANCE, ceiling
 from .strategy import Strategy, StrategyOptions, within_slack
@@ -56,7 +56,7 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
     return Certificate(value, min(bound, value))  # p may exceed the budgets now
 
 
-def bound_if_held(strategy: Strategy, places: tuple[HeldPlace, ...]) -> float:
+def bound_if_held(strategy: Strategy, places: tuple[SecuredPlace, ...]) -> float:
     """A lower bound of the value if ``places`` are all that is held besides the ends.
 
     The strategy's ambusher proves it: his q, restricted to sites outside the discs and scaled up.

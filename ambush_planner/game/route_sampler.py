@@ -12,8 +12,8 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray, sums
 from ..network.network import Network
 from ..network.shortest_paths import shortest_path
+from .distribution.acyclic import is_acyclic
 from .game import Game
-from .law.acyclic import is_acyclic
 
 
 class RouteSampler:
@@ -129,7 +129,7 @@ def shortest_route_strategy(game: Game, cost: FloatArray | None = None) -> Float
 def route_entropy(network: Network, p: FloatArray) -> float:
     """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats].
 
-    If several copies of a trip's ground can draw the same route of places, a lower bound: the
+    If several layers of a trip's graph can draw the same route of places, a lower bound: the
     entropy of copy and route exceeds that of the route by the entropy of the copy given the route,
     which is at most that given the edges by which the route comes to a stop or leaves it.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a search has: its problem, a program for the value, the sites so far, the best strategy."""
+"""What a search has: its problem, an LP for the value, the sites so far, the best strategy."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, padded
 from .budget import Budget
 from .certificate.certificate import lower_bound
-from .copies import Copies
+from .distribution.chain import MarkovChain, chain_of
+from .distribution.route_distribution import RouteDistribution
 from .faces import Faces
 from .game import Game
 from .hits import worst_loss
-from .law.chain import MarkovChain, chain_of
-from .law.law import Law
+from .layered_graph import LayeredGraph
 from .slack import Reason, ceiling
 from .value.routes import Progress, RouteMixture, no_progress
 
-# Largest number of rounds in which places join a search, or of a law, and the least growth of the
-# entropy for another round of the law.
+# Largest number of rounds in which sites join a search, or of a route distribution, and the least
+# growth of the entropy for another round of the distribution.
 ROUNDS, GROWTH = 25, 0.01
-# Share of the slack that a law may use beyond the program's flow if that costs more than the bound.
+# Share of the slack that a distribution may use beyond the LP's flow if that costs more than the
+# bound.
 FLOW_SLACK = 0.5
 
 
-class Places(NamedTuple):
-    """Places where an ambusher can wait.
+class FoundSites(NamedTuple):
+    """Sites where an ambusher can wait.
 
     Positions (K, 2) [m], losses (K,), mean losses (K,), and the edges that enter their discs.
     """
@@ -46,21 +47,21 @@ class Places(NamedTuple):
     entering: csr_matrix
 
 
-class Ground(Protocol):
-    """A map on which an ambusher may wait at other places than the network's nodes."""
+class SiteSearch(Protocol):
+    """Finds sites of a map, where an ambusher may wait also between the network's nodes."""
 
     def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
-              rough: bool) -> Places:
-        """The places that cost drawn routes more than ``above``, no two within ``apart`` [m].
+              rough: bool) -> FoundSites:
+        """The sites that cost drawn routes more than ``above``, no two within ``apart`` [m].
 
         The worst comes first. A ``rough`` search can miss it.
         """
 
 
-class Program(Protocol):
-    """A program for the least value; it goes on from where it is when sites join.
+class ValueLP(Protocol):
+    """A linear program for the least value; it goes on from where it is when sites join.
 
-    ``solve`` raises TimeLimit or SolverFailed; what it has found by then counts. Of places that
+    ``solve`` raises TimeLimit or SolverFailed; what it has found by then counts. Of sites that
     join at once no two are within ``apart`` times the reach.
     """
 
@@ -70,15 +71,15 @@ class Program(Protocol):
 
     @property
     def faces(self) -> Faces | None:
-        """Of the network, if the program knows them."""
+        """Of the network, if the LP knows them."""
 
     @property
     def flow(self) -> FloatArray:
-        """An acyclic strategy (M,); within the budgets unless the program is a cut."""
+        """An acyclic strategy (M,); within the budgets unless the LP is a cut."""
 
     @property
-    def level(self) -> FloatArray:
-        """Loss (S,) that each site may cause; the k largest add up to the value."""
+    def caps(self) -> FloatArray:
+        """Caps (S,): loss that each site may cause; the k largest add up to the value."""
 
     @property
     def q(self) -> FloatArray:
@@ -100,7 +101,7 @@ class Program(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """Multipliers of the Gibbs law: per hit of each site (N,), per unit of each budget's cost."""
+    """Multipliers of the Gibbs distribution: per hit of each site (N,), per unit of each budget."""
 
     sites: FloatArray
     budgets: tuple[float, ...]
@@ -118,7 +119,7 @@ class Problem:
     budgets: tuple[Budget, Budget]
     slack: float
     deadline: float
-    ground: Ground | None = None
+    site_search: SiteSearch | None = None
     warm: Multipliers | None = None
     progress: Progress = no_progress
     judged: float = math.inf
@@ -138,10 +139,11 @@ class Incumbent:
     """The best strategy so far.
 
     ``value`` is what it costs at the sites so far, ``worst`` the row of the one that costs most
-    (-1: none). ``weights`` (S,) and ``prices`` are its law's multipliers per hit and per unit of
-    cost, ``entropy_bound`` [nats] the most entropy that a law within the same limits can have; NaN
-    if that is not known. On a trip, its chain may be on ``copies``. Of two laws the one of greater
-    ``rating`` is better: whether it is within the slack, then its entropy, or else minus its value.
+    (-1: none). ``weights`` (S,) and ``prices`` are its distribution's multipliers per hit and per
+    unit of cost, ``entropy_bound`` [nats] the most entropy that a distribution within the same
+    limits can have; NaN if that is not known. On a trip, its chain may be on ``layers``. Of two
+    distributions the one of greater ``rating`` is better: whether it is within the slack, then its
+    entropy, or else minus its value.
     """
 
     chain: MarkovChain
@@ -150,14 +152,14 @@ class Incumbent:
     weights: FloatArray = field(default_factory=lambda: np.zeros(0))
     prices: FloatArray = field(default_factory=lambda: np.zeros(0))
     entropy_bound: float = np.nan
-    copies: Copies | None = None
+    layers: LayeredGraph | None = None
     rating: tuple[bool, float] = (False, -np.inf)
 
 
 class Solution(NamedTuple):
     """An incumbent as a strategy p (M,) in a game with the sites that matter for it or its bound.
 
-    On a trip the game's network can have copies of the trip's nodes and edges, after these.
+    On a trip the game's network can have a layered graph's nodes and edges, after the trip's.
     ``value`` is the strategy's, ``bound`` what the ambusher proves, ``reason`` why the search
     ended.
     """
@@ -175,14 +177,14 @@ class Solution(NamedTuple):
 
 
 class Search:
-    """A problem, a program for its value, and the sites that are known so far.
+    """A problem, an LP for its value, and the sites that are known so far.
 
     ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) are those of the sites. ``reason`` says
-    why the program ended last, ``evaluations`` how many Gibbs laws were computed.
+    why the LP ended last, ``evaluations`` how many Gibbs distributions were computed.
     """
 
-    def __init__(self, problem: Problem, program: Program, slack: float) -> None:
-        self.problem, self.program, self.slack = problem, program, slack
+    def __init__(self, problem: Problem, lp: ValueLP, slack: float) -> None:
+        self.problem, self.lp, self.slack = problem, lp, slack
         self.game = game = problem.game
         self.points, self.loss = game.network.points[game.sites], game.loss[game.sites]
         self.entering, self.evaluations = game.hits, 0
@@ -190,7 +192,7 @@ class Search:
 
     @contextlib.contextmanager
     def keep_incumbent(self) -> Iterator[None]:
-        """What a program has found before the deadline, or before it fails, counts."""
+        """What an LP has found before the deadline, or before it fails, counts."""
         try:
             yield
         except TimeLimit:
@@ -201,95 +203,96 @@ class Search:
     def go_on_until(self, deadline: float, judged: float) -> None:
         """Move the ends of the search and of its judge (``time.monotonic``)."""
         self.problem = replace(self.problem, deadline=deadline, judged=judged)
-        self.program.deadline = deadline
+        self.lp.deadline = deadline
 
-    def solve_program(self) -> None:
-        """Let the program go on from where it is."""
+    def solve_lp(self) -> None:
+        """Let the LP go on from where it is."""
         with self.keep_incumbent():
-            self.program.solve()
+            self.lp.solve()
 
     def join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
-                   rough: bool = False) -> Places | None:
-        """Let places that cost more than ``above`` join the sites; return them, None if none does.
+                   rough: bool = False) -> FoundSites | None:
+        """Let sites that cost more than ``above`` join the others; return them, None if none does.
 
         No two of them are within ``apart`` times the reach.
         """
-        if self.problem.ground is None:
+        if self.problem.site_search is None:
             return None
-        apart = max(apart, self.program.apart) * self.game.reach
-        found = self.problem.ground.worst(drawn, above, apart, rough)
+        apart = max(apart, self.lp.apart) * self.game.reach
+        found = self.problem.site_search.worst(drawn, above, apart, rough)
         if not len(found.points):
             return None
         self._add(found)
-        self.program.add_sites(found.entering, found.alpha)
+        self.lp.add_sites(found.entering, found.alpha)
         return found
 
-    def _add(self, found: Places) -> None:
+    def _add(self, found: FoundSites) -> None:
         self.points = np.concatenate((self.points, found.points))
         self.entering = csr_matrix(vstack((self.entering, found.entering)))
         self.loss = np.append(self.loss, found.alpha)
 
-    def level(self) -> FloatArray:
+    def caps(self) -> FloatArray:
         """What each site (S,) may cause; the k largest add up to the value at a slack of 0."""
-        level, k = self.program.level, min(self.game.ambushers, len(self.loss))
-        if not k or not level.any():
-            return level
-        value = float(np.sort(level)[-k:].sum())
+        caps, k = self.lp.caps, min(self.game.ambushers, len(self.loss))
+        if not k or not caps.any():
+            return caps
+        value = float(np.sort(caps)[-k:].sum())
         least = ceiling(value, FLOW_SLACK * self.slack) / ceiling(1.0, self.slack)
-        most = max(self.program.bound, least)
-        return level * (most / value)
+        most = max(self.lp.bound, least)
+        return caps * (most / value)
 
-    def better(self, best: Incumbent | None, law: Law,
-               copies: Copies | None = None) -> Incumbent | None:
-        """The law as the best strategy if it is better; a strategy over a budget is not."""
-        rating = law.good, law.entropy if law.good else -law.value
+    def better(self, best: Incumbent | None, distribution: RouteDistribution,
+               layers: LayeredGraph | None = None) -> Incumbent | None:
+        """A distribution as the best strategy if it is better; a strategy over a budget is not."""
+        chain, value, good = distribution.chain, distribution.value, distribution.good
+        rating = good, distribution.entropy if good else -value
         if best and rating <= best.rating or not self.problem.keeps_budgets(
-                law.chain.uses(len(self.game.playable))):
+                chain.uses(len(self.game.playable))):
             return best
         # With a reach, the rows are those of the chain before.
-        most = law.entropy_bound if law.exact else np.nan
-        self.problem.progress(law.value, self.program.bound)
-        return Incumbent(law.chain, law.value, law.worst, *law.unscaled_multipliers(), most, copies,
-                         rating)
+        most = distribution.entropy_bound if distribution.exact else np.nan
+        self.problem.progress(value, self.lp.bound)
+        return Incumbent(chain, value, distribution.worst, *distribution.unscaled_multipliers(),
+                         most, layers, rating)
 
     def solution(self, best: Incumbent | None) -> Solution:
-        """The best strategy, by default the program's, with its value at any place."""
+        """The best strategy, by default the LP's, with its value at any place."""
         if best is None:
-            p = self.program.flow
+            p = self.lp.flow
             best = Incumbent(chain_of(self.game.network, p), worst_loss(self.game, p))
         best = self._worst_of(best)
         own = np.arange(len(self.loss)) < len(self.game.sites)
         weights = padded(best.weights, len(own))
-        kept = own | (padded(self.program.q, len(own)) > 0.0) | (weights > 0.0)
+        kept = own | (padded(self.lp.q, len(own)) > 0.0) | (weights > 0.0)
         if best.worst >= 0:
             kept[best.worst] = True
         added = np.flatnonzero(kept & ~own)
         game, p, budgets = self.game, best.chain.uses(len(self.game.playable)), self.problem.budgets
         entering = self.entering[added]
-        if best.copies:
-            edge = np.append(np.arange(len(p)), best.copies.network.edge)
-            game, p = best.copies.unrolled(best.chain)
+        if best.layers:
+            edge = np.append(np.arange(len(p)), best.layers.network.edge)
+            game, p = best.layers.unrolled(best.chain)
             entering = entering[:, edge]
             length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in budgets)
             budgets = length, exposure
         game = game.with_sites(self.points[added], self.loss[added], csr_matrix(entering))
-        ambusher = self.program.ambusher(game, kept)
+        ambusher = self.lp.ambusher(game, kept)
         ambusher = replace(ambusher, prices=self._of_all_budgets(np.array(ambusher.prices)))
         bound = 0.0
-        if self.program.bound > 0.0:  # else a search for what he proves can take minutes
-            bound = lower_bound(game, ambusher, budgets, self.program.faces, self.problem.judged,
+        if self.lp.bound > 0.0:  # else a search for what he proves can take minutes
+            bound = lower_bound(game, ambusher, budgets, self.lp.faces, self.problem.judged,
                                 best.value / ceiling(1.0, self.slack))
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weights[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64),
                                   self._of_all_budgets(best.prices))
         return Solution(game, budgets, p, best.value, bound, ambusher,
-                        None if best.copies else multipliers, self.evaluations, best.entropy_bound,
+                        None if best.layers else multipliers, self.evaluations, best.entropy_bound,
                         self._why())
 
     def _worst_of(self, best: Incumbent) -> Incumbent:
-        """The incumbent with its value at any place, also at those that joined for others."""
-        if self.problem.ground is None:
+        """The incumbent with its value at any site, also at those that joined for others."""
+        if self.problem.site_search is None:
             return best
         value, worst, chain = best.value, best.worst, best.chain
         more = np.flatnonzero(self.loss * chain.meets_at_most(self.entering)
@@ -297,7 +300,7 @@ class Search:
         losses = self.loss[more] * chain.meets(self.entering[more])
         if losses.max(initial=0.0) > value * (1.0 + ROUNDING):
             value, worst = float(losses.max()), int(more[losses.argmax()])
-        found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING), 0.0, False)
+        found = self.problem.site_search.worst(chain, value * (1.0 + ROUNDING), 0.0, False)
         if len(found.points):
             value, worst = float(found.mean_loss[0]), len(self.loss)
             self._add(found)

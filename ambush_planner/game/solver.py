@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The default strategy: least value within the budgets, then the most unpredictable routes.
 
-One of three programs finds the least value (``value``): a cut without a reach while no budget
-binds, face potentials on a planar network whose links cost the same both ways, whole routes
-otherwise. A search makes a strategy of it: a chain (``chain_search``), or on a trip one on labelled
-copies of the ground (``trip_search``).
+One of three linear programs (LPs) finds the least value (``value``): a cut without a reach while no
+budget binds, face potentials on a planar network whose links cost the same both ways, whole routes
+otherwise. A search makes a strategy of it: a chain (``chain_search``), or on a trip one on a
+layered graph (``trip_search``).
 """
 
 from __future__ import annotations
@@ -19,42 +19,42 @@ from .chain_search import find_chain, find_flow
 from .faces import make_faces
 from .game import Game
 from .hits import hits_can_differ
-from .search import Problem, Program, Search, Solution
+from .search import Problem, Search, Solution, ValueLP
 from .slack import MIN_SLACK, within
 from .trip_search import find_mixture, find_trip
 from .value.cut import Cut
 from .value.potential import Potential
 from .value.routes import Routes
 
-# Relative optimality gaps of a program in potentials, and of one over routes, in slacks.
-PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
-# Largest share by which the flow of a cut exceeds a budget if a law is sought around it: the law
-# then keeps the budget in nearly all games, without a loss of entropy.
-MAX_EXCESS = 0.07
-# Level at which a program in potentials begins, as a multiple of the value without budgets.
-FIRST_LEVEL = 2.0
+# Relative optimality gaps of an LP in potentials, and of one over routes, in slacks.
+POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
+# Largest share by which the flow of a cut exceeds a budget if a distribution is sought around it,
+# which then keeps the budget in nearly all games, without a loss of entropy.
+MAX_OVERRUN = 0.07
+# Cap at which an LP in potentials begins, as a multiple of the value without budgets.
+FIRST_CAP = 2.0
 
 
 def most_unpredictable(problem: Problem) -> Solution:
-    """Find the value and the law; at the deadline, the best strategy so far is returned.
+    """Find value and route distribution; at the deadline, the best strategy so far is returned.
 
     Raises BudgetInfeasible if no strategy is within all budgets.
     """
     if problem.game.network.legs > 1 or hits_can_differ(problem.game):
-        return find_law(find_value(problem))
+        return find_distribution(find_value(problem))
     slack, best = max(problem.slack, MIN_SLACK), None
-    for program in _programs(problem, slack):
-        search = Search(problem, program, slack)
+    for lp in _value_lps(problem, slack):
+        search = Search(problem, lp, slack)
         find_flow(search)
         chain = find_chain(search)
-        if chain is None and not problem.keeps_budgets(program.flow):
+        if chain is None and not problem.keeps_budgets(lp.flow):
             continue  # a cut's flow is over a budget
         found = search.solution(chain)
         if best is None or found.value < best.value or within(found.value, found.bound, slack):
             best = found
         if within(best.value, best.bound, slack) or problem.late:
             break
-    assert best is not None  # the flow of the last program is within the budgets
+    assert best is not None  # the flow of the last LP is within the budgets
     return best
 
 
@@ -71,12 +71,12 @@ def find_value(problem: Problem) -> Search:
     return search
 
 
-def find_law(search: Search) -> Solution:
-    """Find the law of a search whose value has been found."""
-    best, program = None, search.program
+def find_distribution(search: Search) -> Solution:
+    """Find the route distribution of a search whose value has been found."""
+    best, lp = None, search.lp
     if search.problem.game.network.legs > 1:
-        assert isinstance(program, Routes)  # see find_value
-        best = find_trip(search, program)
+        assert isinstance(lp, Routes)  # see find_value
+        best = find_trip(search, lp)
         if best is None:
             find_flow(search)
     return search.solution(best or find_chain(search))
@@ -95,19 +95,19 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
             routes.prove_by_legs()
             return routes.bound
         cut = _cut_of(problem)
-        if cut and cut.excess == 0.0:
+        if cut and cut.overrun == 0.0:
             return cut.bound
-        program = _within_budgets(problem, gap, cut)
-        program.solve()
+        lp = _within_budgets(problem, gap, cut)
+        lp.solve()
     except (TimeLimit, SolverFailed):
         return None
-    return program.bound
+    return lp.bound
 
 
-def _programs(problem: Problem, slack: float) -> Iterator[Program]:
-    """The program without budgets if its flow nearly keeps them, then the one within them."""
+def _value_lps(problem: Problem, slack: float) -> Iterator[ValueLP]:
+    """The LP without budgets if its flow nearly keeps them, then the one within them."""
     cut = _cut_of(problem)
-    if cut and cut.excess <= MAX_EXCESS:
+    if cut and cut.overrun <= MAX_OVERRUN:
         yield cut
     yield _within_budgets(problem, slack, cut)
 
@@ -118,13 +118,13 @@ def _cut_of(problem: Problem) -> Cut | None:
 
 
 def _within_budgets(problem: Problem, slack: float, cut: Cut | None) -> Potential | Routes:
-    """The fastest program that finds the value within budgets, perhaps from that without."""
+    """The fastest LP that finds the value within budgets, perhaps from that without."""
     game, binding = problem.game, _binding(problem)
     if game.ambushers == 1 and len(binding) <= 1:
         faces, budget = make_faces(game), (*binding, problem.budgets[0])[0]
         if faces and faces.same_both_ways(budget.cost):
-            first = FIRST_LEVEL * cut.bound if cut else np.inf
-            return Potential(faces, budget, PROGRAM_GAP * slack, problem.deadline, first)
+            first = FIRST_CAP * cut.bound if cut else np.inf
+            return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)
     return _routes(problem, slack)
 
 

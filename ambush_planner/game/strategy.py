@@ -23,9 +23,9 @@ from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .search import Ground, Multipliers, Problem, Search, Solution
+from .search import Multipliers, Problem, Search, SiteSearch, Solution
 from .slack import CERTIFICATE_TOLERANCE, Reason, within
-from .solver import find_law, most_unpredictable
+from .solver import find_distribution, most_unpredictable
 from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, no_progress
 
@@ -115,9 +115,9 @@ class Strategy(Shown):
     ambusher : Ambusher
         The best one: where he waits, and what the budgets are worth to him.
     iterations : int
-        Evaluations of the Gibbs law, or iterations of the interior point or simplex method.
+        Evaluations of the Gibbs distribution, or iterations of interior point or simplex method.
     multipliers : Multipliers or None
-        Those of the Gibbs law, for a warm start.
+        Those of the Gibbs distribution, for a warm start.
     reason : str
         Why the search ended: 'complete', the value is within the slack of its bound; 'time', the
         time limit passed; 'solver', a numerical solver failed; 'stalled', no method found a better
@@ -160,7 +160,7 @@ class Strategy(Shown):
 
     @cached_property
     def shown_probability(self) -> FloatArray:
-        """p (M,) with all copies of an edge, which a trip can have, added up at the first."""
+        """p (M,) with all edges for one stretch, as in layers of a trip, added up at the first."""
         p, first = self.edge_probability, self.network.first_edge
         return frozen_array(sums(first, p, len(p)), np.float64)
 
@@ -293,7 +293,7 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
           warm: Multipliers | None = None) -> Strategy:
     """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
 
-    ``plan_trip`` also considers ambushers between the nodes, the driven paths and held ground.
+    ``plan_trip`` also considers ambushers between the nodes, the driven paths and the secured area.
 
     Parameters
     ----------
@@ -344,16 +344,16 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     certain = (found.ambush_probability > 0.0) & (ALL_ROUTES * loss <= found.value) & (loss > 0.0)
     if not found.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
-             'held ground (secured_radius)')
+             'secured area (secured_radius)')
     elif found.reason == 'complete' and found.game.options.ambushers == 1 and certain.any():
         warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
              f'costs {found.value:.4g}')
     return found
 
 
-def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = None,
+def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
                warm: Multipliers | None = None, progress: Progress = no_progress) -> Strategy:
-    """Find the optimal strategy against an ambusher at the sites of a game and on its ``ground``.
+    """Find the optimal strategy against an ambusher at a game's sites and those of ``site_search``.
 
     Raises the errors of ``solve``.
     """
@@ -361,23 +361,23 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
         _check_losses(game.network)
         deadline = time.monotonic() + options.time_limit
         return _by_linear_program(game, make_budgets(game, options), options, deadline)
-    problem = make_problem(game, options, ground, warm, progress)
+    problem = make_problem(game, options, site_search, warm, progress)
     return _strategy_within(most_unpredictable(problem), options)
 
 
-def make_problem(game: Game, options: StrategyOptions, ground: Ground | None = None,
+def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
                  warm: Multipliers | None = None, progress: Progress = no_progress) -> Problem:
     """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
     _check_losses(game.network)
     deadline, judged = _search_ends(time.monotonic() + options.time_limit, options)
-    return Problem(game, make_budgets(game, options), options.risk_slack, deadline, ground, warm,
-                   progress, judged)
+    return Problem(game, make_budgets(game, options), options.risk_slack, deadline, site_search,
+                   warm, progress, judged)
 
 
 def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
     """The strategy of a search whose value has been found, by ``end``; raises TimeLimit."""
     search.go_on_until(*_search_ends(end, options))
-    return _strategy_within(find_law(search), options)
+    return _strategy_within(find_distribution(search), options)
 
 
 def _search_ends(end: float, options: StrategyOptions) -> tuple[float, float]:

@@ -17,7 +17,7 @@ top to bottom:
 Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
 touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A text
 as a value names the attribute to read it from. Features that cannot be used are counted in a
-warning, and are an error on forbidden and held ground. ``crs`` at the top is that of files without
+warning, and are an error if they are forbidden or held. ``crs`` at the top is that of files without
 one.
 """
 

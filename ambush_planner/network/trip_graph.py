@@ -105,24 +105,24 @@ def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPla
         name, (StopOutsideMap, StopBlocked))
 
 
-def with_copies(network: Network, node: IndexArray, edges: IndexArray) -> Network:
-    """A trip's network with copies of its nodes ``node`` (K,) and edges (L, 2) between them.
+def with_layers(network: Network, node: IndexArray, edges: IndexArray) -> Network:
+    """A trip's network as a layered graph: ``node`` (K,) once more, edges (L, 2) between these.
 
-    The copies come after the network's own nodes and edges; the edges have the new numbers.
+    The layers come after the network's own nodes and edges; the edges have the new numbers.
     """
     of = np.append(np.arange(len(network.points)), node)
     every, seconds = np.concatenate((network.edges, edges)), network.seconds
     if seconds is not None:
-        seconds = np.append(seconds, seconds[copied_edges(network, of, edges)])
+        seconds = np.append(seconds, seconds[original_edges(network, of, edges)])
     return Network(network.points[of], network.alpha[of], every, network.source, network.target,
                    network.places[of], network.leg[of], seconds, network.refined,
                    network.ground_length)
 
 
-def copied_edges(network: Network, of: IndexArray, edges: IndexArray) -> IndexArray:
-    """The network's edges that copies (L, 2) stand for, from the node (N',) that each one copies.
+def original_edges(network: Network, of: IndexArray, edges: IndexArray) -> IndexArray:
+    """The network's edges that those of layers (L, 2) stand for, from each one's node (N',).
 
-    -1 for an edge that copies none.
+    -1 for an edge that stands for none.
     """
     count = len(network.points)
     own, wanted = (network.edges @ (count, 1), of[edges] @ (count, 1))
@@ -131,7 +131,7 @@ def copied_edges(network: Network, of: IndexArray, edges: IndexArray) -> IndexAr
     return np.where(own[at] == wanted, at, -1)
 
 
-def copied_nodes(network: Network, places: IndexArray, leg: IndexArray) -> IndexArray:
+def original_nodes(network: Network, places: IndexArray, leg: IndexArray) -> IndexArray:
     """The network's nodes that stand for the same places (K,) on the same legs (K,); -1: none."""
     own, wanted = network.places * network.legs + network.leg, places * network.legs + leg
     order = np.argsort(own)

@@ -103,7 +103,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'node.'),
     'game.secured_radius': Declaration(
         AUTOMATIC,
-        'Radius of the held ground around start, stops and goal [m], where nobody can wait and '
+        'Radius of the secured area around start, stops and goal [m], where nobody can wait and '
         'nobody who drives there is hit; -1: as far as the reach, with tube, tracking error and '
         'start tolerance.', AUTOMATIC),
     'game.alpha_threshold': Declaration(

@@ -19,9 +19,9 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges
+from ..game.distribution.chain import MarkovChain
 from ..game.game import Game
-from ..game.law.chain import MarkovChain
-from ..game.search import Places
+from ..game.search import FoundSites
 from ..game.value.routes import RouteMixture
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
@@ -105,7 +105,7 @@ class CellSearch:
             self._first *= _DIVISION
 
     def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float = 0.0,
-              rough: bool = False, among: IndexArray | None = None) -> Places:
+              rough: bool = False, among: IndexArray | None = None) -> FoundSites:
         """Places that cost drawn routes more than ``above``, the worst first.
 
         Of each cell only the worst part is returned that was not returned before, and none within
@@ -144,7 +144,7 @@ class CellSearch:
         return np.asarray(blocks[np.sort(order)])
 
     def _of_parts(self, cells: IndexArray, drawn: MarkovChain | RouteMixture,
-                  above: float, apart: float) -> Places:
+                  above: float, apart: float) -> FoundSites:
         """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_cells(cells), self._parts
         parts, which = cells, np.arange(len(cells))
@@ -152,7 +152,7 @@ class CellSearch:
             parts = (cells[:, None] * n + np.indices((n, n)).reshape(2, -1).T).reshape(-1, 2)
             which = np.repeat(which, n * n)
         points = self._cells.centres(parts, 1.0 / n)
-        out = ~self._game.held.shrunk(self._widened).covers(points)
+        out = ~self._game.secured.shrunk(self._widened).covers(points)
         parts, which, points = parts[out], which[out], points[out]
         rows, row = self._rows(parts, 1.0 / n)
         most = loss[which] * drawn.meets_at_most(rows)[row]
@@ -164,8 +164,8 @@ class CellSearch:
         _, first = np.unique(which[order], return_index=True)
         found = _apart(points, order[np.sort(first)], apart)
         self._returned = np.append(self._returned, row[found])
-        return Places(points[found], loss[which[found]], losses[found],
-                      csr_matrix(rows[row[found]]))
+        return FoundSites(points[found], loss[which[found]], losses[found],
+                          csr_matrix(rows[row[found]]))
 
     def _rows(self, blocks: IndexArray, side: float) -> tuple[csr_matrix, IndexArray]:
         """Rows of edges that enter the discs of blocks, and those of ``blocks`` (K, 2) in them."""

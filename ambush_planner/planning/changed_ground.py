@@ -13,8 +13,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..game.budget import BUDGET_TOLERANCE
 from ..game.certificate.certificate import Certificate
+from ..game.distribution.chain import chain_of
 from ..game.game import Game
-from ..game.law.chain import chain_of
 from ..game.revaluation import revalue
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
 from ..maps.risk_map import RiskMap, to_map_axes

@@ -33,21 +33,21 @@ _WHY: dict[Reason, str] = {
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
 MAX_SPACING = 0.25
 # Maximum share of the way in the secured area that goes without saying.
-MAX_HELD = 0.5
+MAX_SECURED = 0.5
 # Maximum length budget that goes without saying, as a multiple of the shortest route.
 MAX_DETOUR = 5.0
 
 
 def concerns(plan: Plan) -> list[str]:
     """Return what should be known about the value of a plan, one sentence each."""
-    found = wide_gap(plan), _held_ground(plan), _long_routes(plan)
+    found = wide_gap(plan), _secured_area(plan), _long_routes(plan)
     return [text for text in found if text]
 
 
 def main_assumption(plan: Plan) -> str:
     """Return what matters most of a plan's ``assumptions``, in one sentence."""
     game = plan.strategy.game.options
-    nobody = f'nobody can wait {_held(plan)} {_ends(plan)}'
+    nobody = f'nobody can wait {_secured(plan)} {_ends(plan)}'
     if not game.reach:
         return (f'{nobody}; elsewhere, an ambusher waits at a node of the network and hits only '
                 'routes through it: say how far he reaches (game.ambush_radius)')
@@ -55,8 +55,8 @@ def main_assumption(plan: Plan) -> str:
             f'{distance(game.ambush_radius)}')
 
 
-def _held(plan: Plan) -> str:
-    radius = plan.strategy.game.options.held_radius
+def _secured(plan: Plan) -> str:
+    radius = plan.strategy.game.options.secured_distance
     return f'within {distance(radius)} of' if radius else 'at'
 
 
@@ -67,8 +67,8 @@ def _ends(plan: Plan) -> str:
 def assumptions(plan: Plan) -> list[str]:
     """Return what a plan's value takes for granted, one sentence each."""
     game = plan.strategy.game.options
-    share = _held_share(plan)
-    much = f', which is {share:.0%} of the straight way' if share > MAX_HELD else ''
+    share = _secured_share(plan)
+    much = f', which is {share:.0%} of the straight way' if share > MAX_SECURED else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and hits only routes through "
                  'it; give how far he reaches (game.ambush_radius)')
@@ -81,15 +81,16 @@ def assumptions(plan: Plan) -> list[str]:
             where += f'; it strays at most {distance(game.tube)} from its drawn route'
     more = [f'nobody can wait within {distance(radius)} of ({x:.1f}, {y:.1f})'
             for x, y, radius in game.held_places]
-    return [f'nobody can wait {_held(plan)} {_ends(plan)}{much}', *more, where, *_coarse(plan)]
+    return [f'nobody can wait {_secured(plan)} {_ends(plan)}{much}', *more, where, *_coarse(plan)]
 
 
-def _held_share(plan: Plan) -> float:
+def _secured_share(plan: Plan) -> float:
     """Share of the straight way from start to goal, by the stops, in the secured area."""
     network = plan.network
     ends = network.points[[network.source, *network.stops, network.target]]
     legs = np.hypot(*np.diff(ends, axis=0).T)
-    return float(np.minimum(legs, 2.0 * plan.strategy.game.options.held_radius).sum() / legs.sum())
+    within = 2.0 * plan.strategy.game.options.secured_distance
+    return float(np.minimum(legs, within).sum() / legs.sum())
 
 
 def _coarse(plan: Plan) -> list[str]:
@@ -129,12 +130,12 @@ def _long_routes(plan: Plan) -> str:
             'ratio, so 1.2 is 20 % more, and inf no limit')
 
 
-def _held_ground(plan: Plan) -> str:
+def _secured_area(plan: Plan) -> str:
     """Whether the secured area decides too much: the value, or whether there is one."""
     bottleneck, game = plan.bottleneck, plan.strategy.game
-    held = game.options.held_radius
+    secured = game.options.secured_distance
     if not len(game.sites):
-        return (f'the value is 0: nobody can wait within {distance(held)} of {_ends(plan)}, '
+        return (f'the value is 0: nobody can wait within {distance(secured)} of {_ends(plan)}, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
     if not plan.strategy.value > 0.0:
         return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
@@ -175,7 +176,7 @@ def _covers_all(plan: Plan) -> str:
     away = np.hypot(*np.moveaxis(game.network.points[sites][:, None] - ends, 2, 0))
     at = int(away.min(axis=0).argmin())
     name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
-    if away.min() > game.options.held_radius + 2.0 * max(game.reach, plan.spacing):
+    if away.min() > game.options.secured_distance + 2.0 * max(game.reach, plan.spacing):
         return f'one place hits every route, {distance(float(away.min()))} from {name}'
     return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
 
@@ -189,7 +190,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of a plan by stable keys, as text; empty ones without a plan."""
     if plan is None:
         return dict.fromkeys((
-            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
+            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'secured_radius', 'nodes',
             'edges', 'refined', 'deciding_sites', 'deciding_sites_near_ends', 'search_ended',
             'stops', 'order', 'solve_seconds',
         ), '')
@@ -200,7 +201,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
         'value_holds_at': ('anywhere in free ground'
                            if holds_anywhere(plan.options)
                            else "the network's nodes"),
-        'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
+        'secured_radius': f'{plan.strategy.game.options.secured_distance:.9g}',
         'nodes': str(plan.network.place_count),
         'edges': str(len(plan.network.edges)),
         'refined': ' '.join(f'{each.value:.4g}' for each in plan.refinement),

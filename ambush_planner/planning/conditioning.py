@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
-from ..game.law.acyclic import order_along
-from ..game.law.chain import MarkovChain, chain_of
+from ..game.distribution.acyclic import order_along
+from ..game.distribution.chain import MarkovChain, chain_of
 from ..game.strategy import Strategy
 
 
@@ -25,8 +25,8 @@ class ConditionedStrategy:
     def __init__(self, strategy: Strategy) -> None:
         network, p = strategy.network, strategy.edge_probability
         self._network, self._p = network, p
-        rank, used = order_along(network, p), np.flatnonzero(p > 0.0)
-        self._order = used[:0] if rank is None else used[np.argsort(rank[network.tails[used]])]
+        number, used = order_along(network, p), np.flatnonzero(p > 0.0)
+        self._order = used[:0] if number is None else used[np.argsort(number[network.tails[used]])]
         tails = network.tails[self._order]
         leaving = np.bincount(tails, p[self._order], len(network.points))
         self._tails, self._heads = tails.tolist(), network.heads[self._order].tolist()

@@ -120,7 +120,7 @@ def few_routes(plan: Plan, most: int, equal: bool = False,
         costs[0] = [np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths]
     limits = [cost / budget.limit for cost, budget in zip(costs, plan.strategy.budgets, strict=True)
               if budget.binds]
-    search = _Search(PathMixtures(plan.risk_map, plan, paths),
+    search = _ColumnSearch(PathMixtures(plan.risk_map, plan, paths),
                      np.reshape(limits, (len(limits), len(paths))), equal)
     sizes = [*(k for k in CURVE if k < most), most]
     found = search.best(sizes)
@@ -159,21 +159,21 @@ def _promising(plan: Plan, routes: list[IndexArray],
 class _Choice(NamedTuple):
     """Some columns (k,), the value of their best mixture, and its shares.
 
-    What column j would add is priced by ``charges[j]``: less than the value is a gain. No mixture
-    of any columns has a value below ``bound``.
+    What column j would add is priced by ``column_costs[j]``: less than the value is a gain. No
+    mixture of any columns has a value below ``bound``.
     """
 
     columns: IndexArray
     value: float
     shares: FloatArray
-    charges: FloatArray
+    column_costs: FloatArray
     bound: float = 0.0
 
 
 _Valued = TypeVar('_Valued', PathMixture, _Choice)
 
 
-class _Search:
+class _ColumnSearch:
     """The choice among paths, the columns of a matrix of losses at the sites known so far."""
 
     def __init__(self, mixtures: PathMixtures, costs: FloatArray, equal: bool) -> None:
@@ -236,9 +236,9 @@ class _Search:
         return choice
 
     def _better(self, choice: _Choice, size: int) -> _Choice | None:
-        charges = choice.charges.copy()
-        charges[choice.columns] = np.inf
-        for column in np.argsort(charges)[:JOIN]:
+        column_costs = choice.column_costs.copy()
+        column_costs[choice.columns] = np.inf
+        for column in np.argsort(column_costs)[:JOIN]:
             other = self._solved(np.append(choice.columns, column))
             enough = choice.value * (1.0 - MIN_GAIN)
             if other.value < enough and len(other.columns) > size:
@@ -253,16 +253,16 @@ class _Search:
                            for k in np.argsort(choice.shares)[:few]])
 
     def _solved(self, columns: IndexArray) -> _Choice:
-        """The best mixture of the columns, by the program over the sites that matter."""
+        """The best mixture of the columns, by the LP over the sites that matter."""
         losses, costs = self._losses[:, columns], self._costs[:, columns]
         while True:
             best = best_shares(csr_matrix(losses[self._sites]), costs)
             sites = self._sites
             if not self._misses(losses @ best.shares, best.value):
                 break
-        charges = best.q @ self._losses[sites] + best.prices @ self._costs
-        bound = float(charges.min() - best.prices.sum()) / max(float(best.q.sum()), 1.0)
-        return _Choice(columns, best.value, best.shares, charges, max(bound, 0.0))
+        column_costs = best.q @ self._losses[sites] + best.prices @ self._costs
+        bound = float(column_costs.min() - best.prices.sum()) / max(float(best.q.sum()), 1.0)
+        return _Choice(columns, best.value, best.shares, column_costs, max(bound, 0.0))
 
     def _misses(self, losses: FloatArray, value: float) -> bool:
         """Let some sites join that cause more than a value found without them."""

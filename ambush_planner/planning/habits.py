@@ -82,8 +82,8 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     else:
         plan = make_plan(risk_map, solve_on_network(risk_map, network, options), options, begin)
     if not len(plan.strategy.game.sites):
-        raise InvalidOption('held ground covers everything around start and goal, so that nobody '
-                            'can wait there: choose a smaller radius (--held)')
+        raise InvalidOption('the secured area covers everything around start and goal, so that '
+                            'nobody can wait there: choose a smaller radius (--held)')
     mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips])
     driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
     return Habits(trips, lengths, driven, _interval(driven), mixtures.best(lengths, mean), plan)

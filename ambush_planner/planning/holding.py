@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import sums
 from ..errors import InvalidOption
-from ..game.game import HeldPlace
+from ..game.game import SecuredPlace
 from ..game.revaluation import bound_if_held
 from ..game.slack import within
 from ..game.strategy import Strategy
@@ -84,7 +84,7 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     network = trip_network(risk_map, start_xy, goal_xy, options, stops, 'given',
                            plan.network.refined)
 
-    def solved(held: tuple[HeldPlace, ...], after: Strategy | None = None) -> Strategy:
+    def solved(held: tuple[SecuredPlace, ...], after: Strategy | None = None) -> Strategy:
         warm = WarmStart.of(after) if after else None
         game = replace(options.game, held_places=held)
         return solve_on_network(risk_map, network, replace(options, game=game), warm)
@@ -95,7 +95,7 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
         taken = [step.name for step in steps]
         given = None if candidates is None else [
             each for each in candidates.items() if each[0] not in taken]
-        if not (places := _by_charge(strategy, given, radius)):
+        if not (places := _by_dual_weight(strategy, given, radius)):
             break
         steps.append(_best_of(places, radius, strategy, options.strategy.slack, solved))
         strategy = steps[-1].strategy
@@ -122,17 +122,18 @@ def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: f
                 len(held))
 
 
-def _by_charge(strategy: Strategy, given: Sequence[_Place] | None, radius: float) -> list[_Place]:
+def _by_dual_weight(strategy: Strategy, given: Sequence[_Place] | None,
+                    radius: float) -> list[_Place]:
     """The candidates, those first that take most from the ambusher; by default some sites.
 
     What he causes at the radius from a candidate counts half as much as at its position.
     """
     game = strategy.game
     points = game.network.points[game.sites]
-    charge = game.loss[game.sites] * game.at_sites(strategy.ambush_probability)
+    dual_weights = game.loss[game.sites] * game.at_sites(strategy.ambush_probability)
     centres = points if given is None else np.reshape([xy for _, xy in given], (-1, 2))
     pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius, output_type='ndarray')
-    near = charge[pairs['j']] * (1.0 - 0.5 * (pairs['v'] / radius)**2)
+    near = dual_weights[pairs['j']] * (1.0 - 0.5 * (pairs['v'] / radius)**2)
     taken = sums(pairs['i'], near, len(centres))
     if given is not None:
         return [given[k] for k in np.argsort(-taken, kind='stable')]

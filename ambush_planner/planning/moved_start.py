@@ -29,7 +29,7 @@ from ..game.hits import worst_loss
 from ..game.strategy import Strategy, make_budgets
 from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
-from ..routes.corridors import held_in_map_axes
+from ..routes.corridors import secured_in_map_axes
 from ..routes.driven_path import Ends
 from .changed_ground import MIN_CLEAR, Assessment, ChangedGround
 from .plan import Plan, Route, departure_path
@@ -85,9 +85,9 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
         return None
     fitted = ground.fitted(newest, ends, np.unique(network.places[at]))
     game, corridors = strategy.game, fitted.corridors
-    held = held_in_map_axes(game.held.shrunk(game.options.tube), corridors.origin)
+    secured = secured_in_map_axes(game.secured.shrunk(game.options.tube), corridors.origin)
     joined = replace(fitted, network=moved, strategy=strategy,
-                     corridors=replace(corridors, network=moved, held=held))
+                     corridors=replace(corridors, network=moved, secured=secured))
     return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
                                          strategy.expected_length, strategy.length_budget,
                                          moved.travel_unit))

@@ -102,9 +102,9 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
         side = risk_map.resolution / parts_of_cells(risk_map.resolution, game)
         game = replace(game, widened=side / math.sqrt(2.0))
     if game.secured_radius is None:
-        return replace(game, secured_radius=game.held_radius)
-    held = game.secured_radius - start_tolerance(options, spacing)
-    return replace(game, secured_radius=max(held, 0.0))
+        return replace(game, secured_radius=game.secured_distance)
+    radius = game.secured_radius - start_tolerance(options, spacing)
+    return replace(game, secured_radius=max(radius, 0.0))
 
 
 def is_graded(options: PlanningOptions) -> bool:
@@ -121,8 +121,8 @@ def grading(risk_map: RiskMap, options: PlanningOptions,
     network, reach = options.network, options.game.ambush_radius
     if not is_graded(options):
         return None
-    held = _driven_game(options, node_spacing(risk_map, network)).held_radius
-    return Grading(finest_spacing(risk_map, FINEST * reach), held, refined, AROUND * reach)
+    secured = _driven_game(options, node_spacing(risk_map, network)).secured_distance
+    return Grading(finest_spacing(risk_map, FINEST * reach), secured, refined, AROUND * reach)
 
 
 def finest_spacing(risk_map: RiskMap, wanted: float) -> float:
@@ -162,7 +162,7 @@ def start_tolerance(options: PlanningOptions, spacing: float) -> float:
     game = _driven_game(options, spacing)
     most = math.inf
     if game.reach > 0.0:
-        most = min(game.held_radius, MAX_TOLERANCE * game.reach)
+        most = min(game.secured_distance, MAX_TOLERANCE * game.reach)
     return min(options.drive.start_tolerance, 0.5 * spacing, most)
 
 

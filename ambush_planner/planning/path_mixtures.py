@@ -17,8 +17,8 @@ from scipy.sparse import csr_matrix, hstack, vstack
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import BudgetInfeasible, InvalidOption
+from ..game.distribution.chain import chain_of
 from ..game.game import GameOptions, make_game
-from ..game.law.chain import chain_of
 from ..game.value import highs
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
@@ -74,7 +74,8 @@ class PathMixtures:
         check_judged(options)
         self._network, self._uses = _side_by_side(plan, paths)
         self._game = make_game(self._network, replace(
-            options, tube=plan.options.drive.tracking_error, secured_radius=options.held_radius))
+            options, tube=plan.options.drive.tracking_error,
+            secured_radius=options.secured_distance))
         self._cells = CellLosses(risk_map, options.ambush_in_obstacles)
         self._exposed = self._game.exposed()
         self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
@@ -148,8 +149,8 @@ def best_shares(losses: csr_matrix, costs: FloatArray) -> BestShares:
     rows = csr_matrix(vstack((sites, np.pad(costs, ((0, 0), (0, 1))))))
     bounds = np.repeat([0.0, 1.0], [losses.shape[0], len(costs)])
     total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
-    program = highs.Program(np.append(np.zeros(count), 1.0), rows, bounds, total, np.ones(1))
-    solved = highs.run(program, 'simplex', math.inf)
+    lp = highs.LP(np.append(np.zeros(count), 1.0), rows, bounds, total, np.ones(1))
+    solved = highs.run(lp, 'simplex', math.inf)
     if solved.x is None:
         return BestShares(math.inf, np.zeros(count), bounds[: losses.shape[0]], np.ones(len(costs)))
     shares = np.maximum(solved.x[:count], 0.0)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
-from ..game.spotter import Spotter, worst_spotter
+from ..game.informant import Informant, worst_informant
 from ..game.strategy import Strategy
 from ..maps.obstacles import nearest_free_cell
 from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
@@ -121,7 +121,7 @@ class Plan(Shown):
 
     def _summary(self) -> dict[str, str]:
         return {**self.strategy._summary(), 'node spacing': distance(self.spacing),
-                'held ground': distance(self.strategy.game.options.held_radius),
+                'secured area': distance(self.strategy.game.options.secured_distance),
                 'planned in': f'{self.seconds:.2g} s'}
 
     def plot(self, axes: Any = None) -> Any:
@@ -249,9 +249,9 @@ class Plan(Shown):
         return float(path_lengths(departure_paths(self, DRIVEN, self.spacing, rng)).mean())
 
     @cached_property
-    def spotter(self) -> Spotter | None:
+    def informant(self) -> Informant | None:
         """What somebody at the worst place is worth who tells the ambusher whether you pass it."""
-        return worst_spotter(self.strategy)
+        return worst_informant(self.strategy)
 
     @cached_property
     def secured_bound(self) -> float | None:
@@ -326,7 +326,7 @@ def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptio
         reach = 0.0
     return make_corridors(strategy.network, risk_map, options.network.clearance, limit,
                           options.network.clear_of_edge, most, reach,
-                          game.held.shrunk(game.options.tube))
+                          game.secured.shrunk(game.options.tube))
 
 
 def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:

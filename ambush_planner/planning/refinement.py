@@ -77,14 +77,14 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
         too_large = given is None and size > MAX_NODES
         if too_large or (places := next_places(newest, risk_map, options)) is None:
             break
-        begin, before = time.monotonic(), best.program.bound
+        begin, before = time.monotonic(), best.lp.bound
         newest = find_value(WarmStart.after(newest, places))
         if newest.reason != 'stalled':  # it was cut short
             break
         done.append(_round(newest, begin))
-        if newest.program.bound < before:
+        if newest.lp.bound < before:
             best = newest
-        if given is None and newest.program.bound > (1.0 - LEAST_FALL) * before:
+        if given is None and newest.lp.bound > (1.0 - LEAST_FALL) * before:
             break
     return best, tuple(done)
 
@@ -96,11 +96,11 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     """
     game, network, reach = search.game, search.game.network, options.game.ambush_radius
     grades = grading(risk_map, options, network.refined)
-    charge = search.program.q * search.loss
-    if grades is None or not charge.any():
+    dual_weights = search.lp.q * search.loss
+    if grades is None or not dual_weights.any():
         return None
-    sites = np.flatnonzero(charge > SHARE * charge.sum())
-    share, points = charge[sites] / charge.sum(), search.points[sites]
+    sites = np.flatnonzero(dual_weights > SHARE * dual_weights.sum())
+    share, points = dual_weights[sites] / dual_weights.sum(), search.points[sites]
     narrow, level = share > NARROW[0], np.searchsorted(NARROW, share)
     finest = np.array([finest_spacing(risk_map, each * reach) for each in SPACINGS])[level]
     ends = network.points[[network.source, *network.stops, network.target]]
@@ -108,7 +108,7 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     plain = node_spacing(risk_map, options.network)
     spacing = np.max([grades.wanted(points + rim, ends, plain) for rim in rims], axis=0)
     coarse = spacing > FINE * finest
-    if charge[sites[coarse]].sum() <= COARSE_SHARE * charge.sum():
+    if dual_weights[sites[coarse]].sum() <= COARSE_SHARE * dual_weights.sum():
         return None
     added = np.column_stack((points[coarse], finest[coarse]))
     every = np.concatenate((network.refined, added))
@@ -125,7 +125,7 @@ def _thinned(places: FloatArray, apart: float) -> IndexArray:
 
 def _round(search: Search, begin: float) -> Round:
     """The round of a search, which it reports, too."""
-    bound = float(search.program.bound)
+    bound = float(search.lp.bound)
     value = ceiling(bound, search.slack)
     search.problem.progress(value, bound)
     return Round(len(search.problem.game.network.points), value, time.monotonic() - begin)

@@ -47,7 +47,7 @@ def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str
 
 
 def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
-    """Return the tables ``edges``, ``sites``, ``places``, ``held_ground`` and ``forbidden``.
+    """Return the tables ``edges``, ``sites``, ``places``, ``secured_area`` and ``forbidden``.
 
     Edges have a ``probability``; sites have the ``probability`` q that the best ambusher waits
     there and the ``loss``; places are start, stops and goal. Forbidden ground is the map's
@@ -56,7 +56,7 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     import geopandas
     import shapely
 
-    held = strategy.game.held.shrunk(0.0)
+    secured = strategy.game.secured.shrunk(0.0)
     network, p = strategy.network, strategy.shown_probability
     q, first = strategy.ambush_at_places, network.representatives
     system = Coordinates(risk_map.crs) if risk_map.crs else None
@@ -64,7 +64,7 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     used = np.flatnonzero(p > MIN_PROBABILITY)
     waits = np.flatnonzero(q > MIN_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
     at = first[waits]
-    centres = system.to_crs(held.centres) if system else held.centres
+    centres = system.to_crs(secured.centres) if system else secured.centres
     stops = [f'stop {k}' for k in range(1, len(network.stops) + 1)]
     ends = points[[network.source, *network.stops, network.target]]
     tables = {
@@ -72,8 +72,8 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
         'sites': ({'probability': q[waits], 'loss': strategy.game.loss[at]},
                   shapely.points(points[at])),
         'places': ({'name': ['start', *stops, 'goal']}, shapely.points(ends)),
-        'held_ground': ({'radius': held.radii},
-                        shapely.buffer(shapely.points(centres), held.radii, quad_segs=32)),
+        'secured_area': ({'radius': secured.radii},
+                        shapely.buffer(shapely.points(centres), secured.radii, quad_segs=32)),
         'forbidden': ({}, _obstacles(risk_map)),
     }
     return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes),

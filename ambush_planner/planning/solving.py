@@ -50,7 +50,7 @@ class WarmStart:
     @classmethod
     def after(cls, search: Search, refined: FloatArray) -> WarmStart:
         """Start from a search on another network."""
-        added = np.flatnonzero(search.program.q > 0.0)
+        added = np.flatnonzero(search.lp.q > 0.0)
         added = added[added >= len(search.game.sites)]
         return cls(search.game.network, None, search.points[added], refined)
 

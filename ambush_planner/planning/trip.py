@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ..arrays import ROUNDING, FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit, warn
 from ..game.ambusher import capped_at_one
-from ..game.certificate.best_response import Ground
+from ..game.certificate.best_response import Subnetwork
 from ..game.game import Game, make_game
 from ..game.search import Search
 from ..game.slack import ceiling
@@ -395,16 +395,16 @@ class _StopOrderSearch:
         """
         network, costs = game.network, np.zeros((len(q), *self._lengths.shape))
         edges, once = network.places[network.edges], np.zeros(len(network.edges), dtype=bool)
-        # Each place's edges cost the same in all layers, so one copy suffices.
+        # Each place's edges cost the same in all layers, so one of them suffices.
         once[np.unique(edges @ (network.place_count, 1), return_index=True)[1]] = True
-        ground = Ground(edges, once, game.hits, game.reach == 0.0)
+        drivable = Subnetwork(edges, once, game.hits, game.reach == 0.0)
         for begin, end in sorted(pairs):
-            way = ground.between(*(np.array([self._ends[k]]) for k in (begin, end)))
-            for share, charge in enumerate(q * game.loss[game.sites]):
+            way = drivable.between(*(np.array([self._ends[k]]) for k in (begin, end)))
+            for share, dual_weights in enumerate(q * game.loss[game.sites]):
                 if time.monotonic() > self._deadline:
                     raise TimeLimit('the time limit passed before the orders were compared')
-                costs[share, begin, end] = way.least_cost(price * network.travel_costs, charge,
-                                                          LEG_SEARCH)[0]
+                costs[share, begin, end] = way.least_cost(
+                    price * network.travel_costs, dual_weights, LEG_SEARCH)[0]
         return costs
 
     def _end_distances(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:

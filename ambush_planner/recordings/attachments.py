@@ -40,8 +40,8 @@ NUMBERS = (
 )
 _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg', 'refined')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
-# What a plan adds to the game's options [m]: tube, what a site stands for, and held ground.
-_PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'held_radius'}
+# What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
+_PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_distance'}
 # For which leg the ambusher waits at each site, on trips.
 _BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Audit of departures: do they follow the published law, and could an observer predict them?
+"""Audit of departures: do they follow the published strategy, and could an observer predict them?
 
 If all is well, each departure is an independent draw from its own strategy. The test counts the
 passages N_e of each edge in all departures and compares them with their mean E_e and variance V_e
@@ -9,10 +9,11 @@ under the strategies:
 
 This is Pearson's statistic; the 1 keeps rarely driven edges from dominating it. T grows if a route
 or an edge is favoured, if routes repeat, and if they vary too little. Counts of edges are
-dependent, so T has no chi-square law: its p-value comes from resampling all departures from their
-strategies, ``(1 + #{T* >= T}) / (1 + resamples)``, as in ``scipy.stats.monte_carlo_test``, and
-holds for any number of departures and strategies. Where times of departure were drawn, their counts
-have such a statistic, too; both are divided by their spread among the resamples and added.
+dependent, so T has no chi-square distribution: its p-value comes from resampling all departures
+from their strategies, ``(1 + #{T* >= T}) / (1 + resamples)``, as in
+``scipy.stats.monte_carlo_test``, and holds for any number of departures and strategies. Where times
+of departure were drawn, their counts have such a statistic, too; both are divided by their spread
+among the resamples and added.
 
 Edges and nodes of different networks are the same if they lie at the same positions: a start that
 moves by a few centimetres makes a new strategy, but most of its network stays.

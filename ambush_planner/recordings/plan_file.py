@@ -28,7 +28,7 @@ from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
-from ..planning.few_law import few_law
+from ..planning.few_strategy import few_strategy
 from ..planning.options import node_spacing
 from ..planning.plan import Plan, plan_corridors
 from ..planning.slots import SlotMixture
@@ -204,7 +204,7 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     _check_stated(file.path, stated, strategy)
     few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
     if few:
-        few_law(strategy, few)  # raises an error if its shares and routes are none
+        few_strategy(strategy, few)  # raises an error if its shares and routes are none
     slots = DaySlots(about.slots.times, SlotMixture(
         frozen_array(about.slots.shares, np.float64), about.slots.value,
         about.slots.lower_bound), about.slots.window) if about.slots else None

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array
+from ..game.distribution.acyclic import is_acyclic
 from ..game.hits import worst_loss
-from ..game.law.acyclic import is_acyclic
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap
@@ -23,8 +23,8 @@ from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
-from ..planning.few_law import few_law
 from ..planning.few_routes import FewRoutes
+from ..planning.few_strategy import few_strategy
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.options import PlanningOptions, node_spacing
 from ..planning.plan import Plan, plan_corridors
@@ -98,7 +98,7 @@ class RecordedDeparture:
     few: FewRoutes | None = field(default=None, repr=False)
 
     @property
-    def law(self) -> Strategy:
+    def shown(self) -> Strategy:
         """What to show of the plan: its strategy, or the mixture of its few routes."""
         return self.drawn_from if self.few else self.strategy
 
@@ -232,7 +232,7 @@ def _few_route(day: RecordedDay | None) -> int:
 
 def _few(strategy: Strategy, data: bytes) -> tuple[FewRoutes, Strategy, list[IndexArray]]:
     few = few_from_file(data)
-    return few, *few_law(strategy, few)
+    return few, *few_strategy(strategy, few)
 
 
 def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:

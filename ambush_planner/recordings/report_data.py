@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..colours import ROUTES
-from ..game.law.acyclic import order_along
-from ..game.spotter import Spotter, worst_spotter
+from ..game.distribution.acyclic import order_along
+from ..game.informant import Informant, worst_informant
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
@@ -49,7 +49,7 @@ class Section:
     @property
     def strategy(self) -> Strategy:
         """The latest strategy."""
-        return self.departures[-1].law
+        return self.departures[-1].shown
 
     @property
     def slots(self) -> RecordedSlots | None:
@@ -68,9 +68,9 @@ class Section:
         return self.departures[-1].risk_map
 
     @cached_property
-    def spotter(self) -> Spotter | None:
+    def informant(self) -> Informant | None:
         """What somebody at the worst place is worth who tells whether the convoy passes."""
-        return worst_spotter(self.strategy)
+        return worst_informant(self.strategy)
 
     def includes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is on this trip."""
@@ -105,9 +105,9 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     network, game = strategy.network, strategy.game
     cells, levels, cell = map_cells(risk_map)
     p = np.where(strategy.edge_probability > MIN_PROBABILITY, strategy.edge_probability, 0.0)
-    rank, used = order_along(network, p), np.flatnonzero(p)
-    if rank is not None:
-        used = used[np.argsort(rank[network.tails[used]], kind='stable')]
+    number, used = order_along(network, p), np.flatnonzero(p)
+    if number is not None:
+        used = used[np.argsort(number[network.tails[used]], kind='stable')]
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
@@ -116,17 +116,17 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     pieces = [(k, outline(piece, PATH_ACCURACY * cell) - corner, over)
               for k, line in enumerate(lines) for piece, over in line]
     ends = [network.source, network.target, *network.stops]
-    seen = section.spotter
+    seen = section.informant
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
         'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
-        'source': network.source, 'target': network.target, 'ordered': rank is not None,
-        'reach': game.reach, 'held': game.options.held_radius,
-        'shelter': game.options.held_radius - game.options.tube,
+        'source': network.source, 'target': network.target, 'ordered': number is not None,
+        'reach': game.reach, 'secured': game.options.secured_distance,
+        'shelter': game.options.secured_distance - game.options.tube,
         'value': strategy.value, 'degrees': degrees,
-        'spotter': seen and (np.array((seen.x, seen.y)) - corner).tolist(),
+        'informant': seen and (np.array((seen.x, seen.y)) - corner).tolist(),
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),
         'chances': packed(p[used], '<f4'),

@@ -19,15 +19,15 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, TimeLimit
-from ..game.law.acyclic import is_acyclic
-from ..game.law.chain import chain_of
+from ..game.distribution.acyclic import is_acyclic
+from ..game.distribution.chain import chain_of
 from ..game.revaluation import open_gap
 from ..game.slack import CERTIFICATE_TOLERANCE
 from ..game.strategy import Strategy, make_budgets, solve_game
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network
-from ..network.trip_graph import copied_edges, copied_nodes, with_copies
+from ..network.trip_graph import original_edges, original_nodes, with_layers
 from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.few_routes import FewRoutes
 from ..planning.moved_start import other_rest
@@ -203,7 +203,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     played = solved_game(risk_map, planning)
     network = add_hiding_places(laid, risk_map, planning, played)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
-    network = _with_recorded_copies(network, recorded)
+    network = _with_recorded_layers(network, recorded)
     if holds_anywhere(planning):
         added = slice(len(network.points), None)
         points = recorded.points[added]
@@ -215,7 +215,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     ) or recorded.ground_length != network.ground_length:
         return ['network: it does not follow from the recorded map, trip and parameters']
     if strategy.game.options != played:
-        return ['strategy: its reach or held ground is not that of the parameters']
+        return ['strategy: its reach or secured area is not that of the parameters']
     problems = []
     search = CellSearch(cells, strategy.game, np.flatnonzero(strategy.edge_probability > 0.0))
     if holds_anywhere(planning) and len(worst := search.worst(
@@ -234,19 +234,19 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     return problems
 
 
-def _with_recorded_copies(network: Network, recorded: Network) -> Network:
-    """A trip's network with copies of its nodes and edges as in a recorded one."""
+def _with_recorded_layers(network: Network, recorded: Network) -> Network:
+    """A trip's network as a layered graph, with the layers of a recorded one."""
     new = slice(len(network.edges), len(recorded.edges))
     nodes = slice(len(network.points), None)
-    copies = copied_nodes(network, recorded.places[nodes], recorded.leg[nodes])
-    if new.start >= new.stop or not (copies >= 0).any():
+    originals = original_nodes(network, recorded.places[nodes], recorded.leg[nodes])
+    if new.start >= new.stop or not (originals >= 0).any():
         return network
-    count = int((copies >= 0).sum())
-    of, edges = np.append(np.arange(len(network.points)), copies[:count]), recorded.edges[new]
-    if (copies[:count] < 0).any() or edges.max() >= len(of) or (
-            copied_edges(network, of, edges) < 0).any():
+    count = int((originals >= 0).sum())
+    of, edges = np.append(np.arange(len(network.points)), originals[:count]), recorded.edges[new]
+    if (originals[:count] < 0).any() or edges.max() >= len(of) or (
+            original_edges(network, of, edges) < 0).any():
         return network  # which differs from the recorded one
-    return with_copies(network, copies[:count], edges)
+    return with_layers(network, originals[:count], edges)
 
 
 def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
@@ -293,7 +293,7 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
     """Solve the game again, from scratch and without a time limit, and compare the values."""
     options = replace(planning.strategy, time_limit=math.inf)
     try:
-        again = solve_game(strategy.game.without_copies(), options)
+        again = solve_game(strategy.game.without_layers(), options)
     except TimeLimit as late:
         if late.strategy is None:
             raise

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..errors import InvalidOption
-from ..game.discs import HeldGround
+from ..game.discs import SecuredArea
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap, to_map_axes
 from ..network.network import Network
@@ -39,7 +39,7 @@ SHORTCUT_COSINE = 0.5
 # Minimum distance of a shortcut from other nodes [shortcut lengths].
 SHORTCUT_MARGIN = 0.01
 
-NOTHING_HELD = HeldGround(np.empty((0, 2)), np.empty(0))
+NOTHING_SECURED = SecuredArea(np.empty((0, 2)), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Corridors:
         Widths are larger where chords at corners may need it.
     reach
         Distance within which ambushes hit drawn routes [m]; 0: no corners are cut.
-    held
+    secured
         Discs in map axes; parts of drawn routes in them are not hit.
     open_ground : (N,) float
         Radius around each place that is free of obstacles [m]; at most the truth.
@@ -85,7 +85,7 @@ class Corridors:
     shortcut: BoolArray
     tube: float
     reach: float
-    held: HeldGround
+    secured: SecuredArea
     open_ground: FloatArray
     _keys: IndexArray
 
@@ -125,7 +125,7 @@ class Corridors:
 def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
                    tube: float | None = None, clear_of_edge: bool = True,
                    most: float = np.inf, reach: float = 0.0,
-                   held: HeldGround = NOTHING_HELD) -> Corridors:
+                   secured: SecuredArea = NOTHING_SECURED) -> Corridors:
     """Measure the strips and quarters of a network on its map.
 
     Parameters
@@ -136,7 +136,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         Largest distance from the drawn route [m]; None: up to the nearest other nodes.
     most
         Largest distance from the drawn route if there is no tube [m]; inf: paths take shortcuts.
-    reach, held
+    reach, secured
         With a tube: the distance within which ambushes hit drawn routes [m], tube included, and the
         discs in which they do not. Corners are cut where no ambush gains by it.
 
@@ -146,7 +146,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
     uv = risk_map.to_map_axes(network.points[network.representatives])
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
-    held = held_in_map_axes(held, risk_map.origin)
+    secured = secured_in_map_axes(secured, risk_map.origin)
     if tube is None and most == np.inf:
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, measured = _with_shortcuts(uv, edges, field, clearance)
@@ -163,13 +163,13 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     links = links[order]
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
                      np.full(len(links), tube is None and most == np.inf),
-                     np.inf if tube is None else tube, reach, held,
+                     np.inf if tube is None else tube, reach, secured,
                      open_ground(uv, risk_map, clearance, clear_of_edge), link_keys(links, len(uv)))
 
 
-def held_in_map_axes(held: HeldGround, origin: tuple[float, float, float]) -> HeldGround:
+def secured_in_map_axes(secured: SecuredArea, origin: tuple[float, float, float]) -> SecuredArea:
     """The same discs in map axes."""
-    return held._replace(centres=to_map_axes(origin, held.centres))
+    return secured._replace(centres=to_map_axes(origin, secured.centres))
 
 
 def link_keys(links: IndexArray, count: int) -> IndexArray:

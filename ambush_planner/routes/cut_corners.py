@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..game.discs import HeldGround
+from ..game.discs import SecuredArea
 from .corridors import Corridors
 
 # Maximum length of lines that skip nodes [ambush reaches, without the tube].
@@ -109,7 +109,7 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
         np.where(left, quarters[1:-1, 1], quarters[1:-1, 0]),
         half, np.sqrt(np.maximum(1.0 - half**2, 0.0)))
     tube = np.minimum(tubes[:-1], tubes[1:])
-    most = _cuts(corners, corridors.reach - corridors.tube + tube, corridors.held)
+    most = _cuts(corners, corridors.reach - corridors.tube + tube, corridors.secured)
     most[~(joined[:-1] & joined[1:])] = 0.0
     return _with_chords(whole, corners, *_shared(most, length), tube)
 
@@ -119,7 +119,7 @@ def _skipping(corridors: Corridors, route: IndexArray) -> IndexArray:
     most = SKIP * (corridors.reach - corridors.tube)
     uv, at = corridors.uv[route], corridors.open_ground[route]
     inside = [np.hypot(*(uv - centre).T) < radius
-              for centre, radius in zip(*corridors.held, strict=True)]
+              for centre, radius in zip(*corridors.secured, strict=True)]
     side = np.array(inside).T.tolist() if inside else [[]] * len(route)
     points, wide = uv.tolist(), (at - corridors.tube).tolist()
     kept, last = [0], len(route) - 1
@@ -155,10 +155,10 @@ def _side(widths: FloatArray, left: BoolArray) -> FloatArray:
     return np.where(left[:, None], pairs[:, :, 0], pairs[:, :, 1])
 
 
-def _cuts(corners: _Corners, reach: FloatArray, held: HeldGround) -> FloatArray:
+def _cuts(corners: _Corners, reach: FloatArray, secured: SecuredArea) -> FloatArray:
     """How far from each corner (C,) a chord between its edges may begin and end [m]."""
     sine, cosine = corners.sine, corners.cosine
-    depth = free_depth(corners.nodes, corners.edge.min(axis=1), sine, cosine, reach, held)
+    depth = free_depth(corners.nodes, corners.edge.min(axis=1), sine, cosine, reach, secured)
     with np.errstate(divide='ignore', invalid='ignore'):
         cut = np.minimum(depth / sine, 0.999 * corners.inner.min(axis=1) / (sine * cosine))
     cut[(sine < TINY) | (cosine < TINY)] = 0.0
@@ -166,7 +166,7 @@ def _cuts(corners: _Corners, reach: FloatArray, held: HeldGround) -> FloatArray:
 
 
 def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine: FloatArray,
-               reach: FloatArray | float, held: HeldGround) -> FloatArray:
+               reach: FloatArray | float, secured: SecuredArea) -> FloatArray:
     """How far from corners (C, 2) a shorter line may pass without being hit more [m].
 
     Where an ambush hits a cut line but not the edges first is on the corner's axis: it must be
@@ -180,7 +180,7 @@ def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine:
             short * sine + np.sqrt(np.maximum(reach**2 - (short * cosine)**2, 0.0)))
     depth = deepest - reach
     used = np.minimum(short, used)
-    for centre, radius in zip(*held, strict=True):
+    for centre, radius in zip(*secured, strict=True):
         depth[np.abs(np.hypot(*(corners - centre).T) - radius) < used] = 0.0
     return depth
 

@@ -236,7 +236,7 @@ def _unnoticed(portals: Portals, points: FloatArray, turn: FloatArray,
                short: FloatArray) -> FloatArray:
     """Largest cuts (C,) of turns between lines, the ``short`` ones (C,), that are hit no more."""
     sine, cosine = np.sin(np.abs(turn) / 2), np.cos(turn / 2)
-    depth = free_depth(points, short, sine, cosine, portals.reach, portals.held)
+    depth = free_depth(points, short, sine, cosine, portals.reach, portals.secured)
     # Of the chords between poses, the deepest one; one chord only if the turn is small.
     deepest: FloatArray = np.minimum((1.0 - math.cos(TURN / 2) * cosine) / sine, sine)
     return depth / deepest

@@ -47,13 +47,13 @@ def bearings(points: FloatArray) -> FloatArray:
     return np.degrees(np.arctan2(*np.diff(points, axis=0).T)) % 360.0
 
 
-def held_stretches(path: FloatArray, places: FloatArray, radius: float) -> FloatArray:
+def secured_stretches(path: FloatArray, places: FloatArray, radius: float) -> FloatArray:
     """Return where a path is within ``radius`` of a place (P, 2): ends (K, 2) along it [m]."""
     along = distances_along(path)
     at = np.linspace(0.0, along[-1], _SAMPLES)
     points = np.column_stack([np.interp(at, along, axis) for axis in path.T])
-    held = np.min([_away(points, place) for place in places], axis=0) <= radius
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], held, [0])))).reshape(-1, 2)
+    secured = np.min([_away(points, place) for place in places], axis=0) <= radius
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], secured, [0])))).reshape(-1, 2)
     return at[edges - (0, 1)]
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from ..game.discs import HeldGround
+from ..game.discs import SecuredArea
 from .corridors import Corridors
 from .cut_corners import cross, cut_routes, padded
 
@@ -31,7 +31,7 @@ class Portals:
     at the ends of a line, and ``length`` (K,) is that of the shorter segment. Line i has the
     portals from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,). ``room`` (K, 2) is how far it is free
     of obstacles beyond the left and right ends on the inner side of a turn: lines may lead there
-    where no ambush with the ``reach`` [m] gains by it; ``held`` are the discs in which none hits.
+    where no ambush with the ``reach`` [m] gains by it; in the ``secured`` discs, none hits.
     """
 
     nodes: FloatArray
@@ -42,7 +42,7 @@ class Portals:
     bounds: IndexArray
     room: FloatArray
     reach: float
-    held: HeldGround
+    secured: SecuredArea
 
     @property
     def width(self) -> FloatArray:
@@ -78,14 +78,14 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     turn = cross(unit[:-1], unit[1:])
     within = lines.joined[:-1] & lines.joined[1:]
     usable = within & (size > 1e-6)
-    held = corridors.held._replace(radii=corridors.held.radii + corridors.tube)
+    secured = corridors.secured._replace(radii=corridors.secured.radii + corridors.tube)
     return Portals(lines.points, padded(leftward * within[:, None]),
                    padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
                    padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
                    padded(np.minimum(length[:-1], length[1:])), lines.bounds,
                    padded(np.stack((room[0] * (turn >= 0), room[1] * (turn <= 0)), axis=1)
                           * usable[:, None]),
-                   max(corridors.reach - corridors.tube, 0.0), held)
+                   max(corridors.reach - corridors.tube, 0.0), secured)
 
 
 def taut_strings(portals: Portals, margin: FloatArray,

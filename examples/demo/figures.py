@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ambush_planner import figures
 from ambush_planner.arrays import FloatArray
 from ambush_planner.colours import AMBUSHER, ROUTES
-from ambush_planner.figures import HALO, HELD_GROUND, OBSTACLE, SITES, WIDTH
+from ambush_planner.figures import HALO, OBSTACLE, SECURED_AREA, SITES, WIDTH
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.game.strategy import Strategy
@@ -71,7 +71,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
                         'linewidth': 1.2},
         )
     figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
-    figure.legend(handles=[SITES, HELD_GROUND, OBSTACLE], loc='outside lower center', ncols=2,
+    figure.legend(handles=[SITES, SECURED_AREA, OBSTACLE], loc='outside lower center', ncols=2,
                   frameon=False)
     return figure
 

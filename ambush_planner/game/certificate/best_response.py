@@ -3,7 +3,7 @@
 
 For q >= 0 and prices of the budgets, the least of
 
-    sum over sites j that the route meets of q_j alpha_j  +  sum over budgets of price * excess
+    sum over sites j that the route meets of q_j alpha_j + sum over budgets of price * reduced cost
 
 over all routes, less price * room, bounds from below what any strategy within the budgets can
 reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
@@ -42,7 +42,7 @@ SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (ma
 Searches = Sequence[tuple[float, int]]
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
-# Charges and flows below this share of the largest are rounding, and not counted.
+# Dual weights and flows below this share of the largest are rounding, and not counted.
 NEGLIGIBLE = 1e-7
 
 
@@ -58,10 +58,10 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
     base, paid = np.zeros(len(game.network.edges)), 0.0
     for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
-            base = base + price * budget.excess
-            paid += price * budget.margin
-    charge = game.loss[game.sites] * [game.at_sites(each) for each in np.atleast_2d(q)]
-    least, _ = Grounds(game, game.hits).least_cost(base, charge, SEARCHES, deadline)
+            base = base + price * budget.reduced_cost
+            paid += price * budget.slack
+    dual_weights = game.loss[game.sites] * [game.at_sites(each) for each in np.atleast_2d(q)]
+    least, _ = TripNetworks(game, game.hits).least_cost(base, dual_weights, SEARCHES, deadline)
     return max(least - paid, 0.0)
 
 
@@ -75,11 +75,11 @@ class Leg(NamedTuple):
     number: int
     begin: int
     end: int
-    ground: Ground
+    network: Subnetwork
 
 
-class Grounds:
-    """The ground of each leg of a trip, and of the whole trip, with the sites' rows (S, M).
+class TripNetworks:
+    """The subnetwork of each leg of a trip and that of the whole trip, with sites' rows (S, M).
 
     ``legs`` are in an order in which trips drive them; without a choice of the order, each once.
     """
@@ -89,37 +89,38 @@ class Grounds:
         leg, used = network.leg, network.edges[game.playable]
         one, exact = network.legs == 1, game.reach == 0.0
         first, last = np.array([network.source]), np.array([network.target])
-        self.whole = Ground(network.edges, game.playable, hits, exact and one).between(first, last)
+        whole = Subnetwork(network.edges, game.playable, hits, exact and one)
+        self.whole = whole.between(first, last)
         if one:
             self.legs = [Leg(0, 0, 1, self.whole)]
             return
         nodes = np.unique(used[leg[used[:, 1]] > leg[used[:, 0]], 1])
-        at = leg[nodes] * network.place_count + network.places[nodes]  # copies begin together
+        at = leg[nodes] * network.place_count + network.places[nodes]  # layers begin together
         begins = [first, *(nodes[at == k] for k in np.unique(at)), last]
         self._stop = {node: k for k, own in enumerate(begins) for node in own.tolist()}
         self.legs = []
         for number, before in enumerate(network.stops_before.tolist()):
             inside = game.playable & (leg[network.tails] == number)
-            ground, heads = Ground(network.edges, inside, hits, exact), network.heads[inside]
+            own_edges, heads = Subnetwork(network.edges, inside, hits, exact), network.heads[inside]
             ends = [k for k, own in enumerate(begins) if np.isin(own, heads[
                 (leg[heads] > number) | (heads == network.target)]).any()]
-            self.legs += [Leg(before, begin, end, ground.between(own, begins[end]))
+            self.legs += [Leg(before, begin, end, own_edges.between(own, begins[end]))
                           for begin, own in enumerate(begins[:-1]) if leg[own[0]] == number
                           for end in ends]
 
-    def least_cost(self, base: FloatArray, charge: FloatArray, searches: Searches,
+    def least_cost(self, base: FloatArray, dual_weights: FloatArray, searches: Searches,
                    deadline: float = math.inf) -> tuple[float, IndexArray | None]:
-        """A lower bound of the least base cost (M,) plus charges (stops + 1, S), and a route near.
+        """A lower bound of the least base cost (M,) plus dual weights (stops + 1, S); a route near.
 
         If the ambusher waits for several legs, the bound and the route are those of the legs.
         """
-        if np.count_nonzero(charge.any(axis=1)) < 2:
-            return self.whole.least_cost(base, charge.sum(axis=0), searches, deadline)
+        if np.count_nonzero(dual_weights.any(axis=1)) < 2:
+            return self.whole.least_cost(base, dual_weights.sum(axis=0), searches, deadline)
         ways: dict[int, IndexArray | None] = {}
 
         def cost(k: int) -> float:
-            number, _, _, ground = self.legs[k]
-            least, ways[k] = ground.least_cost(base, charge[number], searches, deadline)
+            number, _, _, network = self.legs[k]
+            least, ways[k] = network.least_cost(base, dual_weights[number], searches, deadline)
             return least
 
         least, trip = self.least_trip(cost)
@@ -150,7 +151,7 @@ class Grounds:
             known.update((k, cost(k)) for k in new)
 
 
-class Ground:
+class Subnetwork:
     """The ``used`` ones of some edges (M, 2), and the sites that they meet, as ``hits`` (S, M).
 
     ``edge`` (m,) are sorted by tail and head; ``tail`` and ``head`` (m,) number these nodes only.
@@ -170,8 +171,8 @@ class Ground:
         self.exact = exact
         self.first = self.last = np.arange(0)
 
-    def between(self, first: IndexArray, last: IndexArray) -> Ground:
-        """The same ground, for ways from some nodes to others."""
+    def between(self, first: IndexArray, last: IndexArray) -> Subnetwork:
+        """The same edges, for ways from some nodes to others."""
         other = copy(self)
         other.first, other.last = (np.flatnonzero(np.isin(self._nodes, each))
                                    for each in (first, last))
@@ -188,13 +189,13 @@ class Ground:
             met[sites[own]] = counts[own]
         return met
 
-    def cost(self, route: IndexArray, base: FloatArray, charge: FloatArray) -> float:
+    def cost(self, route: IndexArray, base: FloatArray, dual_weights: FloatArray) -> float:
         """What a route costs, each site counted once."""
-        return float(base[route].sum() + charge @ self.met(route))
+        return float(base[route].sum() + dual_weights @ self.met(route))
 
-    def shortest(self, base: FloatArray, charge: FloatArray) -> IndexArray:
-        """The edges (K,) of the way of least cost if every entry is charged."""
-        weights = base[self.edge] + charge @ self.entering
+    def shortest(self, base: FloatArray, dual_weights: FloatArray) -> IndexArray:
+        """The edges (K,) of the way of least cost if every entry is counted."""
+        weights = base[self.edge] + dual_weights @ self.entering
         # By far less than costs differ, so that of equal ways the one of fewest edges is taken.
         weights += _ROUNDING * (float(weights.max()) or 1.0)
         graph = csr_matrix((weights, self.head, self.out), (self.count, self.count))
@@ -206,18 +207,18 @@ class Ground:
         step = np.array(nodes[:0:-1]) * self.count + nodes[-2::-1]
         return np.asarray(self.edge[np.searchsorted(self._key, step)])
 
-    def least_cost(self, base: FloatArray, charge: FloatArray, searches: Searches,
+    def least_cost(self, base: FloatArray, dual_weights: FloatArray, searches: Searches,
                    deadline: float = math.inf,
                    enough: float = math.inf) -> tuple[float, IndexArray | None]:
-        """A lower bound of the least base cost (M,) plus charges (S,), and a route near it.
+        """A lower bound of the least base cost (M,) plus dual weights (S,), and a route near it.
 
         A bound of ``enough`` ends the searches. The route is None if all were cut short, the last
         one at ``deadline``.
         """
         if self.exact:
-            shortest = self.shortest(base, charge)
-            return self.cost(shortest, base, charge), shortest
-        labels, least, best = _Labels(self, base, charge), 0.0, math.inf
+            shortest = self.shortest(base, dual_weights)
+            return self.cost(shortest, base, dual_weights), shortest
+        labels, least, best = _Labels(self, base, dual_weights), 0.0, math.inf
         edges: IndexArray | None = None
         for kept, comparisons in searches:
             bound, route = labels.search(kept, comparisons, deadline)
@@ -226,7 +227,7 @@ class Ground:
                 break
             if route is None:
                 continue
-            cost = self.cost(route, base, charge)
+            cost = self.cost(route, base, dual_weights)
             if cost < best:
                 best, edges = cost, route
             if best <= least * (1.0 + _ROUNDING):
@@ -242,19 +243,19 @@ class Ground:
 class _Labels:
     """A* over (cost, node, sites met), with the distance over the base costs as potential."""
 
-    def __init__(self, ground: Ground, base: FloatArray, charge: FloatArray) -> None:
-        rows = np.argsort(-charge, kind='stable')
-        rows = rows[charge[rows] > NEGLIGIBLE * charge.max(initial=0.0)]
-        self._met, hit = [0] * len(ground.edge), ground.entering[rows].tocoo()
-        self._counts = [1.0] * len(ground.edge)  # the same for all sites that an edge meets
+    def __init__(self, network: Subnetwork, base: FloatArray, dual_weights: FloatArray) -> None:
+        rows = np.argsort(-dual_weights, kind='stable')
+        rows = rows[dual_weights[rows] > NEGLIGIBLE * dual_weights.max(initial=0.0)]
+        self._met, hit = [0] * len(network.edge), network.entering[rows].tocoo()
+        self._counts = [1.0] * len(network.edge)  # the same for all sites that an edge meets
         for row, k, counts in zip(hit.row.tolist(), hit.col.tolist(), hit.data.tolist(),
                                   strict=True):
             self._met[k] |= 1 << row
             self._counts[k] = counts
-        self._edge, self._behind = ground.edge, ground.behind(base).tolist()
-        self._first, self._head = ground.out.tolist(), ground.head.tolist()
-        self._base, self._charge = base[ground.edge].tolist(), charge[rows].tolist()
-        self._sources, self._targets = ground.first.tolist(), set(ground.last.tolist())
+        self._edge, self._behind = network.edge, network.behind(base).tolist()
+        self._first, self._head = network.out.tolist(), network.head.tolist()
+        self._base, self._dual_weights = base[network.edge].tolist(), dual_weights[rows].tolist()
+        self._sources, self._targets = network.first.tolist(), set(network.last.tolist())
 
     def search(self, kept: float, comparisons: int,
                deadline: float) -> tuple[float, IndexArray | None]:
@@ -278,12 +279,12 @@ class _Labels:
             if self._dominated(here, cost, met):
                 continue
             if len(here) >= kept:
-                lost = [self._charged(0.0, theirs & ~met) for _, theirs in here]
+                lost = [self._with_dual_weights(0.0, theirs & ~met) for _, theirs in here]
                 met |= here.pop(lost.index(min(lost)))[1]
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
-                after = cost + self._base[k] + self._counts[k] * self._charged(0.0, new)
+                after = cost + self._base[k] + self._counts[k] * self._with_dual_weights(0.0, new)
                 both, there = met | new, settled.get(head, ())
                 comparisons -= len(there) + 1
                 if self._dominated(there, after, both):
@@ -295,15 +296,15 @@ class _Labels:
     def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:
         """Whether another label costs no more even if it pays for the sites that it lacks."""
         for least, theirs in others:
-            if least <= cost and self._charged(least, met & ~theirs, cost) <= cost:
+            if least <= cost and self._with_dual_weights(least, met & ~theirs, cost) <= cost:
                 return True
         return False
 
-    def _charged(self, cost: float, sites: int, most: float = np.inf) -> float:
-        """The cost with the charges of ``sites``, added until it exceeds ``most``."""
+    def _with_dual_weights(self, cost: float, sites: int, most: float = np.inf) -> float:
+        """The cost with the dual weights of ``sites``, added until it exceeds ``most``."""
         while sites and cost <= most:
             lowest = sites & -sites
-            cost += self._charge[lowest.bit_length() - 1]
+            cost += self._dual_weights[lowest.bit_length() - 1]
             sites ^= lowest
         return cost
 

@@ -7,12 +7,12 @@ prices >= 0,
 
     z(p) >= sum over j of q_j alpha_j P(hit_j)
          >= min over routes of sum over the sites j that it meets of q_j alpha_j
-                               + sum over edges of price * excess - price * margin,
+                               + sum over edges of price * reduced cost - price * slack,
 
-where an edge's excess is how much it lengthens (or exposes) the route beyond the best one, and the
-margin is the budget minus the best route's cost. The left side follows from p (``hits``), the right
-side is a shortest path (``best_response``); neither depends on the solver that found p, q and the
-prices.
+where an edge's reduced cost is how much it lengthens (or exposes) the route beyond the best one,
+and the slack is the budget minus the best route's cost. The left side follows from p (``hits``),
+the right side is a shortest path (``best_response``); neither depends on the solver that found p, q
+and the prices.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     the game.
     """
     ambusher.check(game, budgets)
-    game = game.without_copies()  # whatever can be driven can be driven on the trip's own nodes
+    game = game.without_layers()  # whatever can be driven can be driven on the trip's own nodes
     if not hits_can_differ(game):
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:
@@ -96,22 +96,22 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     used = [k for k, price in enumerate(ambusher.prices) if price > 0.0]
     if faces is None or len(used) > 1:
         raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
-    charge = game.loss * ambusher.q
+    dual_weights = game.loss * ambusher.q
     if not used:
-        return curve_bound(faces, 0.0 * game.network.lengths, 0.0, charge, 0.0,
+        return curve_bound(faces, 0.0 * game.network.lengths, 0.0, dual_weights, 0.0,
                            ambusher.circulation, enough)
     budget, price = budgets[used[0]], ambusher.prices[used[0]]
-    return curve_bound(faces, budget.cost, budget.limit, charge, price, ambusher.circulation,
+    return curve_bound(faces, budget.cost, budget.limit, dual_weights, price, ambusher.circulation,
                        enough)
 
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
-    """The bound by the route of least cost if every entry is charged: one Dijkstra."""
+    """The bound by the route of least cost if every entry is counted: one Dijkstra."""
     weights, paid = game.mean_loss_on_edges(ambusher.q), 0.0
     for budget, price in zip(budgets, ambusher.prices, strict=True):
         if price > 0.0:
-            weights = weights + price * budget.excess
-            paid += price * budget.margin
+            weights = weights + price * budget.reduced_cost
+            paid += price * budget.slack
     return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
 
 

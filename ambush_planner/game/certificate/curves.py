@@ -26,34 +26,34 @@ from scipy.sparse import csr_matrix
 from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..faces import Circulation, Faces
-from .best_response import NEGLIGIBLE, SEARCHES, Grounds
+from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
 
 
-def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray, price: float,
-                given: Circulation, enough: float = math.inf) -> float:
+def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: FloatArray,
+                price: float, given: Circulation, enough: float = math.inf) -> float:
     """What a circulation proves about strategies with a mean ``cost`` (M,) of at most ``limit``.
 
-    ``charge`` (N,) is q_j alpha_j at each node. Flow beyond a charge, or beyond a link's share of
-    the price, counts for nothing. Curves that wind more than once count once if that proves
-    ``enough``; else the rest of the charges may prove more, which takes seconds. Raises
-    SolverFailed if the circulation is that of another network.
+    ``dual_weights`` (N,) are q_j alpha_j at each node. Flow beyond a dual weight, or beyond a
+    link's share of the price, counts for nothing. Curves that wind more than once count once if
+    that proves ``enough``; else the rest of the dual weights may prove more, which takes seconds.
+    Raises SolverFailed if the circulation is that of another network.
     """
-    game, given = faces.game, given.at(charge > 0.0)
+    game, given = faces.game, given.at(dual_weights > 0.0)
     if len(given.through) != len(faces.left):
         raise SolverFailed('the circulation is that of another network')
     edge, most = np.flatnonzero(game.playable), np.full(len(faces.left), np.inf)
     np.minimum.at(most, faces.link[edge], price * cost[edge])
     through = np.clip(given.through, -most, most)
-    passed = sums(given.site, np.maximum(given.flow, 0.0), len(charge))
-    fits = np.minimum(charge, passed) / np.where(passed > 0.0, passed, 1.0)
+    passed = sums(given.site, np.maximum(given.flow, 0.0), len(dual_weights))
+    fits = np.minimum(dual_weights, passed) / np.where(passed > 0.0, passed, 1.0)
     inside = np.where(given.flow > 0.0, given.flow * fits[given.site], given.flow)
     arcs = np.flatnonzero(through), np.flatnonzero(inside)
     site, row = np.unique(given.site, return_inverse=True)
     entering = game.hits[np.searchsorted(game.sites, site)]
-    pair, lift, part = _lifts(faces, csr_matrix(entering), row.ravel(), given.face)
+    pair, offset, part = _winding_offsets(faces, csr_matrix(entering), row.ravel(), given.face)
     tail = np.concatenate((faces.left[arcs[0]], given.face[arcs[1]]))
     head = np.concatenate((faces.right[arcs[0]], faces.count + part[arcs[1]]))
-    gain = np.concatenate((faces.crossed[arcs[0]], lift[arcs[1]]))
+    gain = np.concatenate((faces.crossed[arcs[0]], offset[arcs[1]]))
     flow = np.concatenate((through[arcs[0]], (inside * pair)[arcs[1]]))
     tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
     gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
@@ -67,20 +67,20 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
         across, into = np.split(used, [len(arcs[0])])
         left = np.append(np.where(np.isfinite(most), most, 0.0), 0.0)  # 0 for unplayable edges
         left[arcs[0]] -= across
-        charge = charge - sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(charge))
-        ground = Grounds(game, game.hits).whole
+        taken = sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(dual_weights))
+        dual_weights = np.maximum(dual_weights - taken, 0.0)
         cost, wanted = np.maximum(left, 0.0)[faces.link], enough - total + price * limit
-        total += max(winding, ground.least_cost(
-            cost, np.maximum(charge, 0.0)[game.sites], SEARCHES, enough=wanted)[0])
+        total += max(winding, TripNetworks(game, game.hits).whole.least_cost(
+            cost, dual_weights[game.sites], SEARCHES, enough=wanted)[0])
     return max(total - price * limit, 0.0) if price > 0.0 else total
 
 
-def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
+def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
            face: IndexArray) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """Whether each pair (T,) of a disc and a face exists, as 0 or 1, its lift, and its part.
+    """Whether each pair (T,) of a disc and a face exists, as 0 or 1, its winding offset, its part.
 
-    A curve passes a disc only within one part of its rim: it does not cross held ground. Pairs of a
-    disc around an end count as missing: its lifts depend on the way.
+    A curve passes a disc only within one part of its rim: it does not cross the secured area.
+    Pairs of a disc around an end count as missing: its winding offsets depend on the way.
     """
     discs = faces.discs(entering)
     if not len(discs.face):
@@ -88,8 +88,8 @@ def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
     key, wanted = discs.disc * faces.count + discs.face, row * faces.count + face
     at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
     found = (key[at] == wanted) & ~discs.around[row]
-    lift = np.where(found, discs.lift[at], 0)
-    return found.astype(np.float64), lift, discs.part[at]
+    offset = np.where(found, discs.offset[at], 0)
+    return found.astype(np.float64), offset, discs.part[at]
 
 
 def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,

@@ -19,9 +19,9 @@ from ...arrays import BoolArray, FloatArray, sums
 from ...errors import SolverFailed
 from ..ambusher import Ambusher, at_nodes
 from ..budget import Budget
+from ..distribution.acyclic import without_cycles
 from ..faces import Faces
 from ..game import Game
-from ..law.acyclic import without_cycles
 from ..route_sampler import shortest_route_strategy
 
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
@@ -44,8 +44,8 @@ class CutSolution:
 def solve_by_min_cut(game: Game) -> CutSolution:
     """Solve the game of one ambusher without a reach and budgets by a minimum node cut.
 
-    On a trip of several legs, the copies of a place count as different sites: the value is that of
-    the costliest leg, a lower bound, and q is spread over the copies. Raises SolverFailed if the
+    On a trip of several legs, the nodes of a place count as different sites: the value is that of
+    the costliest leg, a lower bound, and q is spread over these nodes. Raises SolverFailed if the
     game has a reach.
     """
     if game.reach > 0.0:
@@ -59,8 +59,8 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 class Cut:
     """The least value without a reach and budgets; for several ambushers a lower bound.
 
-    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
-    are optimal if ``excess`` is 0: it is the largest share by which the flow exceeds a budget, or
+    ``caps`` (S,) are what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
+    are optimal if ``overrun`` is 0: it is the largest share by which the flow exceeds a budget, or
     infinite if some q exceeds 1.
     """
 
@@ -70,9 +70,9 @@ class Cut:
     def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
         cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
         self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
-        self.level, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
+        self.caps, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
         over = [b.mean(self.flow) / b.limit - 1.0 for b in budgets if not b.keeps(self.flow)]
-        self.excess = max(over, default=0.0) if self.q.max(initial=0.0) <= 1.0 else np.inf
+        self.overrun = max(over, default=0.0) if self.q.max(initial=0.0) <= 1.0 else np.inf
 
     def solve(self) -> None:
         """Nothing: it is solved."""

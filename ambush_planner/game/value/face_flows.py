@@ -6,7 +6,7 @@
 Column e of A takes x_e from the node tail_e and brings it to the node head_e. With ``highspy`` the
 model stays in HiGHS' memory: columns that join at 0 and costs that change keep the basis feasible,
 so the primal simplex method goes on from it. Without ``highspy``, scipy's linprog solves each
-program from nothing.
+LP from nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _OPTIONS: dict[str, Any] = {
 }
 
 
-class Circulation(NamedTuple):
+class FlowSolution(NamedTuple):
     """x (columns,), the potential (nodes,) of the nodes, 0 at the first, and the cost."""
 
     x: FloatArray
@@ -39,7 +39,7 @@ class Circulation(NamedTuple):
 
 
 class KeptFlows:
-    """The program in HiGHS' memory."""
+    """The LP in HiGHS' memory."""
 
     def __init__(self) -> None:
         import highspy
@@ -84,7 +84,7 @@ class KeptFlows:
         columns = first + np.arange(len(cost), dtype=np.int32)
         self._model.changeColsCost(len(cost), columns, cost)
 
-    def solve(self, deadline: float) -> Circulation:
+    def solve(self, deadline: float) -> FlowSolution:
         """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
         left = _time_left(deadline)
         if np.isfinite(left):  # HiGHS' limit is one for all runs together
@@ -92,15 +92,15 @@ class KeptFlows:
         self._model.run()
         if self._model.getModelStatus() != self._optimal:
             _time_left(deadline)
-            raise SolverFailed('HiGHS ended the program in potentials with the status '
+            raise SolverFailed('HiGHS ended the LP in potentials with the status '
                                f'{self._model.modelStatusToString(self._model.getModelStatus())}')
         found = self._model.getSolution()
-        return _circulation(np.array(found.col_value), np.array(found.row_dual),
+        return _solution(np.array(found.col_value), np.array(found.row_dual),
                             self._model.getInfo().objective_function_value)
 
 
 class RepeatedFlows:
-    """The same program, solved from nothing each time."""
+    """The same LP, solved from nothing each time."""
 
     def __init__(self) -> None:
         self._nodes, self._columns = 0, np.zeros((5, 0))
@@ -121,7 +121,7 @@ class RepeatedFlows:
         """Change the costs of the columns from ``first`` on."""
         self._columns[2, first:] = cost
 
-    def solve(self, deadline: float) -> Circulation:
+    def solve(self, deadline: float) -> FlowSolution:
         """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
         from scipy.optimize import linprog  # takes a seventh of the package's loading time
 
@@ -134,21 +134,21 @@ class RepeatedFlows:
                         options={'time_limit': _time_left(deadline)})
         if found.status != 0:
             _time_left(deadline)
-            raise SolverFailed(f'the program in potentials: {found.message}')
-        return _circulation(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
+            raise SolverFailed(f'the LP in potentials: {found.message}')
+        return _solution(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
 
 
 def new_flows() -> KeptFlows | RepeatedFlows:
-    """An empty program: in HiGHS' memory if ``highspy`` is installed."""
+    """An empty LP: in HiGHS' memory if ``highspy`` is installed."""
     return KeptFlows() if HAS_HIGHSPY else RepeatedFlows()
 
 
-def _circulation(x: FloatArray, potential: FloatArray, cost: float) -> Circulation:
-    return Circulation(x, potential - potential[0], cost)
+def _solution(x: FloatArray, potential: FloatArray, cost: float) -> FlowSolution:
+    return FlowSolution(x, potential - potential[0], cost)
 
 
 def _time_left(deadline: float) -> float:
     left = deadline - time.monotonic()
     if left <= 0.0:
-        raise TimeLimit('the time limit passed before the program in potentials was solved')
+        raise TimeLimit('the time limit passed before the LP in potentials was solved')
     return left

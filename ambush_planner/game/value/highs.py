@@ -27,7 +27,7 @@ TOLERANCE, OF_PRECISION = 1e-9, 2e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class LP:
     """Minimise cost' v with ``inequalities v <= limits``, ``equalities v = rhs`` and v >= 0."""
 
     cost: FloatArray
@@ -37,12 +37,12 @@ class Program:
     rhs: FloatArray
 
 
-def run(program: Program, solver: str, deadline: float, presolve: bool = True,
+def run(lp: LP, solver: str, deadline: float, presolve: bool = True,
         precision: float = OPTIMALITY[0]) -> OptimizeResult:
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
     ``presolve`` is the first choice of the interior point method; without it HiGHS ends in an
-    unknown state less often on flow programs. ``precision`` is the relative gap at which it ends.
+    unknown state less often on flow LPs. ``precision`` is the relative gap at which it ends.
     Returns scipy's result, with status ``OPTIMAL`` or ``INFEASIBLE``; raises TimeLimit or
     SolverFailed.
     """
@@ -55,9 +55,9 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True,
     if np.isfinite(left):
         options['time_limit'] = left
     if solver == 'interior_point':
-        result = _interior_point(program, options, presolve, precision)
+        result = _interior_point(lp, options, presolve, precision)
     else:
-        result = _linprog(program, 'highs-ds', options)
+        result = _linprog(lp, 'highs-ds', options)
     if result.status == LIMIT_REACHED:
         raise TimeLimit(f'{solver}: the time limit passed after {result.nit} iterations')
     if result.status != INFEASIBLE and (result.x is None or result.status != OPTIMAL):
@@ -65,7 +65,7 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True,
     return result
 
 
-def _interior_point(program: Program, options: dict[str, Any], presolve_first: bool,
+def _interior_point(lp: LP, options: dict[str, Any], presolve_first: bool,
                     precision: float) -> OptimizeResult:
     """Run without crossover; if HiGHS ends in an unknown state, try other tolerances.
 
@@ -78,22 +78,22 @@ def _interior_point(program: Program, options: dict[str, Any], presolve_first: b
             if tolerance > max(OPTIMALITY):  # newer versions would call the result's state unknown
                 tried |= dict.fromkeys(('optimality_tolerance', 'primal_residual_tolerance',
                                         'dual_residual_tolerance'), tolerance)
-            result = _linprog(program, 'highs-ipm', options | tried)
+            result = _linprog(lp, 'highs-ipm', options | tried)
             if result.status != NUMERICAL_TROUBLE:
                 return result
     return result
 
 
-def _linprog(program: Program, method: str, options: dict[str, Any]) -> OptimizeResult:
+def _linprog(lp: LP, method: str, options: dict[str, Any]) -> OptimizeResult:
     from scipy.optimize import OptimizeWarning, linprog
 
-    constrained = program.inequalities.shape[0] > 0
+    constrained = lp.inequalities.shape[0] > 0
     with warnings.catch_warnings():
         # scipy does not document run_crossover, but passes it through to HiGHS.
         warnings.simplefilter('ignore', OptimizeWarning)
-        return linprog(program.cost, A_ub=program.inequalities if constrained else None,
-                       b_ub=program.limits if constrained else None, A_eq=program.equalities,
-                       b_eq=program.rhs, method=method, options=options)
+        return linprog(lp.cost, A_ub=lp.inequalities if constrained else None,
+                       b_ub=lp.limits if constrained else None, A_eq=lp.equalities,
+                       b_eq=lp.rhs, method=method, options=options)
 
 
 def _no_crossover() -> bool | str:

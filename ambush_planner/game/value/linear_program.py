@@ -30,15 +30,15 @@ MAX_VISITS = 1e6
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # Range of values that are solved in the unit 1.
 ORDINARY = (1e-2, 1e2)
-# Largest margin of a budget, as a share of its limit, at which no interior point is feasible.
-NO_MARGIN = 1e-9
+# Largest slack of a budget, as a share of its limit, at which no interior point is feasible.
+NO_SLACK = 1e-9
 # Largest residual of A p = b, and the number of corrections to reach it.
 CONSERVED, ATTEMPTS = 1e-13, 10
 
 
 @dataclass(frozen=True, eq=False)
-class LinearProgram(highs.Program):
-    """The program in v = (p, z'), with p on the playable edges ``edge`` (m,), and z' = z / unit.
+class LinearProgram(highs.LP):
+    """The LP in v = (p, z'), with p on the playable edges ``edge`` (m,), and z' = z / unit.
 
     The rows of ``inequalities`` are ``sum p into j - z' unit / alpha_j <= 0`` for each site and,
     if a budget is set, ``l' p <= budget``.
@@ -64,7 +64,7 @@ def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
 
 
 def linear_program(game: Game, length_weight: float, budget: float, unit: float) -> LinearProgram:
-    """Build the program: minimise (1 - w) z + w l' p with D p <= z, A p = b and l' p <= budget.
+    """Build the LP: minimise (1 - w) z + w l' p with D p <= z, A p = b and l' p <= budget.
 
     ``unit`` > 0 is a loss near the value, for numerical precision.
     """
@@ -84,7 +84,7 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
-class ProgramSolution(NamedTuple):
+class LPSolution(NamedTuple):
     """p (M,), the ambusher, the budget that his price belongs to, and the solver's iterations."""
 
     p: FloatArray
@@ -94,10 +94,10 @@ class ProgramSolution(NamedTuple):
 
 
 def linear_program_strategy(game: Game, solver: str, length: Budget, length_weight: float,
-                            deadline: float) -> ProgramSolution:
+                            deadline: float) -> LPSolution:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
-    The budget's row is added only if the solution without it is too long; otherwise the program is
+    The budget's row is added only if the solution without it is too long; otherwise the LP is
     the paper's own. With a length weight, the budget is the solution's own expected length. Raises
     InvalidOption if the game has several ambushers, and BudgetInfeasible, TimeLimit or SolverFailed
     as HiGHS reports.
@@ -106,21 +106,21 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
         raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
         game = _avoiding_all_sites(game, length) or game
-    program = linear_program(game, length_weight, np.inf, _loss_unit(game))
-    result = _run(program, solver, deadline)
+    lp = linear_program(game, length_weight, np.inf, _loss_unit(game))
+    result = _run(lp, solver, deadline)
     lengths = game.network.travel_costs
-    row_added = lengths[program.edge] @ result.x[:-1] > length.limit * (1.0 + BUDGET_TOLERANCE)
+    row_added = lengths[lp.edge] @ result.x[:-1] > length.limit * (1.0 + BUDGET_TOLERANCE)
     if row_added:
-        program, result = _within_budget(game, solver, length, length_weight, deadline)
+        lp, result = _within_budget(game, solver, length, length_weight, deadline)
     p = np.zeros(len(lengths))
-    p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
-    price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
-    q, price = _ambusher(game, program, result, price)
-    if row_added and length_weight == 0.0 and _leaves_no_margin(length):
+    p[lp.edge] = _conserved(lp, np.maximum(result.x[:-1], 0.0))
+    price = length_weight / lp.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
+    q, price = _ambusher(game, lp, result, price)
+    if row_added and length_weight == 0.0 and _leaves_no_slack(length):
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
-    return ProgramSolution(p, Ambusher(q, (price, 0.0)), length if limited else own,
+    return LPSolution(p, Ambusher(q, (price, 0.0)), length if limited else own,
                            int(result.nit))
 
 
@@ -143,33 +143,33 @@ def _loss_unit(game: Game) -> float:
     return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 
 
-def _leaves_no_margin(budget: Budget) -> bool:
+def _leaves_no_slack(budget: Budget) -> bool:
     """Whether only the best routes fit."""
-    return budget.margin <= NO_MARGIN * budget.limit
+    return budget.slack <= NO_SLACK * budget.limit
 
 
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
-    if length_weight == 0.0 and _leaves_no_margin(length):
-        near = game.through(length.excess) <= NO_MARGIN * length.limit
+    if length_weight == 0.0 and _leaves_no_slack(length):
+        near = game.through(length.reduced_cost) <= NO_SLACK * length.limit
         game = game.restricted_to(near) or game
     for _ in range(MAX_UNITS):
-        program = linear_program(game, length_weight, length.limit, unit)
-        result = _run(program, solver, deadline)
+        lp = linear_program(game, length_weight, length.limit, unit)
+        result = _run(lp, solver, deadline)
         value = float(result.x[-1])
         if value > NEAR_UNIT:
             break
         unit *= max(value, NEAR_UNIT**2)
-    return program, result
+    return lp, result
 
 
-def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
+def _conserved(lp: LinearProgram, p: FloatArray) -> FloatArray:
     """Make p satisfy ``A p = b`` to rounding by small relative changes; HiGHS stops near 1e-8."""
-    rows = program.equalities[:, :-1]
+    rows = lp.equalities[:, :-1]
     for _ in range(ATTEMPTS):
-        missing = program.rhs - rows @ p
+        missing = lp.rhs - rows @ p
         if np.abs(missing).max() < CONSERVED:
             break
         weight = np.maximum(p, 1e-12)
@@ -178,31 +178,31 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
     return np.maximum(p, 0.0)
 
 
-def _ambusher(game: Game, program: LinearProgram, result: OptimizeResult,
+def _ambusher(game: Game, lp: LinearProgram, result: OptimizeResult,
               price: float) -> tuple[FloatArray, float]:
     """q (N,) and the price of length, from the duals of the sites' rows."""
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
     # The row of a loss far below the unit never binds: its dual is rounding.
-    duals = np.where(loss * MAX_VISITS > program.unit, duals / loss, 0.0)
+    duals = np.where(loss * MAX_VISITS > lp.unit, duals / loss, 0.0)
     total = float(duals.sum())
     return at_nodes(game, duals), max(price / total, 0.0) if total > 0.0 else 0.0
 
 
 def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> float:
-    """A price of the length at which q (N,) proves more than at the program's.
+    """A price of the length at which q (N,) proves more than at the LP's.
 
     Without a price, routes over edges that are no shortest ones would lower the bound.
     """
-    scale = entry_value(game, shortest_route_strategy(game)) / length.margin
+    scale = entry_value(game, shortest_route_strategy(game)) / length.slack
     prices = [price, *(scale * 10.0**k for k in range(-9, 1))]
     unlimited = replace(length, limit=np.inf, game=game)
     return max(prices, key=lambda each: entry_bound(game, Ambusher(q, (each, 0.0)),
                                                     (length, unlimited)))
 
 
-def _run(program: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
-    result = highs.run(program, solver, deadline)
+def _run(lp: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
+    result = highs.run(lp, solver, deadline)
     if result.status == highs.INFEASIBLE:
         raise BudgetInfeasible(f'{solver}: no strategy fits the length budget; raise max_detour')
     return result

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The linear program over mixtures of known routes.
 
-    minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,   mean excess <= 1,
+    minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,
+                                             mean reduced cost <= 1 (in budget slacks),
                                              the shares are a unit flow through the stops,
 
 each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
@@ -25,9 +26,9 @@ from . import highs
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-# Smallest value, as a share of the largest loss, that the program is scaled to.
+# Smallest value, as a share of the largest loss, that the LP is scaled to.
 MIN_UNIT = 1e-6
-# Uniform floor of all sites' levels, as a share of the value per relative gap.
+# Uniform floor of all sites' caps, as a share of the value per relative gap.
 EVEN = 0.3
 # Share of the value from which on a site's losses are near it.
 NEAR = 0.9
@@ -43,7 +44,7 @@ class Mixture(NamedTuple):
 
 
 class Mixtures:
-    """Routes in groups, each with the sites (S,) that it meets and its excess (B,).
+    """Routes in groups, each with the sites (S,) that it meets and its reduced costs (B,).
 
     Sites have shares of their own for each group: the first, second, ... legs of trips; or there is
     one group of whole routes.
@@ -55,12 +56,12 @@ class Mixtures:
         self.routes: list[IndexArray] = []
         self._met: list[IndexArray] = []
         self._counts: list[FloatArray] = []  # what each of them counts
-        self._excess: list[FloatArray] = []
+        self._reduced_cost: list[FloatArray] = []
         self._group: list[int] = []
         self._between: list[tuple[int, int]] = []
         self._known: set[bytes] = set()
 
-    def add(self, route: IndexArray, met: FloatArray, excess: FloatArray, group: int = 0,
+    def add(self, route: IndexArray, met: FloatArray, reduced_cost: FloatArray, group: int = 0,
             between: tuple[int, int] = (0, 1)) -> bool:
         """Add a route, given by its edges and what each site counts; return whether it is new.
 
@@ -74,7 +75,7 @@ class Mixtures:
         self.routes.append(route)
         self._met.append(np.flatnonzero(met))
         self._counts.append(met[self._met[-1]])
-        self._excess.append(excess)
+        self._reduced_cost.append(reduced_cost)
         self._group.append(group)
         return True
 
@@ -91,7 +92,7 @@ class Mixtures:
             self._counts[k] = np.append(self._counts[k], counts[met])
 
     def among(self, columns: IndexArray) -> Mixtures:
-        """The program over some of the routes, by their numbers."""
+        """The LP over some of the routes, by their numbers."""
         some = Mixtures(self._groups)
         some.loss, some.ambushers, some.limit = self.loss, self.ambushers, self.limit
         some._near = self._near
@@ -99,7 +100,7 @@ class Mixtures:
             some.routes.append(self.routes[k])
             some._met.append(self._met[k])
             some._counts.append(self._counts[k])
-            some._excess.append(self._excess[k])
+            some._reduced_cost.append(self._reduced_cost[k])
             some._group.append(self._group[k])
             some._between.append(self._between[k])
         return some
@@ -111,16 +112,17 @@ class Mixtures:
         weight = np.repeat(shares, list(map(len, self._met[:known]))) * counts
         return self.loss * np.bincount(sites, weight, len(self.loss))
 
-    def level(self, shares: FloatArray, gap: float) -> FloatArray:
-        """Loss (S,) that each site may cause; the k largest add up to the mixture's value.
+    def caps(self, shares: FloatArray, gap: float) -> FloatArray:
+        """Caps (S,): loss that each site may cause; the k largest add up to the mixture's value.
 
-        With several ambushers the mixture may miss a site altogether, which no law can; so all
-        sites may cause a small share of the value alike, which grows with the relative ``gap``.
+        With several ambushers the mixture may miss a site altogether, which no route distribution
+        can; so all sites may cause a small share of the value alike, which grows with the relative
+        ``gap``.
         """
         losses, even = self.losses(shares), EVEN * gap
         largest = np.sort(losses)[-self.ambushers :]
-        level = np.maximum(losses, largest.min(initial=math.inf))
-        return np.asarray((1.0 - even) * level + even * largest.sum() / max(self.ambushers, 1))
+        caps = np.maximum(losses, largest.min(initial=math.inf))
+        return np.asarray((1.0 - even) * caps + even * largest.sum() / max(self.ambushers, 1))
 
     def value(self, shares: FloatArray) -> float:
         """The sum of the k largest losses."""
@@ -131,16 +133,16 @@ class Mixtures:
         routes = self.routes[: len(shares)]
         return sums(np.concatenate(routes), np.repeat(shares, list(map(len, routes))), edges)
 
-    def of_least_excess(self) -> Mixture:
-        """The mixture whose greatest excess is least: that is its value.
+    def of_least_reduced_cost(self) -> Mixture:
+        """The mixture whose greatest reduced cost is least: that is its value.
 
         Its prices are how much each budget counts in it.
         """
-        excess = np.array(self._excess).T
-        rows = np.column_stack((excess, -np.ones(len(excess))))
+        reduced_cost = np.array(self._reduced_cost).T
+        rows = np.column_stack((reduced_cost, -np.ones(len(reduced_cost))))
         cost, each = np.zeros(rows.shape[1]), np.ones((1, rows.shape[1]))
         cost[-1], each[0, -1] = 1.0, 0.0
-        result = _solved(highs.Program(cost, csr_matrix(rows), np.zeros(len(excess)),
+        result = _solved(highs.LP(cost, csr_matrix(rows), np.zeros(len(reduced_cost)),
                                        csr_matrix(each), np.ones(1)), highs.OPTIMALITY[0], math.inf)
         weights = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
         return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
@@ -149,10 +151,10 @@ class Mixtures:
     def solve(self, precision: float, deadline: float = math.inf) -> Mixture:
         """The mixture of least value, to a relative gap of ``precision``.
 
-        A site has a row in the program once its losses have come near the value. Raises TimeLimit
+        A site has a row in the LP once its losses have come near the value. Raises TimeLimit
         at ``deadline`` (``time.monotonic``), or SolverFailed.
         """
-        group, near, level = np.array(self._group), self._near.ravel(), math.inf
+        group, near, cap = np.array(self._group), self._near.ravel(), math.inf
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > MIN_UNIT * most else most
@@ -160,15 +162,15 @@ class Mixtures:
         losses = hit @ shares
         while True:
             largest = np.sort(losses)[-self.ambushers :]
-            if level < math.inf or not near.any():
-                near = near | (losses > min(NEAR * largest.min(initial=math.inf), level))
+            if cap < math.inf or not near.any():
+                near = near | (losses > min(NEAR * largest.min(initial=math.inf), cap))
             result = self._solve_on(hit[near], group, precision, deadline)
-            shares, level = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
+            shares, cap = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
             shares /= np.bincount(group, shares)[group]
             losses = hit @ shares
-            if not (losses > level * (1.0 + precision))[~near].any():
+            if not (losses > cap * (1.0 + precision))[~near].any():
                 break
-        self._near = (losses > NEAR * level).reshape(self._groups, -1)
+        self._near = (losses > NEAR * cap).reshape(self._groups, -1)
         self._unit = float(result.fun) * unit
         duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
         q[near], prices = np.split(duals, [np.count_nonzero(near)])
@@ -184,28 +186,28 @@ class Mixtures:
 
     def _solve_on(self, hit: csr_matrix, group: IndexArray, precision: float,
                   deadline: float) -> OptimizeResult:
-        """Solve the program with the rows (R, C) of some sites."""
+        """Solve the LP with the rows (R, C) of some sites."""
         (rows, count), extra = hit.shape, hit.shape[0] * (self.ambushers > 1)
         limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
                                     -identity(rows, format='csr')[:, :extra]]))
-        excess = csr_matrix(np.array(self._excess).T)
-        excess.resize(excess.shape[0], limits.shape[1])
+        reduced_cost = csr_matrix(np.array(self._reduced_cost).T)
+        reduced_cost.resize(reduced_cost.shape[0], limits.shape[1])
         begin, end = np.array(self._between).T
         stops, inner = end.max(), np.flatnonzero(end < end.max())
         flow = csr_matrix((np.append(np.ones(count), -np.ones(len(inner))),
                            (np.append(begin, end[inner]), np.append(np.arange(count), inner))),
                           (stops, limits.shape[1]))
         cost = np.repeat([0.0, self.ambushers, 1.0], [count, 1, extra])
-        bounds = np.repeat([0.0, self.limit], [rows, excess.shape[0]])
-        return _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, flow,
+        bounds = np.repeat([0.0, self.limit], [rows, reduced_cost.shape[0]])
+        return _solved(highs.LP(cost, csr_matrix(vstack([limits, reduced_cost])), bounds, flow,
                                      np.eye(1, stops)[0]), precision, deadline)
 
 
-def _solved(program: highs.Program, precision: float, deadline: float) -> OptimizeResult:
+def _solved(lp: highs.LP, precision: float, deadline: float) -> OptimizeResult:
     try:
-        result = highs.run(program, 'interior_point', deadline, False, precision)
+        result = highs.run(lp, 'interior_point', deadline, False, precision)
     except SolverFailed:
-        result = highs.run(program, 'simplex', deadline)
+        result = highs.run(lp, 'simplex', deadline)
     if result.x is None:
         raise SolverFailed('no mixture of the known routes is within the budgets')
     return result

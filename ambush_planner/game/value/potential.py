@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least value on a planar two-way network within one budget: a program in face potentials.
+"""The least value on a planar two-way network within one budget: an LP in face potentials.
 
 Every flow of size 1 is the flow of one reference route plus the differences of a potential of the
 faces. Its level lines, driven as routes, meet disc j at most as often as the potential varies on
@@ -22,11 +22,11 @@ from scipy.sparse.csgraph import dijkstra
 from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from ..ambusher import Ambusher, at_nodes, padded
 from ..budget import Budget
+from ..distribution.acyclic import without_cycles
+from ..distribution.chain import conserved_strategy
 from ..faces import Circulation, Faces
 from ..game import Game
 from ..hits import hits_can_differ
-from ..law.acyclic import without_cycles
-from ..law.chain import conserved_strategy
 from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
 
@@ -42,10 +42,10 @@ ENDLESS = 1e6
 
 
 class Potential:
-    """The program, at first with the game's sites; ``solve`` goes on from where it is.
+    """The LP, at first with the game's sites; ``solve`` goes on from where it is.
 
     ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
-    of the budget. ``level`` (S,) is what each site may cause. The search begins at ``first``, or at
+    of the budget. ``caps`` (S,) are what each site may cause. The search begins at ``first``, or at
     half the largest loss if that is less.
     """
 
@@ -56,7 +56,7 @@ class Potential:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
         self._precision = min(max(gap, 2.0 / ENDLESS), PRECISION)  # an endless flow proves no more
         # Pairs of a face and a part of a rim, part by part, and the first pair of each part.
-        self._face, self._site, self._lift, self._part, self._first = (
+        self._face, self._site, self._offset, self._part, self._first = (
             np.zeros(0, dtype=np.int64) for _ in range(5))
         self._parts, self._loss = 0, np.zeros(0)
         self._around = np.zeros(0, dtype=bool)
@@ -77,7 +77,7 @@ class Potential:
         first = np.unique(discs.part[order], return_index=True)[1]
         self._first = np.append(self._first, len(self._face) + first)
         self._face = np.append(self._face, discs.face[order])
-        self._lift = np.append(self._lift, discs.lift[order])
+        self._offset = np.append(self._offset, discs.offset[order])
         self._site = np.append(self._site, discs.disc[order] + len(self._loss))
         self._part = np.append(self._part, discs.part[order] + self._parts)
         self._parts += len(first)
@@ -125,7 +125,7 @@ class Potential:
                         circulation=curves if hits_can_differ(game) else None)
 
     @property
-    def level(self) -> FloatArray:
+    def caps(self) -> FloatArray:
         """Mean loss (S,) that each site may cause."""
         return np.full(len(self._loss), self.bound)
 
@@ -143,8 +143,8 @@ class Potential:
         p = conserved_strategy(self.game, self.faces.flow(self._kept), ROUNDING)
         if p is None:
             return shortest
-        excess = float(p[p > 0.0] @ self.budget.excess[p > 0.0])
-        share = min(self.budget.margin / excess, 1.0) if excess > 0.0 else 1.0
+        used = float(p[p > 0.0] @ self.budget.reduced_cost[p > 0.0])
+        share = min(self.budget.slack / used, 1.0) if used > 0.0 else 1.0
         return without_cycles(self.game.network, share * p + (1.0 - share) * shortest)
 
     def _start_with_links(self) -> None:
@@ -170,8 +170,8 @@ class Potential:
 
     def _heights(self) -> FloatArray:
         """The potential at each pair of a disc and a face, along the rim."""
-        lift = self._lift.astype(np.float64)
-        return lift if self._potential is None else self._potential[self._face] + lift
+        offset = self._offset.astype(np.float64)
+        return offset if self._potential is None else self._potential[self._face] + offset
 
     def _exceeding(self, z: float, height: FloatArray) -> IndexArray:
         """Parts of avoidable sites' rims on which the potential varies by more than their share."""
@@ -210,7 +210,7 @@ class Potential:
         joined, links = self._joined, len(self._real)
         loss = self._loss[self._site[joined]]
         turned = np.where(self._up, -1.0, 1.0)
-        self._flows.change_costs(links, z / loss / 2.0 + turned * self._lift[joined])
+        self._flows.change_costs(links, z / loss / 2.0 + turned * self._offset[joined])
         found = self._flows.solve(self.deadline)
         flow = np.maximum(found.x[links:], 0.0)
         ambush = np.bincount(self._site[joined], flow / 2.0 / loss, len(self._loss))

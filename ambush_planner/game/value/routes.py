@@ -3,10 +3,10 @@
 
 Column generation: the mixture of least value of the known routes gives an ambusher's strategy and
 prices of the budgets (``mixtures``); routes that cost less against these than the mixture's value
-join. They are found leg by leg by Dijkstra's method with every entry charged, except where another
+join. They are found leg by leg by Dijkstra's method with every entry counted, except where another
 leg meets the site; later also from routes of the mixture; last by label searches, which also prove
 bounds (``best_response``). A trip's bound usually comes from its legs, each with its own share of
-every site: a program of its own, over the legs' ways, finds the shares.
+every site: an LP of its own, over the legs' ways, finds the shares.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import BudgetInfeasible, TimeLimit
 from ..ambusher import Ambusher, at_nodes, capped_at_one, on_nodes, padded
 from ..budget import Budget
-from ..certificate.best_response import Grounds
+from ..certificate.best_response import TripNetworks
+from ..distribution.chain import conserved_strategy
 from ..faces import Faces
 from ..game import Game
-from ..law.chain import conserved_strategy
 from ..slack import within
 from .mixtures import Mixture, Mixtures
 
@@ -36,21 +36,21 @@ GAIN = 0.25
 # Legs with which the search for a trip begins in each round, and the routes of the mixture that are
 # improved leg by leg once none is found.
 STARTS, RESTARTS = 4, 8
-# Label searches: labels kept at a node, comparisons, and the share of the largest charge below
+# Label searches: labels kept at a node, comparisons, and the share of the largest dual weight below
 # which sites are left out. Few sites make a search fast, but each that is left out weakens it.
 SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
             (math.inf, 4_000_000, 1e-2))
 # The first of these for the ways of one leg, and its share below which sites are left out.
 LEG_SEARCH, LEG_NEGLIGIBLE = tuple(search[:2] for search in SEARCHES[:3]), 1e-3
-# Minimum distance of places that join at once, as a share of the reach: places near each other
+# Minimum distance of sites that join at once, as a share of the reach: sites near each other
 # hit nearly the same routes.
 APART = 0.25
 # Rounds after which a value is proved although routes still join, then twice as many and so on; and
-# the most rounds of the legs' program.
+# the most rounds of the legs' LP.
 FIRST_PROOF, LEG_ROUNDS = 16, 400
-# Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
+# Largest reduced cost of an edge, in budget slacks, that a mixture can notice; and the flow on an
 # edge that it does not.
-MAX_EXCESS, MIN_FLOW = 1e7, 1e-7
+MAX_REDUCED_COST, MIN_FLOW = 1e7, 1e-7
 
 
 # Is called with the value of a mixture or strategy, and a bound, as they improve.
@@ -92,9 +92,9 @@ class Routes:
         self._progress, self._end = progress, deadline
         self._newest: Mixture | None = None  # of the legs
         binding = [b for b in budgets if b.binds]
-        excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MAX_EXCESS), 0.0)
-                  for b in binding]
-        self.excess = np.reshape(excess, (len(binding), len(game.playable)))
+        shares = [np.minimum(b.reduced_cost / b.slack, MAX_REDUCED_COST) for b in binding]
+        self.reduced_cost = np.reshape([np.where(game.playable, each, 0.0) for each in shares],
+                                       (len(binding), len(game.playable)))
         legs = int(game.network.stops_before[-1]) + 1
         self.mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
@@ -106,8 +106,8 @@ class Routes:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         self.entering = csr_matrix(vstack((self.entering, entering)))
-        grounds = Grounds(self.game, self.entering)
-        self._grounds, self._whole, self._legs = grounds, grounds.whole, grounds.legs
+        networks = TripNetworks(self.game, self.entering)
+        self._networks, self._whole, self._legs = networks, networks.whole, networks.legs
         for mixtures in (self.mixtures, self._of_legs):
             mixtures.add_sites(entering, loss)
         self.loss = self.mixtures.loss
@@ -127,8 +127,8 @@ class Routes:
     @property
     def prices(self) -> FloatArray:
         """His prices of the budgets that bind [loss per unit of cost]."""
-        margins = [b.margin for b in self.budgets if b.binds]
-        return np.asarray(self._prices / np.array(margins))
+        slacks = [b.slack for b in self.budgets if b.binds]
+        return np.asarray(self._prices / np.array(slacks))
 
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
@@ -142,18 +142,18 @@ class Routes:
         return self.mixtures.routes
 
     @property
-    def level(self) -> FloatArray:
+    def caps(self) -> FloatArray:
         """Loss (S,) that each site may cause; the k largest add up to the value."""
-        return self.mixtures.level(self.shares, self.gap)
+        return self.mixtures.caps(self.shares, self.gap)
 
     @property
     def flow(self) -> FloatArray:
         """The mixture as an acyclic strategy (M,) within the budgets."""
         used = self.mixtures.flow(self.shares, len(self.game.playable))
-        over = np.maximum(self.excess @ used - self.mixtures.limit, 0.0)
-        if over.any():  # as far as the program's precision allows
-            inside = self.mixtures.flow(self.mixtures.of_least_excess().shares, len(used))
-            room = np.maximum(self.mixtures.limit - self.excess @ inside, 0.0)[over > 0.0]
+        over = np.maximum(self.reduced_cost @ used - self.mixtures.limit, 0.0)
+        if over.any():  # as far as the LP's precision allows
+            inside = self.mixtures.flow(self.mixtures.of_least_reduced_cost().shares, len(used))
+            room = np.maximum(self.mixtures.limit - self.reduced_cost @ inside, 0.0)[over > 0.0]
             used = inside + float((room / (room + over[over > 0.0])).min()) * (used - inside)
         found = conserved_strategy(self.game, used, MIN_FLOW)
         assert found is not None  # a route has a share of at least one in their number
@@ -203,16 +203,17 @@ class Routes:
     def _begin(self) -> None:
         """Add the best route for each budget, and others until a mixture is within all budgets."""
         free = np.zeros(len(self.loss))
-        for cost in self.excess if len(self.excess) else self.game.network.lengths[None]:
+        costs = self.reduced_cost if len(self.reduced_cost) else self.game.network.lengths[None]
+        for cost in costs:
             self._add(self._whole.shortest(cost, free))
-        if len(self.excess) < 2:
+        if len(self.reduced_cost) < 2:
             self.shares = np.ones(1)
             self.value = self.mixtures.value(self.shares)
             return
-        least = self.mixtures.of_least_excess()
-        while least.value > 1.0 and self._add(self._whole.shortest(least.prices @ self.excess,
-                                                                   free)):
-            least = self.mixtures.of_least_excess()
+        least = self.mixtures.of_least_reduced_cost()
+        while least.value > 1.0 and self._add(
+                self._whole.shortest(least.prices @ self.reduced_cost, free)):
+            least = self.mixtures.of_least_reduced_cost()
         if least.value > 1.0 + ROUNDING:
             names = ' and '.join(b.option for b in self.budgets if b.binds)
             raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
@@ -220,42 +221,43 @@ class Routes:
         self.shares, self.value = least.shares, self.mixtures.value(least.shares)
 
     def _add(self, route: IndexArray) -> bool:
-        return self.mixtures.add(route, self._whole.met(route), self.excess[:, route].sum(axis=1))
+        return self.mixtures.add(route, self._whole.met(route),
+                                 self.reduced_cost[:, route].sum(axis=1))
 
     def _add_responses(self, mixture: Mixture, precision: float, prove: bool) -> int:
         """Add routes that cost less than the value, by the fastest way that finds any."""
         q, prices = self._ambusher(mixture, 0.0)
-        base, charge = prices @ self.excess, q[0] * self.loss
+        base, dual_weights = prices @ self.reduced_cost, q[0] * self.loss
         most = self.value * (1.0 - GAIN * self.gap) + float(prices.sum())
-        for routes in self._responses(mixture, base, charge, precision, prove):
+        for routes in self._responses(mixture, base, dual_weights, precision, prove):
             added = sum(self._add(route) for route in routes
-                        if self._whole.cost(route, base, charge) < most)
+                        if self._whole.cost(route, base, dual_weights) < most)
             if added or self._ended():
                 return added
         return 0
 
-    def _responses(self, mixture: Mixture, base: FloatArray, charge: FloatArray,
+    def _responses(self, mixture: Mixture, base: FloatArray, dual_weights: FloatArray,
                    precision: float, prove: bool) -> Iterator[list[IndexArray]]:
         """Routes that cost little, the fastest way to find them first."""
         legs = len(self.by_leg)
         if self._whole.exact:
             self._search(mixture, (1, 0, 0.0))
         starts = self._rng.permutation(legs)[:STARTS].tolist()
-        yield [self._descend(base, charge, start, self._random_trip()) for start in starts]
+        yield [self._descend(base, dual_weights, start, self._random_trip()) for start in starts]
         if precision == LOOSE or self._whole.exact:
             return
         if legs > 1:
             near = self._rng.choice(len(self.shares), RESTARTS, p=self.shares)
-            yield [self._descend(base, charge, int(self._rng.integers(legs)),
+            yield [self._descend(base, dual_weights, int(self._rng.integers(legs)),
                                  *self._legs_of(self.routes[k])) for k in near]
         for search in SEARCHES if prove else ():
             yield self._search(mixture, search)
 
     def _search(self, mixture: Mixture, search: tuple[float, int, float]) -> list[IndexArray]:
-        """Search the whole ground for the route of least cost, and note the bound."""
+        """Search the whole network for the route of least cost, and note the bound."""
         kept, comparisons, negligible = search
         q, prices = self._ambusher(mixture, negligible)
-        least, route = self._whole.least_cost(prices @ self.excess, q[0] * self.loss,
+        least, route = self._whole.least_cost(prices @ self.reduced_cost, q[0] * self.loss,
                                               ((kept, comparisons),), self.deadline)
         by_leg = np.zeros_like(self.by_leg)
         by_leg[0] = q[0]
@@ -263,7 +265,7 @@ class Routes:
         return [] if route is None else [route]
 
     def _ambusher(self, mixture: Mixture, negligible: float) -> tuple[FloatArray, FloatArray]:
-        """q (groups, S) without small charges, at most 1 at each site, and the prices (B,)."""
+        """q (groups, S) without small dual weights, at most 1 at each site, and the prices (B,)."""
         q = mixture.q
         q = np.where(q * self.loss > negligible * (q * self.loss).max(), q, 0.0)
         # Where the mixture meets fewer sites than there are ambushers, each q is at most 1.
@@ -280,7 +282,7 @@ class Routes:
         if bound > self.bound:
             self.bound, self.by_leg, self._prices = bound, by_leg, prices
 
-    def _descend(self, base: FloatArray, charge: FloatArray, start: int, trip: list[int],
+    def _descend(self, base: FloatArray, dual_weights: FloatArray, start: int, trip: list[int],
                  ways: list[IndexArray] | None = None) -> IndexArray:
         """Improve the legs of a trip one by one, from leg ``start`` on, as long as its cost falls.
 
@@ -296,17 +298,17 @@ class Routes:
                 now: BoolArray = np.any(np.delete(met, leg, axis=0), axis=0)
                 before, free[leg] = free[leg], now
                 if before is None or (now != before).any():
-                    ground = self._legs[trip[leg]].ground
-                    ways[leg] = ground.shortest(base, np.where(now, 0.0, charge))
+                    network = self._legs[trip[leg]].network
+                    ways[leg] = network.shortest(base, np.where(now, 0.0, dual_weights))
                     met[leg] = self._whole.met(ways[leg])
-            cost = base[np.concatenate(ways)].sum() + charge @ met.max(axis=0)
+            cost = base[np.concatenate(ways)].sum() + dual_weights @ met.max(axis=0)
             if cost >= best * (1.0 - ROUNDING):
                 return found
             best, found = cost, np.concatenate(ways)
 
     def _random_trip(self) -> list[int]:
         """Legs that follow each other from the source to the target, in a random order of stops."""
-        return self._grounds.least_trip(lambda k: float(self._rng.random()))[1]
+        return self._networks.least_trip(lambda k: float(self._rng.random()))[1]
 
     def _legs_of(self, route: IndexArray) -> tuple[list[int], list[IndexArray]]:
         """The legs of a route, and its way on each."""
@@ -314,10 +316,10 @@ class Routes:
         leg = network.leg[network.tails[route]]
         ways = np.split(route, np.flatnonzero(np.diff(leg)) + 1)
         ends = [(network.tails[way[0]], network.heads[way[-1]]) for way in ways]
-        return self._grounds.trip(ends), ways
+        return self._networks.trip(ends), ways
 
     def prove_by_legs(self) -> None:
-        """Improve the bound by the program in which each leg has sites of its own."""
+        """Improve the bound by the LP in which each leg has sites of its own."""
         if self.bound > 0.0 and self._ended() or not len(self.loss):
             return
         for route in self.routes:
@@ -331,7 +333,7 @@ class Routes:
             raise
 
     def _solve_legs(self) -> None:
-        """Solve the legs' program in rounds, in which ways join, until its value is proved."""
+        """Solve the legs' LP in rounds, in which ways join, until its value is proved."""
         precision, self._newest = LOOSE, None
         centre: Mixture | None = None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
@@ -354,31 +356,31 @@ class Routes:
                 return
 
     def _add_entering_ways(self, mixture: Mixture) -> int:
-        """Add each leg's way of least cost if every entry is charged."""
+        """Add each leg's way of least cost if every entry is counted."""
         q, prices = self._ambusher(mixture, 0.0)
-        base, charge = prices @ self.excess, q * self.loss
-        return sum(self._add_way(k, leg.ground.shortest(base, charge[leg.number]))
+        base, dual_weights = prices @ self.reduced_cost, q * self.loss
+        return sum(self._add_way(k, leg.network.shortest(base, dual_weights[leg.number]))
                    for k, leg in enumerate(self._legs))
 
     def _proof_by_legs(self, mixture: Mixture) -> int:
         """Note the bound of a mixture's ambusher; return the number of new ways."""
         q, prices = self._ambusher(mixture, LEG_NEGLIGIBLE * (self.game.reach > 0.0))
-        base, charge, added = prices @ self.excess, q * self.loss, 0
+        base, dual_weights, added = prices @ self.reduced_cost, q * self.loss, 0
 
         def cost(k: int) -> float:
             nonlocal added
-            ground, own = self._legs[k].ground, charge[self._legs[k].number]
-            low, way = ground.least_cost(base, own, LEG_SEARCH, self._end)
-            added += self._add_way(k, ground.shortest(base, own) if way is None else way)
+            network, own = self._legs[k].network, dual_weights[self._legs[k].number]
+            low, way = network.least_cost(base, own, LEG_SEARCH, self._end)
+            added += self._add_way(k, network.shortest(base, own) if way is None else way)
             return low
 
-        self._note(self._grounds.least_trip(cost)[0], q, prices)
+        self._note(self._networks.least_trip(cost)[0], q, prices)
         return added
 
     def _add_way(self, leg: int, way: IndexArray) -> bool:
         number, begin, end, _ = self._legs[leg]
-        return self._of_legs.add(way, self._whole.met(way), self.excess[:, way].sum(axis=1), number,
-                                 (begin, end))
+        return self._of_legs.add(way, self._whole.met(way),
+                                 self.reduced_cost[:, way].sum(axis=1), number, (begin, end))
 
 
 class RouteMixture:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The value of an informant who sees whether the convoy passes a place, and tells the ambusher.
 
-A spotter at site i tells the ambusher whether the route comes within reach of i; only then does he
-choose where to wait (docs/theory.md, Proposition 5.7). With the published strategy he causes
+An informant at site i tells the ambusher whether the route comes within reach of i; only then does
+he choose where to wait (docs/theory.md, Proposition 5.7). With the published strategy he causes
 
     max over j of alpha_j P(hit j and i)  +  max over j of alpha_j P(hit j, not i),
 
@@ -17,18 +17,18 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..arrays import ROUNDING, FloatArray, IndexArray
+from .distribution.acyclic import is_acyclic
+from .distribution.chain import MarkovChain, chain_of
 from .hits import largest
-from .law.acyclic import is_acyclic
-from .law.chain import MarkovChain, chain_of
 from .strategy import Strategy
 
-# Largest number of sites that are tried for the spotter; of more, every second, third, ...
+# Largest number of sites that are tried for the informant; of more, every second, third, ...
 MAX_PLACES = 300
 
 
 @dataclass(frozen=True)
-class Spotter:
-    """The worst place (x, y) [m] of a spotter, the mean loss with what he tells, over the value."""
+class Informant:
+    """An informant's worst place (x, y) [m], the mean loss with what he tells, over the value."""
 
     x: float
     y: float
@@ -36,8 +36,8 @@ class Spotter:
     factor: float
 
 
-def worst_spotter(strategy: Strategy) -> Spotter | None:
-    """The worst of up to ``MAX_PLACES`` sites for a spotter.
+def worst_informant(strategy: Strategy) -> Informant | None:
+    """The worst of up to ``MAX_PLACES`` sites for an informant.
 
     None if the value is 0, the strategy has cycles, or he learns nothing anywhere.
     """
@@ -54,7 +54,7 @@ def worst_spotter(strategy: Strategy) -> Spotter | None:
     losses = [_loss(chain, rows, alpha, hits, site, game.ambushers) for site in some.tolist()]
     worst = int(np.argmax(losses))
     x, y = game.network.points[game.sites[some[worst]]].tolist()
-    return Spotter(x, y, losses[worst], losses[worst] / strategy.value)
+    return Informant(x, y, losses[worst], losses[worst] / strategy.value)
 
 
 def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatArray, site: int,

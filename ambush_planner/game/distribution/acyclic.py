@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An acyclic part of the network: an order of the nodes, and the edges that go forward in it.
+"""An acyclic subnetwork: a topological order of nodes, and the edges that go forward in it.
 
-On an acyclic part every strategy's p and x are probabilities and every drawn route is simple. The
-order follows the *harmonic potential*: the voltage if each edge is a resistor in proportion to its
-length, the source is at 0 and the target at 1. The potential of every other node lies between
+On an acyclic subnetwork every strategy's p and x are probabilities and every drawn route is simple.
+The order follows the *harmonic potential*: the voltage if each edge is a resistor in proportion to
+its length, the source is at 0 and the target at 1. The potential of every other node lies between
 those of its neighbours, so on a two-way network every node on a route keeps a forward edge in and
 out, and each road keeps one direction. Where a given strategy has to remain possible, its edges go
 forward, and the potential only orders the nodes that these leave free.
@@ -52,15 +52,15 @@ def order_potential(game: Game) -> FloatArray:
     return potential
 
 
-def rank_by(potential: FloatArray | IndexArray) -> IndexArray:
+def positions_by(potential: FloatArray | IndexArray) -> IndexArray:
     """Position (N,) of each node in the order of the potential."""
-    rank = np.empty(len(potential), dtype=np.int64)
-    rank[np.argsort(potential, kind='stable')] = np.arange(len(potential))
-    return rank
+    position = np.empty(len(potential), dtype=np.int64)
+    position[np.argsort(potential, kind='stable')] = np.arange(len(potential))
+    return position
 
 
-def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
-    """Position (N,) of each node in an order in which the edges of an acyclic p (M,) go forward.
+def topological_order(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
+    """Position (N,) of each node in a topological order for an acyclic p (M,).
 
     The next node is the one of least potential whose predecessors under p are all placed; the
     source is first and the target last.
@@ -69,7 +69,7 @@ def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
     potential = potential.copy()
     potential[network.source] = -np.inf
     # Nodes are numbered in the order of the potential, so the heap holds integers.
-    number = rank_by(potential)
+    number = positions_by(potential)
     tail, head = number[network.edges[p > 0.0]].T
     order = np.argsort(tail, kind='stable')
     first = np.searchsorted(tail[order], np.arange(n + 1)).tolist()
@@ -78,22 +78,22 @@ def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
     waiting[number[network.target]] += 1  # placed only when everything else is
     free = np.flatnonzero(waiting == 0).tolist()  # in order, so a heap
     pending = waiting.tolist()
-    rank = np.full(n, n, dtype=np.int64)
+    position = np.full(n, n, dtype=np.int64)
     place = 0
     while free:
         node = heapq.heappop(free)
-        rank[node] = place
+        position[node] = place
         place += 1
         for follower in heads[first[node] : first[node + 1]]:
             pending[follower] -= 1
             if pending[follower] == 0:
                 heapq.heappush(free, follower)
-    return rank[number]
+    return position[number]
 
 
-def forward_part(game: Game, rank: IndexArray) -> Game | None:
-    """The game on the edges along which ``rank`` (N,) rises; None if it has no route."""
-    return game.restricted_to(rank[game.network.tails] < rank[game.network.heads])
+def acyclic_subnetwork(game: Game, position: IndexArray) -> Game | None:
+    """The game on the edges along which ``position`` (N,) rises; None if it has no route."""
+    return game.restricted_to(position[game.network.tails] < position[game.network.heads])
 
 
 def without_cycles(network: Network, p: FloatArray) -> FloatArray:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of a trip's ground: a label is drawn at the start, and each label has a chain of its own.
+"""A trip's layered graph: a label is drawn at the start, and each has a chain on its own layer.
 
 One Markov chain draws the legs of a trip independently of each other, which can cost more than the
-slack. A label remembers what the legs have to agree on: the chain runs on copies of the ground, one
-around all routes of a mixture, and one within a few edges of each of its best routes. The copies
-are joined at the source and the target, so together they are one acyclic network, with one law of
-greatest entropy (``law.law``).
+slack. A label remembers what the legs have to agree on: the chain runs on layers, each a copy of a
+part of the network, one around all routes of a mixture, and one within a few edges of each of its
+best routes. The layers are joined at the source and the target, so together they are one acyclic
+network, with one route distribution of greatest entropy (``distribution.route_distribution``).
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ import numpy as np
 from scipy.sparse import csr_matrix, hstack
 
 from ..arrays import FloatArray, IndexArray, frozen_array
-from ..network.trip_graph import with_copies
+from ..network.trip_graph import with_layers
+from .distribution.acyclic import order_potential, topological_order
+from .distribution.chain import MarkovChain
+from .distribution.gibbs import AcyclicNetwork
 from .game import Game
-from .law.acyclic import order_potential, rank_around
-from .law.chain import MarkovChain
-from .law.gibbs import AcyclicNetwork
 
 
-class Copies:
-    """Copies around some routes of a trip's game, as one acyclic network.
+class LayeredGraph:
+    """Layers around some routes of a trip's game, as one acyclic network.
 
     Attributes
     ----------
     network : AcyclicNetwork
-        The copies' edges; ``network.edge`` are the trip's edges that they stand for.
+        The layers' edges; ``network.edge`` are the trip's edges that they stand for.
     node : (n,)
-        The trip's node that each copied node stands for, without source and target.
+        The trip's node that each layer's node stands for, without source and target.
     p : (m,)
-        The mixture of the routes, each on its own copy.
+        The mixture of the routes, each on its own layer.
     """
 
-    def __init__(self, game: Game, ground: FloatArray, routes: Sequence[IndexArray],
+    def __init__(self, game: Game, flow: FloatArray, routes: Sequence[IndexArray],
                  shares: FloatArray, width: int) -> None:
-        """One copy around the strategy ``ground`` (M,), and one within ``width`` of each route.
+        """One layer around the strategy ``flow`` (M,), and one within ``width`` of each route.
 
         Routes are given by their edges, ``shares`` (C,) are their probabilities, and the width is
         in edges.
@@ -48,11 +48,11 @@ class Copies:
         network, potential, count = game.network, order_potential(game), 1
         parts, mixture = [], []
         nodes: list[IndexArray] = []
-        for used, share in zip((np.flatnonzero(ground), *routes), (0.0, *shares), strict=True):
-            edge, rank = _part(game, used, potential, width if nodes else None)
+        for used, share in zip((np.flatnonzero(flow), *routes), (0.0, *shares), strict=True):
+            edge, position = _part(game, used, potential, width if nodes else None)
             ends = network.edges[edge]
             own = np.unique(ends)
-            own = own[np.argsort(rank[own])][1:-1]  # all but source and target
+            own = own[np.argsort(position[own])][1:-1]  # all but source and target
             place = np.full(game.node_count, -1)
             place[own], place[network.source] = count + np.arange(len(own)), 0
             count += len(own)
@@ -66,9 +66,9 @@ class Copies:
         self.node, self.p = np.concatenate(nodes), np.concatenate(mixture)[order]
 
     def unrolled(self, chain: MarkovChain) -> tuple[Game, FloatArray]:
-        """The trip's game with the copies' nodes and edges after its own, and a chain's p (M',)."""
+        """The trip's game with the layers' nodes and edges after its own, and a chain's p (M',)."""
         p = np.append(np.zeros(len(self._game.playable)), chain.p)
-        return _on_copies(self._game, self.network, self.node), frozen_array(p, np.float64)
+        return _on_layers(self._game, self.network, self.node), frozen_array(p, np.float64)
 
 
 def _part(game: Game, used: IndexArray, potential: FloatArray,
@@ -80,25 +80,25 @@ def _part(game: Game, used: IndexArray, potential: FloatArray,
     tails, heads = game.network.edges.T
     flow, inside = np.zeros(len(tails)), np.full(game.node_count, width is None)
     flow[used], inside[game.network.edges[used]] = 1.0, True
-    rank = rank_around(game, flow, potential)
+    position = topological_order(game, flow, potential)
     for _ in range(width or 0):
         grown = inside.copy()
         grown[heads[game.playable & inside[tails]]] = True
         grown[tails[game.playable & inside[heads]]] = True
         inside = grown
-    part = game.restricted_to(inside[tails] & inside[heads] & (rank[tails] < rank[heads]))
+    part = game.restricted_to(inside[tails] & inside[heads] & (position[tails] < position[heads]))
     assert part is not None  # it contains the flow
-    return np.flatnonzero(part.playable), rank
+    return np.flatnonzero(part.playable), position
 
 
-def _on_copies(game: Game, copies: AcyclicNetwork, node: IndexArray) -> Game:
-    """The game with the copies' nodes and edges after its own; ``node`` are those copied."""
+def _on_layers(game: Game, layers: AcyclicNetwork, node: IndexArray) -> Game:
+    """The game with the layers' nodes and edges after its own; ``node``: what theirs stand for."""
     network, count = game.network, game.node_count
     of = np.append(np.arange(count), node)
     at = np.concatenate(([network.source], count + np.arange(len(node)), [network.target]))
-    edges = np.column_stack((at[copies.tail], at[copies.head]))
+    edges = np.column_stack((at[layers.tail], at[layers.head]))
     playable = np.append(game.playable, np.ones(len(edges), dtype=bool))
-    return replace(game, network=with_copies(network, node, edges),
+    return replace(game, network=with_layers(network, node, edges),
                    playable=frozen_array(playable, np.bool_),
                    loss=frozen_array(game.loss[of], np.float64),
-                   known_hits=csr_matrix(hstack((game.hits, game.hits[:, copies.edge]))))
+                   known_hits=csr_matrix(hstack((game.hits, game.hits[:, layers.edge]))))

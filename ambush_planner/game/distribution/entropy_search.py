@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search for the multipliers of the Gibbs law: the most unpredictable strategy within limits.
+"""The multipliers of the Gibbs distribution: the most unpredictable strategy within limits.
 
-Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = b + C' v
-has the greatest route entropy less b' p if v >= 0 minimises the convex function
+Among all strategies p on an acyclic network with C p <= 1, the Gibbs distribution with weights
+c = b + C' v has the greatest route entropy less b' p if v >= 0 minimises the convex function
 
     log Z(b + C' v) + sum v,    gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
@@ -52,12 +52,12 @@ class _SearchEnded(Exception):
 class GibbsStrategy:
     """The best evaluation of the search: p (m,) and the multipliers v (R,).
 
-    ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits.
+    ``violation`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits.
     """
 
     p: FloatArray
     multipliers: FloatArray
-    excess: float = np.inf
+    violation: float = np.inf
     infeasible: bool = False
     evaluations: int = 0
 
@@ -72,7 +72,7 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatAr
     ``deadline`` (``time.monotonic``).
     """
     if rows.shape[0] == 0:
-        _, p, _ = network.law(weights)
+        _, p, _ = network.distribution(weights)
         return GibbsStrategy(p, start, 0.0, False, 1)
     search = _DualSearch(network, rows, weights, tolerance, deadline)
     with contextlib.suppress(_SearchEnded):
@@ -100,19 +100,19 @@ class _DualSearch:
         weights = self.weights + self.columns @ v
         if not np.abs(weights).max() < MAX_WEIGHT:  # the line search diverges
             raise _SearchEnded
-        log_z, self.p, self.share = self.network.law(weights)
+        log_z, self.p, self.share = self.network.distribution(weights)
         used, total = self.rows @ self.p, float(v.sum())
-        excess = float(used.max()) - 1.0
+        violation = float(used.max()) - 1.0
         self.count += 1
         value = log_z + total
         # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
         near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
-        reached = excess <= self.tolerance and near
+        reached = violation <= self.tolerance and near
         infeasible = not reached and value < self._least_possible - ROUNDING * (1.0 + total)
         if reached or infeasible or not value > self.least:
             self.least = value
-            self.found = GibbsStrategy(self.p, v.copy(), excess, infeasible, 0)
+            self.found = GibbsStrategy(self.p, v.copy(), violation, infeasible, 0)
         if reached or infeasible or time.monotonic() > self.deadline:
             raise _SearchEnded
         self.gradient = 1.0 - used

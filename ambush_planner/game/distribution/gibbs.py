@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Gibbs law of routes: the strategy of greatest route entropy within given limits.
+"""The Gibbs distribution of routes: the strategy of greatest route entropy within given limits.
 
 On an acyclic network, a weight c_e for every edge e defines the probability of each route:
 
@@ -37,16 +37,16 @@ class AcyclicNetwork:
     def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray) -> None:
         self.tail, self.head, self.edge = tail, head, edge
         self.count = int(head.max()) + 1
-        self._copied = len(np.unique(edge)) < len(edge)
+        self._repeated = len(np.unique(edge)) < len(edge)
         self._first = np.searchsorted(tail, np.arange(self.count + 1))
-        self._level = np.zeros(self.count)
+        self._log_scale = np.zeros(self.count)
         last = self.count - 1
         self.onwards = Recursion(head, tail, self.count)
         self.backwards = Recursion(last - tail, last - head, self.count)
 
     def columns(self, rows: csr_matrix) -> csr_matrix:
         """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
-        if self._copied:
+        if self._repeated:
             return csr_matrix(rows[:, self.edge])
         place = np.full(rows.shape[1], -1)
         place[self.edge] = np.arange(len(self.edge))
@@ -64,7 +64,7 @@ class AcyclicNetwork:
         of_edge = part[np.where(self.tail, self.tail, self.head)]
         return np.asarray(np.unique(of_edge, return_inverse=True)[1], dtype=np.int64)
 
-    def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    def distribution(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
 
         The partition function is scaled by the previous evaluation's; where that overflows, its
@@ -72,7 +72,7 @@ class AcyclicNetwork:
         """
         scaled = self._scaled_partition(weights)
         if scaled is None:
-            self._level = self._log_partition(weights)
+            self._log_scale = self._log_partition(weights)
             scaled = self._exact_choice(weights), np.ones(self.count)
         share, partition = scaled
         share *= partition[self.head]
@@ -80,10 +80,10 @@ class AcyclicNetwork:
             share /= partition[self.tail]
         if not partition.min() > 0.0:
             share[partition[self.tail] <= 0.0] = 0.0
-        self._level = self._level + np.log(np.maximum(partition, 1e-290))
+        self._log_scale = self._log_scale + np.log(np.maximum(partition, 1e-290))
         p = self._forward(share)[self.tail]
         p *= share
-        return float(self._level[0]), p, share
+        return float(self._log_scale[0]), p, share
 
     def covariance(self, share: FloatArray, p: FloatArray, costs: csr_matrix) -> FloatArray:
         """Covariance (K, K) of the costs of a route; the rows of ``costs`` (K, m) add up along it.
@@ -107,11 +107,11 @@ class AcyclicNetwork:
         return covariance
 
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        factor = self._level[self.head]
+        factor = self._log_scale[self.head]
         last = np.zeros(self.count)
         last[-1] = 1.0
         with np.errstate(over='ignore', invalid='ignore'):
-            factor -= self._level[self.tail]
+            factor -= self._log_scale[self.tail]
             factor -= weights
             np.exp(factor, out=factor)
             if not np.isfinite(factor).all():
@@ -121,8 +121,8 @@ class AcyclicNetwork:
         return (factor, partition) if good else None
 
     def _exact_choice(self, weights: FloatArray) -> FloatArray:
-        """Probability (m,) of each edge at its tail when the levels are log Z itself."""
-        choice = np.exp(self._level[self.head] - self._level[self.tail] - weights)
+        """Probability (m,) of each edge at its tail when the scale is log Z itself."""
+        choice = np.exp(self._log_scale[self.head] - self._log_scale[self.tail] - weights)
         return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
 
     def _behind(self, factor: FloatArray, right: FloatArray) -> FloatArray:
@@ -173,10 +173,10 @@ class AcyclicNetwork:
             layers.append((nodes, *_ranges(self._first[nodes], self._first[nodes + 1])))
 
 
-def acyclic_network(network: Network, edge: IndexArray, rank: IndexArray) -> AcyclicNetwork:
-    """The edges with indices ``edge`` (m,), along which ``rank`` (N,) rises."""
+def acyclic_network(network: Network, edge: IndexArray, position: IndexArray) -> AcyclicNetwork:
+    """The edges ``edge`` (m,), with nodes in the topological order ``position`` (N,)."""
     used = np.unique(network.edges[edge])
-    nodes = used[np.argsort(rank[used], kind='stable')]
+    nodes = used[np.argsort(position[used], kind='stable')]
     place = np.full(len(network.points), -1)
     place[nodes] = np.arange(len(nodes))
     tail, head = place[network.edges[edge]].T

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a spotter is worth, against the enumeration of all routes."""
+"""What an informant is worth, against the enumeration of all routes."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, StrategyOptions, solve
-from ambush_planner.game.spotter import worst_spotter
+from ambush_planner.game.informant import worst_informant
 
 
 @examples(25)
@@ -20,7 +20,7 @@ def test_the_worst_place_is_that_of_all_routes(seed, reach, detour, ambushers):
         return
     game = GameOptions(ambush_radius=reach, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
-    near = (reached(network, reach, game.held_radius) if reach else
+    near = (reached(network, reach, game.secured_distance) if reach else
             np.arange(len(network.points))[:, None] == network.heads)
     # The probability of each route, and which nodes hit it.
     p, x = strategy.edge_probability, strategy.visit_probability
@@ -33,7 +33,7 @@ def test_the_worst_place_is_that_of_all_routes(seed, reach, detour, ambushers):
         if 1e-9 < hit[i] @ drawn < 1.0 - 1e-9:
             told = [loss * (hit @ (drawn * part)) for part in (hit[i], 1.0 - hit[i])]
             losses.append(sum(np.sort(each)[-ambushers:].sum() for each in told))
-    found = worst_spotter(strategy)
+    found = worst_informant(strategy)
     if not losses or strategy.value == 0.0:
         assert found is None
         return
@@ -45,8 +45,8 @@ def test_the_worst_place_is_that_of_all_routes(seed, reach, detour, ambushers):
 def test_two_ways_that_are_driven_alike_are_known_to_who_sees_one():
     edges = [(0, 1), (1, 3), (0, 2), (2, 3)]
     network = Network([(0, 0), (1, 1), (1, -1), (2, 0)], [0, 3, 3, 0], edges, 0, 3)
-    found = worst_spotter(solve(network, options=StrategyOptions(risk_slack=0.0)))
+    found = worst_informant(solve(network, options=StrategyOptions(risk_slack=0.0)))
     assert (found.x, abs(found.y)) == (1.0, 1.0)
     assert (found.loss, found.factor) == pytest.approx((3.0, 2.0), rel=1e-4)
     one_way = Network([(0, 0), (1, 1), (2, 0)], [0, 3, 0], [(0, 1), (1, 2)], 0, 2)
-    assert worst_spotter(solve(one_way)) is None
+    assert worst_informant(solve(one_way)) is None

@@ -167,9 +167,9 @@ class MarkovChain:
 
 def chain_of(network: Network, p: FloatArray) -> MarkovChain:
     """The chain of an acyclic strategy p (M,), on the edges that it uses."""
-    rank = order_along(network, p)
-    assert rank is not None  # p is acyclic
-    used = acyclic_network(network, np.flatnonzero(p > 0.0), rank)
+    number = order_along(network, p)
+    assert number is not None  # p is acyclic
+    used = acyclic_network(network, np.flatnonzero(p > 0.0), number)
     return MarkovChain(used, p[used.edge])
 
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law of routes: the most unpredictable strategy whose losses keep to a level.
+"""The route distribution: the most unpredictable strategy whose losses keep to caps.
 
-P(hit) of each site, every route counted once, is a smooth function of the Markov chain. So the law
-of greatest entropy is found by rounds. Each one limits the hits by rows that are exact at the chain
-before (``MarkovChain.hits_with_derivatives``) and finds the Gibbs law of greatest entropy within
-these limits, which after the first round is also drawn towards the chain before: it maximises
+P(hit) of each site, every route counted once, is a smooth function of the Markov chain. So the
+distribution of greatest entropy is found by rounds. Each one limits the hits by rows that are exact
+at the chain before (``MarkovChain.hits_with_derivatives``) and finds the Gibbs distribution of
+greatest entropy within these limits, which after the first round is also drawn towards the chain
+before: it maximises
 
     H(p) + w sum of p ln(share before),    share: the probability of an edge at its tail,
 
@@ -22,15 +23,16 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from ...arrays import FloatArray
-from ..budget import Budget, margin_rows
+from ..budget import Budget, budget_rows
 from ..slack import ceiling, within
 from .chain import MarkovChain
 from .entropy_search import ENTROPY_TOLERANCE, maximize_entropy
 from .gibbs import AcyclicNetwork
 
-# Share of the slack that a law aims at, and its tolerance, unless that of the entropy is less.
+# Share of the slack that a distribution aims at, and its tolerance, unless that of the entropy is
+# less.
 AIM, TOLERANCE = 0.95, 0.04
-# Sites limit their hits if their entries cost at least this share of their level; else entries.
+# Sites limit their hits if their entries cost at least this share of their cap; else entries.
 NEAR = 0.97
 # Weight of the cross entropy to the chain before, relative to the entropy: after the first round,
 # and after SWINGS rounds; and the least share of an edge in it.
@@ -39,11 +41,11 @@ PAST, LATER_PAST, SWINGS, LEAST_SHARE = 0.5, 0.8, 8, 1e-12
 RELAXED = (0.5, 0.75, 0.9)
 
 
-class Law:
+class RouteDistribution:
     """Rounds on one acyclic network, from a first strategy p (m,).
 
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
-    ``level`` (S,) is what each site may cause; the k largest add up to the limit of the value.
+    ``caps`` (S,) are what each site may cause; the k largest add up to the limit of the value.
     Rounds aim at the share ``aim`` of the slack.
     ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
     and budgets.
@@ -57,11 +59,11 @@ class Law:
         self.deadline, self._k, self._aim = deadline, ambushers, aim
         self._tolerance = min(TOLERANCE * slack, ENTROPY_TOLERANCE)
         binding = [b for b in budgets if b.binds]
-        # A law may exceed its limits by the tolerance, but not a budget.
-        self._margin = np.array([b.margin * (1.0 - self._tolerance) for b in binding])
-        self._excess = margin_rows(binding, network.edge) / (1.0 - self._tolerance)
+        # A distribution may exceed its limits by the tolerance, but not a budget.
+        self._budget_slack = np.array([b.slack * (1.0 - self._tolerance) for b in binding])
+        self._budget_rows = budget_rows(binding, network.edge) / (1.0 - self._tolerance)
         self._entering = csr_matrix((0, len(p)))
-        self._loss, self.level = np.zeros(0), np.zeros(0)
+        self._loss, self.caps = np.zeros(0), np.zeros(0)
         self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
         self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
 
@@ -71,23 +73,23 @@ class Law:
         self._loss = np.append(self._loss, loss)
         self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
-    def start_from(self, sites: FloatArray, budgets: FloatArray, level: FloatArray) -> None:
+    def start_from(self, sites: FloatArray, budgets: FloatArray, caps: FloatArray) -> None:
         """Begin with the multipliers per hit of the first sites (K,) and per unit of cost."""
         first = slice(len(sites))
-        self.multipliers[first] = sites * level[first] / self._loss[first]
-        self.prices = budgets * self._margin
+        self.multipliers[first] = sites * caps[first] / self._loss[first]
+        self.prices = budgets * self._budget_slack
 
     def unscaled_multipliers(self) -> tuple[FloatArray, FloatArray]:
         """The multipliers per hit of each site (S,), and per unit of each budget's cost."""
-        known = len(self.level)
-        most = np.maximum(self.level / self._loss[:known], np.finfo(float).tiny)
+        known = len(self.caps)
+        most = np.maximum(self.caps / self._loss[:known], np.finfo(float).tiny)
         return (np.append(self.multipliers[:known] / most, self.multipliers[known:]),
-                self.prices / self._margin)
+                self.prices / self._budget_slack)
 
-    def measure(self, level: FloatArray) -> None:
-        """Find the value of p, and rows that are exact at p, for a new ``level`` (S,)."""
-        self.level, limit = level, level / self._loss
-        self._level_value = self._sum_of_largest(level)
+    def measure(self, caps: FloatArray) -> None:
+        """Find the value of p, and rows that are exact at p, for new ``caps`` (S,)."""
+        self.caps, limit = caps, caps / self._loss
+        self._capped_value = self._sum_of_largest(caps)
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
         hits = self._most_hits(self.chain)
@@ -108,22 +110,22 @@ class Law:
 
     @property
     def limit(self) -> float:
-        """Value at which the law is within the slack."""
-        return ceiling(self._level_value, self.slack)
+        """Value at which the distribution is within the slack."""
+        return ceiling(self._capped_value, self.slack)
 
     @property
     def good(self) -> bool:
-        """Whether the value is within the slack of the level's."""
-        return within(self.value, self._level_value, self.slack)
+        """Whether the value is within the slack of the caps'."""
+        return within(self.value, self._capped_value, self.slack)
 
     def round(self) -> bool:
-        """The law of greatest entropy, near the one before, within rows that are exact at p.
+        """The distribution of greatest entropy, near the one before, within rows exact at p.
 
-        Returns False if no law is within the rows.
+        Returns False if no distribution is within the rows.
         """
-        near, most = self._near, self.level * ceiling(1.0, self._aim * self.slack) / self._loss
+        near, most = self._near, self.caps * ceiling(1.0, self._aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
-        if not most[sites].all():  # a program that proved nothing allows no hits
+        if not most[sites].all():  # an LP that proved nothing allows no hits
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
         later = 0.0 if self.exact or not self.rounds else (
@@ -131,7 +133,7 @@ class Law:
         past = -later * np.log(np.maximum(self.chain.share, LEAST_SHARE))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         for kept in self._limits(most[sites]):
-            limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._excess)))
+            limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._budget_rows)))
             found = maximize_entropy(self.network, limits, past, start, self._tolerance,
                                      self.deadline)
             self.evaluations += found.evaluations
@@ -143,9 +145,9 @@ class Law:
         multipliers = found.multipliers / (1.0 - later)
         self.multipliers, self.prices = np.zeros(len(self._loss)), multipliers[len(sites) :]
         self.multipliers[sites] = multipliers[: len(sites)]
-        whole = np.append(self.level[sites] * ceiling(1.0, self.slack) / self._loss[sites] / kept,
+        whole = np.append(self.caps[sites] * ceiling(1.0, self.slack) / self._loss[sites] / kept,
                           np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
-        log_z = self.network.law(limits.T @ multipliers)[0]
+        log_z = self.network.distribution(limits.T @ multipliers)[0]
         self.entropy_bound = log_z + float(whole @ multipliers)
         self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law's entropy against Clarabel's optimum, its limits, and what it may use."""
+"""The distribution's entropy against Clarabel's optimum, its limits, and what it may use."""
 
 import math
 
@@ -20,10 +20,10 @@ from route_entropy import most_route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, StrategyOptions, solve
+from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.game.hits import hits_can_differ
-from ambush_planner.game.law.chain import chain_of
 
-# What the law may exceed its limits by, as a share of them and of a budget's margin.
+# What the distribution may exceed its limits by, as a share of them and of a budget's slack.
 TOLERANCE = 4e-4
 DETOURS = (1.05, 1.2, 1.5, np.inf)
 
@@ -32,7 +32,7 @@ def greatest_entropy(strategy, value: float, margin: float) -> float:
     """Clarabel's entropy on the strategy's own edges; NaN if it does not find one.
 
     Losses up to ``value``, by rows that are exact for the strategy itself; lengths up to this share
-    of the budget's margin.
+    of the budget's slack.
     """
     game, network = strategy.game, strategy.network
     edges, rows = np.flatnonzero(strategy.edge_probability > 0.0), game.hits
@@ -53,7 +53,7 @@ def greatest_entropy(strategy, value: float, margin: float) -> float:
 def check_entropy(strategy, missing: float) -> None:
     """At most ``missing`` of the optimum at the strategy's own value is missing, and never less.
 
-    The optimum may use as much less of the limits as a law may exceed them by.
+    The optimum may use as much less of the limits as a distribution may exceed them by.
     """
     most = greatest_entropy(strategy, strategy.value * (1.0 + 1e-9), 1.0)
     if not math.isnan(most) and not hits_can_differ(strategy.game):
@@ -103,7 +103,7 @@ def test_the_papers_example():
 
 @pytest.mark.parametrize(('reach', 'detour'), [(0.0, 1.05), (2.0, 1.2), (0.0, np.inf)])
 def test_more_slack_buys_more_entropy(reach, detour):
-    """Also much of it: a law may not exceed the budget by a share of the slack."""
+    """Also much of it: a distribution may not exceed the budget by a share of the slack."""
     network = terrain_network(5, cells=14)
     entropies = [solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
         max_detour=detour, risk_slack=slack)).route_entropy

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law on labelled copies of a trip's ground."""
+"""The route distribution on a trip's layered graph."""
 
 import math
 
@@ -17,24 +17,25 @@ from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_lo
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Problem, Search
 from ambush_planner.game.strategy import make_budgets, solve
-from ambush_planner.game.trip_search import law_on_copies
+from ambush_planner.game.trip_search import distribution_on_layers
 from ambush_planner.game.value.routes import Routes
 
 SLACK = 0.02
 
 
-def law_around(game, budgets, routes):
-    """The law on copies around the routes of a program."""
-    return law_on_copies(Search(Problem(game, budgets, SLACK, math.inf), routes, SLACK), routes)
+def distribution_around(game, budgets, routes):
+    """The distribution on layers around the routes of an LP."""
+    search = Search(Problem(game, budgets, SLACK, math.inf), routes, SLACK)
+    return distribution_on_layers(search, routes)
 
 
 def solved(seed, reach, detour, ambushers=1):
-    """A trip's game, its budgets, its routes, and the law on copies around some of them."""
+    """A trip's game, its budgets, its routes, and the distribution on layers around some."""
     game, budgets = games(seed, 1, reach, detour, math.inf, ambushers)
     routes = Routes(game, budgets, 0.3 * SLACK, math.inf)
     routes.solve()
     assume(routes.bound > 0.0)  # else nothing can be lost
-    found = law_around(game, budgets, routes)
+    found = distribution_around(game, budgets, routes)
     assume(found is not None)  # rounding where the budget just fits
     return game, budgets, routes, found
 
@@ -55,7 +56,7 @@ def hit_loss(game, p, row):
 def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour,
                                                                       ambushers):
     game, budgets, routes, found = solved(seed, reach, detour, ambushers)
-    unrolled, p = found.copies.unrolled(found.chain)
+    unrolled, p = found.layers.unrolled(found.chain)
     network, base, edge = unrolled.network, game.network, edges_of(game, found)
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
     count = len(base.points)
@@ -85,7 +86,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0]))
 def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     game, _, routes, found = solved(seed, reach, 1.3)
-    unrolled, p = found.copies.unrolled(found.chain)
+    unrolled, p = found.layers.unrolled(found.chain)
     network, edge = unrolled.network, edges_of(game, found)
     chance: dict[bytes, float] = {}
     labelled = 0.0
@@ -117,16 +118,16 @@ def test_legs_that_have_to_agree():
     routes = Routes(game, budgets, 1e-3, math.inf)
     routes.solve()
     assert routes.value == pytest.approx(0.5, rel=1e-2)
-    found = law_around(game, budgets, routes)
+    found = distribution_around(game, budgets, routes)
     assert found.value <= 0.5 * (1.0 + 1.5 * SLACK)
-    unrolled, p = found.copies.unrolled(found.chain)
+    unrolled, p = found.layers.unrolled(found.chain)
     assert worst_loss(unrolled, p) == pytest.approx(found.value)
     assert route_entropy(unrolled.network, p) <= math.log(4.0)
 
 
-def test_pictures_show_a_stretch_once_with_the_probability_of_all_its_copies():
+def test_pictures_show_a_stretch_once_with_the_probability_of_all_its_layers():
     strategy = solve(_bridges(), GameOptions(secured_radius=0.0))
-    assert len(strategy.edge_probability) > 8, 'it lives on copies'
+    assert len(strategy.edge_probability) > 8, 'it lives on layers'
     shown = strategy.shown_probability
     np.testing.assert_allclose(shown[:8], 0.5, atol=0.02)
     assert not shown[8:].any()

@@ -20,7 +20,7 @@ from ..network.network import Network
 from .few_routes import FewRoutes
 
 
-def few_law(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[IndexArray]]:
+def few_strategy(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[IndexArray]]:
     """The strategy on a network with a copy of its nodes for each route, and the routes there.
 
     Value and bound are those of the mixture, and the ambusher waits where it is hit hardest.
@@ -42,8 +42,8 @@ def few_law(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[IndexArr
     budgets = (replace(Budget.length(game, math.inf), least=strategy.shortest_length),
                replace(Budget.exposure(game, math.inf), least=strategy.least_exposure))
     ambusher = Ambusher(_at_worst(network, game.loss, few.worst_xy), (0.0, 0.0))
-    law = strategy_of(game, p, ambusher, budgets, 0.0)
-    return replace(law, certificate=Certificate(few.value, few.lower_bound)), routes
+    mixed = strategy_of(game, p, ambusher, budgets, 0.0)
+    return replace(mixed, certificate=Certificate(few.value, few.lower_bound)), routes
 
 
 def _at_worst(network: Network, loss: FloatArray, worst: FloatArray) -> FloatArray:
