@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a plan publishes, against ambushers anywhere in free ground and against all other routes.
 
-Geometry, hits and programs share no code with the package (games.py).
+Geometry, hits and LPs share no code with the package (games.py).
 """
 
 from functools import cache

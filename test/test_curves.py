@@ -30,15 +30,15 @@ from ambush_planner.game.value.potential import Potential
 
 
 def proof(game, detour):
-    """The ambusher whom the program in potentials finds, the budgets, and the program's bound."""
+    """The ambusher whom the LP in potentials finds, the budgets, and the LP's bound."""
     budget = Budget.length(game, detour)
-    program = Potential(make_faces(game), budget, 1e-3, math.inf)
-    program.solve()
-    curves, prices = program.circulation, tuple(program.prices) or (0.0,)
+    lp = Potential(make_faces(game), budget, 1e-3, math.inf)
+    lp.solve()
+    curves, prices = lp.circulation, tuple(lp.prices) or (0.0,)
     if curves is not None:
         curves = replace(curves, site=game.sites[curves.site])
-    ambusher = Ambusher(at_nodes(game, program.q), prices, circulation=curves)
-    return ambusher, (budget,), program.bound
+    ambusher = Ambusher(at_nodes(game, lp.q), prices, circulation=curves)
+    return ambusher, (budget,), lp.bound
 
 
 class Case:

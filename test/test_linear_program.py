@@ -106,7 +106,7 @@ def test_the_interior_point_method_finds_the_shortest_routes(seed):
 
 
 @pytest.mark.parametrize('solver', LINEAR)
-def test_a_program_without_time_or_without_an_optimum_is_an_error_by_name(solver):
+def test_an_lp_without_time_or_without_an_optimum_is_an_error_by_name(solver):
     nothing, empty = np.empty(0), csr_matrix((0, 1))
     endless = LP(np.array([-1.0]), empty, nothing, empty, nothing)
     with pytest.raises(TimeLimit, match=f'{solver}: the time limit passed'):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trips with less aboard on later legs: a program over all trips, and what is refused."""
+"""Trips with less aboard on later legs: an LP over all trips, and what is refused."""
 
 import itertools
 from dataclasses import replace
@@ -50,7 +50,7 @@ def value_of_all_trips(game, loads):
 
 @examples(8)
 @given(seed=st.integers(0, 10**6), stops=st.integers(1, 2), reach=st.sampled_from([0.0, 1.0]))
-def test_the_value_agrees_with_a_program_over_all_trips(seed, stops, reach):
+def test_the_value_agrees_with_an_lp_over_all_trips(seed, stops, reach):
     roads, loads = roads_of(seed, stops, 4), LOADS[: stops + 1]
     network = roads.network(roads.visits)
     found = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5, loads=loads),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program in face potentials: against linear programs, in parts, and its flows.
+"""The LP in face potentials: against linear programs, in parts, and its flows.
 
 Its value is compared with that of all mixtures of routes in test_reach.
 """
@@ -210,7 +210,7 @@ print('last')
 
 
 @WITH_HIGHSPY
-def test_programs_in_threads_leave_the_standard_output_alone():
+def test_lps_in_threads_leave_the_standard_output_alone():
     done = subprocess.run([sys.executable, '-c', PRINTS], capture_output=True, text=True,
                           timeout=60, check=True)
     assert done.stdout.split() == [*map(str, range(50)), 'last']

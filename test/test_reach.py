@@ -36,7 +36,7 @@ EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 def test_value_and_bound_enclose_the_value_over_all_routes(
     ambushers, seed, reach, secured, detour, inside
 ):
-    """And the bound is that value, up to the program's precision."""
+    """And the bound is that value, up to the LP's precision."""
     network = planar_network(seed, inside)
     routes = routes_of(network)
     assume(0 < len(routes) <= 1000)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program over whole routes, against linear programs over all routes of small networks."""
+"""The LP over whole routes, against linear programs over all routes of small networks."""
 
 import math
 from dataclasses import replace

@@ -89,7 +89,7 @@ def check_bound(strategy) -> None:
     weights = (strategy.ambush_probability * network.alpha)[network.heads]
     least = least_weight(network, weights + price * network.lengths)
     bound = least - (price * strategy.length_budget if price else 0.0)
-    # Ties of shortest routes are rounding: a budget without margin counts as a little more.
+    # Ties of shortest routes are rounding: a budget without slack counts as a little more.
     room = 1e-9 * price * strategy.shortest_length
     assert strategy.lower_bound <= bound + 1e-9 * max(strategy.value, least) + room
     assert price >= 0.0

@@ -62,7 +62,7 @@ def check_laws(strategy, visits):
     """Conservation, stops in their order, one value over all legs."""
     network, p = strategy.network, strategy.edge_probability
     assert unbalanced(network, p) < 1e-9
-    node = network.places * network.legs + network.leg  # copies of a stop share its visits
+    node = network.places * network.legs + network.leg  # nodes of a stop share its visits
     visited = np.bincount(node, strategy.visit_probability)
     assert np.allclose(visited[node[network.stops]], 1.0)
     rng = np.random.default_rng(0)
@@ -150,11 +150,11 @@ def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order
     assert np.array_equal(again.edges, other.network.edges[: len(again.edges)])
 
 
-def test_a_site_that_two_legs_pass_is_charged_once_in_every_order():
+def test_a_site_that_two_legs_pass_counts_once_in_every_order():
     """All routes of the best order pass one site twice, with a loss of 2.
 
     Those of the other order pass it once, and one of 4 unless they take a way as long as the budget
-    allows for a quarter of them. Charged for each entry, the best order would cost 4.
+    allows for a quarter of them. If each entry counted, the best order would cost 4.
     """
     points = np.array([(5, 25), (35, 45), (35, 5), (35, 25), (20, 15), (45, 25)]) + 0.5
     start, first, second, crossing, bridge, goal = range(6)
@@ -305,9 +305,9 @@ def test_bound_and_value_enclose_that_of_all_mixtures_of_trips(seed, reach, deto
     assert strategy.value >= all_trips * (1.0 - 1e-6) - 1e-9
     # All of the trip's budget for one leg, the others on their shortest ways.
     for leg in legs_of(strategy.game):
-        margin = strategy.length_budget - strategy.shortest_length
+        slack = strategy.length_budget - strategy.shortest_length
         shortest = least_weight(leg.network, leg.network.lengths)
-        alone = value_of_all_routes(leg, leg.network, shortest + margin)
+        alone = value_of_all_routes(leg, leg.network, shortest + slack)
         assert strategy.value >= alone * (1.0 - 1e-6) - 1e-9
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Tables of a plan that also hold for few of its routes.
-_GROUND = ('places', 'secured_area', 'forbidden')
+_ALSO = ('places', 'secured_area', 'forbidden')
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +44,8 @@ class FewDrawn(Drawn):
     def tables(self) -> Mapping[str, Any]:
         """A layer for each route, then secured area and forbidden ground."""
         layers = {f'route_{k + 1}': self.routes.iloc[[k]] for k in range(len(self.paths))}
-        ground = strategy_tables(self.strategy, self.risk_map)
-        return {**layers, **{name: ground[name] for name in _GROUND if name in ground}}
+        tables = strategy_tables(self.strategy, self.risk_map)
+        return {**layers, **{name: tables[name] for name in _ALSO if name in tables}}
 
     def picture(self) -> Figure:
         """An overview with the curve of values, and up to six panels of a route each."""

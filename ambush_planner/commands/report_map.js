@@ -74,7 +74,7 @@ class View {
     return picture;
   }
 
-  // Stretches in use by how likely they are, copies as one: a path, colour and width for each class.
+  // Stretches in use by how likely they are, layers as one: a path, colour and width for each class.
   #stretches() {
     const { points, edges, shown } = this.data;
     const most = shown.reduce((a, b) => Math.max(a, b), 2 * LEAST);

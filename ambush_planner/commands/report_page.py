@@ -130,7 +130,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
         waits='' if strategy.value > 0.0 else 'hidden',
         secured=distance(data['secured']), ends=words.ends(strategy),
         holds='' if data['secured'] > 0.0 else 'hidden',
-        spotted='hidden' if section.informant is None else '',
+        informs='hidden' if section.informant is None else '',
         north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),

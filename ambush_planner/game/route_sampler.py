@@ -130,26 +130,26 @@ def route_entropy(network: Network, p: FloatArray) -> float:
     """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats].
 
     If several layers of a trip's graph can draw the same route of places, a lower bound: the
-    entropy of copy and route exceeds that of the route by the entropy of the copy given the route,
-    which is at most that given the edges by which the route comes to a stop or leaves it.
+    entropy of layer and route exceeds that of the route by the entropy of the layer given the
+    route, which is at most that given the edges by which the route comes to a stop or leaves it.
     """
     leaving = sums(network.tails, p, len(network.points))
-    with_copy = entropy(p, leaving[network.tails])
+    with_layer = entropy(p, leaving[network.tails])
     used = np.flatnonzero(p > 0.0)
     edge, node = network.first_edge[used], network.places * network.legs + network.leg
     if len(np.unique(edge)) == len(used):
-        return with_copy
+        return with_layer
     tails, heads = node[network.edges[used]].T
     begins = np.unique(heads[network.leg[network.tails[used]] < network.leg[network.heads[used]]])
-    copy = []
+    layer = []
     stops = [begins[begins // network.legs == place]
              for place in np.unique(begins // network.legs)]
     for end in node[[network.source, network.target]], *stops:
         for at in np.flatnonzero(np.isin(tails, end)), np.flatnonzero(np.isin(heads, end)):
             if len(at):
                 shared = sums(edge[at], p[used[at]], len(p))[edge[at]]
-                copy.append(entropy(p[used[at]], shared))
-    return max(with_copy - min(copy), 0.0)
+                layer.append(entropy(p[used[at]], shared))
+    return max(with_layer - min(layer), 0.0)
 
 
 def entropy(p: FloatArray, whole: FloatArray) -> float:

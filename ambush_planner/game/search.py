@@ -108,7 +108,7 @@ class Multipliers:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class SearchProblem:
     """A game, its budgets, and how far and how long to search.
 
     The search ends at ``deadline`` and the judge at ``judged`` (``time.monotonic``). ``progress``
@@ -183,7 +183,7 @@ class Search:
     why the LP ended last, ``evaluations`` how many Gibbs distributions were computed.
     """
 
-    def __init__(self, problem: Problem, lp: ValueLP, slack: float) -> None:
+    def __init__(self, problem: SearchProblem, lp: ValueLP, slack: float) -> None:
         self.problem, self.lp, self.slack = problem, lp, slack
         self.game = game = problem.game
         self.points, self.loss = game.network.points[game.sites], game.loss[game.sites]

@@ -19,7 +19,7 @@ from .chain_search import find_chain, find_flow
 from .faces import make_faces
 from .game import Game
 from .hits import hits_can_differ
-from .search import Problem, Search, Solution, ValueLP
+from .search import Search, SearchProblem, Solution, ValueLP
 from .slack import MIN_SLACK, within
 from .trip_search import find_mixture, find_trip
 from .value.cut import Cut
@@ -35,7 +35,7 @@ MAX_OVERRUN = 0.07
 FIRST_CAP = 2.0
 
 
-def most_unpredictable(problem: Problem) -> Solution:
+def most_unpredictable(problem: SearchProblem) -> Solution:
     """Find value and route distribution; at the deadline, the best strategy so far is returned.
 
     Raises BudgetInfeasible if no strategy is within all budgets.
@@ -58,7 +58,7 @@ def most_unpredictable(problem: Problem) -> Solution:
     return best
 
 
-def find_value(problem: Problem) -> Search:
+def find_value(problem: SearchProblem) -> Search:
     """Find the least value within the budgets, and an ambusher who nearly proves it."""
     slack = max(problem.slack, MIN_SLACK)
     if problem.game.network.legs > 1:
@@ -88,7 +88,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
 
     On trips it is what separate legs prove. None if the deadline passes before.
     """
-    problem = Problem(game, budgets, gap, deadline)
+    problem = SearchProblem(game, budgets, gap, deadline)
     try:
         if game.network.legs > 1:
             routes = _routes(problem, gap)
@@ -104,7 +104,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
     return lp.bound
 
 
-def _value_lps(problem: Problem, slack: float) -> Iterator[ValueLP]:
+def _value_lps(problem: SearchProblem, slack: float) -> Iterator[ValueLP]:
     """The LP without budgets if its flow nearly keeps them, then the one within them."""
     cut = _cut_of(problem)
     if cut and cut.overrun <= MAX_OVERRUN:
@@ -112,12 +112,12 @@ def _value_lps(problem: Problem, slack: float) -> Iterator[ValueLP]:
     yield _within_budgets(problem, slack, cut)
 
 
-def _cut_of(problem: Problem) -> Cut | None:
+def _cut_of(problem: SearchProblem) -> Cut | None:
     """The value without budgets, if a cut finds it."""
     return None if hits_can_differ(problem.game) else Cut(problem.game, _binding(problem))
 
 
-def _within_budgets(problem: Problem, slack: float, cut: Cut | None) -> Potential | Routes:
+def _within_budgets(problem: SearchProblem, slack: float, cut: Cut | None) -> Potential | Routes:
     """The fastest LP that finds the value within budgets, perhaps from that without."""
     game, binding = problem.game, _binding(problem)
     if game.ambushers == 1 and len(binding) <= 1:
@@ -128,10 +128,10 @@ def _within_budgets(problem: Problem, slack: float, cut: Cut | None) -> Potentia
     return _routes(problem, slack)
 
 
-def _routes(problem: Problem, slack: float) -> Routes:
+def _routes(problem: SearchProblem, slack: float) -> Routes:
     return Routes(problem.game, _binding(problem), ROUTES_GAP * slack, problem.deadline,
                   problem.progress)
 
 
-def _binding(problem: Problem) -> tuple[Budget, ...]:
+def _binding(problem: SearchProblem) -> tuple[Budget, ...]:
     return tuple(b for b in problem.budgets if b.binds)

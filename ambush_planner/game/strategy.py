@@ -23,7 +23,7 @@ from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .search import Multipliers, Problem, Search, SiteSearch, Solution
+from .search import Multipliers, Search, SearchProblem, SiteSearch, Solution
 from .slack import CERTIFICATE_TOLERANCE, Reason, within
 from .solver import find_distribution, most_unpredictable
 from .value.linear_program import linear_program_strategy
@@ -276,8 +276,8 @@ class Strategy(Shown):
         """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.
 
         It is the mean of the unit vectors along the edges out of the node, weighted by p (the right
-        column of the paper's figure 3); its length is 1 if the next step is certain. Copies of
-        a node count at the first of them.
+        column of the paper's figure 3); its length is 1 if the next step is certain. The nodes
+        of all layers for a place count at the first of them.
         """
         network, p = self.network, self.shown_probability
         step = network.points[network.heads] - network.points[network.tails]
@@ -366,12 +366,13 @@ def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | N
 
 
 def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-                 warm: Multipliers | None = None, progress: Progress = no_progress) -> Problem:
+                 warm: Multipliers | None = None,
+                 progress: Progress = no_progress) -> SearchProblem:
     """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
     _check_losses(game.network)
     deadline, judged = _search_ends(time.monotonic() + options.time_limit, options)
-    return Problem(game, make_budgets(game, options), options.risk_slack, deadline, site_search,
-                   warm, progress, judged)
+    return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
+                         site_search, warm, progress, judged)
 
 
 def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:

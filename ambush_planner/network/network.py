@@ -149,7 +149,7 @@ class Network(Shown):
 
     @cached_property
     def first_edge(self) -> IndexArray:
-        """The first edge (M,) between the same places on the same legs; copies follow it."""
+        """The first edge (M,) between the same places on the same legs; other layers follow."""
         node = self.places * self.legs + self.leg
         ends = node[self.tails] * (node.max() + 1) + node[self.heads]
         _, first, which = np.unique(ends, return_index=True, return_inverse=True)

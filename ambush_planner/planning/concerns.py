@@ -149,9 +149,9 @@ def _secured_area(plan: Plan) -> str:
         return (f'{place}: an ambush there always succeeds and costs {plan.strategy.value:.4g}; '
                 f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
     if hold and asked is not None and game.reach > 0.0:
-        return (f'an ambush reaches {distance(game.reach)}, tube included, but ground is held '
-                f'only within {distance(asked)} of start and goal: an ambush just outside may hit '
-                f'every route; hold {distance(enough)} (game.secured_radius -1)')
+        return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
+                f'{distance(asked)} around start and goal are secured: an ambush just outside may '
+                f'hit every route; hold {distance(enough)} (game.secured_radius -1)')
     if not bottleneck.near_ends:
         return ''
     return (

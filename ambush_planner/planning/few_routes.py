@@ -5,7 +5,7 @@ Which K paths are best is a hard combinatorial problem. Candidates are drawn fro
 strategy, which knows where to drive; a linear program on the network chooses some of them, and
 these are driven. Among them the search leaves out one after the other, and exchanges one at a time
 while the value falls, on a matrix of sites and paths. Each result is judged anywhere on the map,
-and the places that are worse than known join the matrix.
+and places that are worse than known join the matrix (constraint generation).
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ CANDIDATES = 150
 MIN_SHARE = 1e-9
 # Minimum gain of an exchange, as a share of the value.
 MIN_GAIN = 2e-3
-# Maximum excess of the value on the map over that at known sites, as a share of the value.
-MAX_EXCESS = 5e-3
+# How far the value on the map may exceed that at known sites, as a share of the value.
+MAX_MISSED = 5e-3
 # In each exchange: routes that are tried in addition, and those tried to be left out for them.
 JOIN, LEAVE = 4, 3
-# Sites with which a linear program begins, those that join at once, and its relative precision.
+# Sites with which an LP begins, those that join at once, and its relative precision.
 FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
 # Maximum number of rounds of exchanges and judgements on the map.
 ROUNDS = 5
@@ -188,7 +188,7 @@ class _ColumnSearch:
         self._settled(everything, self._solved)
         every = self._solved(everything)
         self.bound = every.bound
-        self._enough = every.value * (1.0 + MAX_EXCESS)
+        self._enough = every.value * (1.0 + MAX_MISSED)
         nested = self._nested(self._solved(every.columns[every.shares > MIN_SHARE]), sizes)
         choose = self._of_equal_shares if self._equal else self._exchanged
         found: list[PathMixture] = []
@@ -212,7 +212,7 @@ class _ColumnSearch:
             shares[choice.columns] = np.where(choice.shares > MIN_SHARE, choice.shares, 0.0)
             found.append(self._mixtures.judged(shares / shares.sum()))
             self._losses = self._mixtures.losses.toarray()
-            if found[-1].value <= choice.value * (1.0 + MAX_EXCESS):
+            if found[-1].value <= choice.value * (1.0 + MAX_MISSED):
                 break
             columns = choice.columns
         return _better_of(found)

@@ -257,7 +257,7 @@ class Plan(Shown):
     def secured_bound(self) -> float | None:
         """A lower bound of the value if nobody could wait near the ends, where sites decide it.
 
-        The ground is that within ``bottleneck.distance``. None if no deciding site is in it, or if
+        Near is within ``bottleneck.distance``. None if no deciding site is in it, or if
         nothing is proved within the time limit.
         """
         if not self.bottleneck.near_ends:

@@ -79,9 +79,9 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     matter are added to the network as nodes without edges. At the time limit, the best strategy is
     returned if it is within ``max_gap``. Raises the errors of ``solve``.
     """
-    game, ground, known = _played(risk_map, network, options, warm)
+    game, site_search, known = _played(risk_map, network, options, warm)
     try:
-        return solve_game(game, options.strategy, ground, known, progress)
+        return solve_game(game, options.strategy, site_search, known, progress)
     except TimeLimit as late:
         return _within_max_gap(late, options)
 
@@ -89,8 +89,8 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
 def find_value_on(risk_map: RiskMap, network: Network, options: PlanningOptions,
                   warm: WarmStart | None = None, progress: Progress = no_progress) -> Search:
     """The first half of ``solve_on_network``: the value, and where the ambusher waits."""
-    game, ground, known = _played(risk_map, network, options, warm)
-    return find_value(make_problem(game, options.strategy, ground, known, progress))
+    game, site_search, known = _played(risk_map, network, options, warm)
+    return find_value(make_problem(game, options.strategy, site_search, known, progress))
 
 
 def finish_on(search: Search, options: PlanningOptions, end: float) -> Strategy:
@@ -103,7 +103,7 @@ def finish_on(search: Search, options: PlanningOptions, end: float) -> Strategy:
 
 def _played(risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None
             ) -> tuple[Game, CellSearch | None, Multipliers | None]:
-    """The game on a network, the ground on which he may wait, and the multipliers known."""
+    """The game on a network, the search for sites between its nodes, and the multipliers known."""
     cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
     played = solved_game(risk_map, options)
     network = add_hiding_places(network, risk_map, options, played)
@@ -111,8 +111,8 @@ def _played(risk_map: RiskMap, network: Network, options: PlanningOptions, warm:
         places = warm.sites_beyond(network)
         network = with_places(network, places, cells.at(places))
     game = make_game(network, played)
-    ground = CellSearch(cells, game) if holds_anywhere(options) else None
-    return game, ground, warm.on(network) if warm else None
+    site_search = CellSearch(cells, game) if holds_anywhere(options) else None
+    return game, site_search, warm.on(network) if warm else None
 
 
 def _within_max_gap(late: TimeLimit, options: PlanningOptions) -> Strategy:
