@@ -46,7 +46,7 @@ def find_flow(search: Search) -> None:
 
 def _join(search: Search, chain: MarkovChain, above: float, apart: float, rough: bool = False,
           distribution: RouteDistribution | None = None) -> bool:
-    """Let the sites that cost a chain more than ``above`` join, also the distribution; solve."""
+    """Let sites that cost a chain more than ``above`` join LP and distribution; solve again."""
     found = search.join_worst(chain, above, apart, rough)
     if found is None:
         return False

@@ -254,7 +254,7 @@ class Game:
         return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))
 
     def without_layers(self) -> Game:
-        """The game on one node for each place and leg: no edges of a layered graph's layers."""
+        """The game on one node for each place and leg: without the layers of a layered graph."""
         network = self.network
         node = network.places * network.legs + network.leg
         first = np.zeros(self.node_count, dtype=bool)

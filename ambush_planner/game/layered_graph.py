@@ -92,7 +92,7 @@ def _part(game: Game, used: IndexArray, potential: FloatArray,
 
 
 def _on_layers(game: Game, layers: AcyclicNetwork, node: IndexArray) -> Game:
-    """The game with the layers' nodes and edges after its own; ``node``: what theirs stand for."""
+    """The game with the layers' nodes and edges after its own; theirs stand for ``node``."""
     network, count = game.network, game.node_count
     of = np.append(np.arange(count), node)
     at = np.concatenate(([network.source], count + np.arange(len(node)), [network.target]))

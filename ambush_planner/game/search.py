@@ -36,7 +36,7 @@ FLOW_SLACK = 0.5
 
 
 class FoundSites(NamedTuple):
-    """Sites where an ambusher can wait.
+    """Sites that a search has found.
 
     Positions (K, 2) [m], losses (K,), mean losses (K,), and the edges that enter their discs.
     """

@@ -115,7 +115,7 @@ class RouteDistribution:
 
     @property
     def good(self) -> bool:
-        """Whether the value is within the slack of the caps'."""
+        """Whether the value is within the slack of what the caps allow."""
         return within(self.value, self._capped_value, self.slack)
 
     def round(self) -> bool:
