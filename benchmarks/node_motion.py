@@ -62,7 +62,6 @@ RESOLUTION, INSCRIBED = 0.05, 0.22  # m
 WIDTH, HEIGHT = 26.0, 18.0  # m
 ENDS = (np.array([2.0, 9.0]), np.array([24.0, 9.0]))  # m
 REACH = 1.0  # game.ambush_radius [m]
-SPACING = 0.74  # network.spacing [m], for aisles of 1.5 to 2 m
 TF_PERIOD = 0.02  # s
 LOOKAHEAD = (0.3, 0.9, 0.6)  # least and largest [m], and time [s], of regulated pure pursuit
 TURN_RATE = 1.8  # rad/s on the spot
@@ -267,13 +266,13 @@ def _wrapped(angle: float) -> float:
 
 
 def nav2_parameters() -> dict[str, object]:
-    """The parameters of config/nav2.yaml, with nodes for aisles and without recordings."""
+    """The parameters of config/nav2.yaml, without recordings."""
     ((_, node),) = yaml.safe_load((ROOT / 'config' / 'nav2.yaml').read_text()).items()
     found: dict[str, object] = {}
     for name, value in node['ros__parameters'].items():
         group = value if isinstance(value, dict) else {'': value}
         found |= {f'{name}.{key}'.rstrip('.'): each for key, each in group.items()}
-    return {**found, 'network.spacing': SPACING, 'recording.enabled': False}
+    return {**found, 'recording.enabled': False}
 
 
 def measure_one(ask: str, speed: float, options: Any) -> tuple[list[str], bool]:
@@ -330,7 +329,7 @@ def measure(options: Any) -> tuple[str, bool]:
         'a solve counts as that much longer.')
     text = (
         f"{conditions('ros-jazzy-rclpy')}.\n\nA warehouse of {WIDTH:g} x {HEIGHT:g} m with the "
-        f'parameters of config/nav2.yaml, but nodes {SPACING:g} m apart.{faster}\n\n'
+        f'parameters of config/nav2.yaml.{faster}\n\n'
         f'{table(head, rows)}\n\n'
         f'Targets: every code right; the worst cell met within a binomial interval of 99.9 % of '
         f'the value published at the departures; at 1 Hz driven / drawn at most {MEAN_RATIO:g} in '

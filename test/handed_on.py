@@ -31,10 +31,10 @@ class HandedOn(WorkerProcess):
                 return worker
         return None
 
-    def solve(self, request):
+    def solve(self, *given):
         """Solve, also if the worker was halted while it had nothing to do."""
         self._continue()
-        return super().solve(request)
+        return super().solve(*given)
 
     def close(self):
         """Only a worker that has nothing to do is alive here: ``kill`` ends a solve."""

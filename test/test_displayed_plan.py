@@ -72,8 +72,8 @@ def test_an_update_far_from_the_routes_keeps_the_plan_and_an_obstacle_is_avoided
 
 def test_a_value_that_rises_is_reported_and_solved_again_from_the_last_plan(running, monkeypatch):
     warm, solve = [], WorkerProcess.solve
-    monkeypatch.setattr(WorkerProcess, 'solve', lambda worker, request: (
-        warm.append(request.warm is not None), solve(worker, request))[1])
+    monkeypatch.setattr(WorkerProcess, 'solve', lambda worker, request, *rest: (
+        warm.append(request.warm is not None), solve(worker, request, *rest))[1])
     client = running.client
     running.planner.set_parameters([Parameter('replan.tolerance', value=1e9)])
     before = client.diagnostics(departures='1')

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +122,20 @@ def test_a_request_overtakes_a_running_background_solve(queue):
     assert asked is newer and asked.result(TIMEOUT), 'a request for the same plan shares it'
     with pytest.raises(SolveCancelled, match='a newer map'):
         background.result(TIMEOUT)
+
+
+def test_a_worker_of_low_priority_solves_nothing_else():
+    worker = HandedOn.take(None)
+    assert worker.solve(request(), True).strategy.value > 0.0 and not worker.alive
+    worker.close()
+    worker, own = HandedOn.take(None), os.getpriority(os.PRIO_PROCESS, 0)
+    with ThreadPoolExecutor(1) as thread:
+        solve = thread.submit(worker.solve, slow_request(), True)
+        wait_until(lambda: worker._pidfd, 'its start')
+        wait_until(lambda: os.getpriority(os.PRIO_PROCESS, process_id(worker)) > own, 'its priority')
+        worker.kill()
+    worker.close()
+    assert isinstance(solve.exception(), WorkerFailed)
 
 
 def test_a_withdrawn_request_leaves_the_background_solve(queue):

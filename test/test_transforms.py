@@ -180,8 +180,8 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
     with stage(tmp_path, parameters=ROBOT) as running:
         client, robot = running.client, Robot(running)
 
-        def drive(worker, request):
-            plan = solve(worker, request)
+        def drive(worker, request, *rest):
+            plan = solve(worker, request, *rest)
             solves.append(request.start_xy)
             robot.is_at(*places[len(solves) - 1])
             return plan

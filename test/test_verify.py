@@ -224,10 +224,10 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
     """Start and goal move a little and an obstacle appears: routes are drawn until clear."""
     go_on, solve = Event(), WorkerProcess.solve
 
-    def solve_again_later(worker, request):
+    def solve_again_later(worker, request, *rest):
         if request.warm is not None:
             go_on.wait(TIMEOUT)
-        return solve(worker, request)
+        return solve(worker, request, *rest)
 
     monkeypatch.setattr(WorkerProcess, 'solve', solve_again_later)
     parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9, 'network.spacing': 1.0}

@@ -232,18 +232,23 @@ class PlanCache:
             return self._submit(trip, parameters, warm, background, first)
 
     def refine(self, cached: CachedPlan) -> Future[CachedPlan]:
-        """Solve again in the background, on a refined network; raises as ``solve`` does."""
+        """Solve again in the background, on a refined network; raises as ``solve`` does.
+
+        Nobody needs the plan soon, and the robot's programs need the processor.
+        """
         with self._lock:
             warm = WarmStart.of(cached.plan.strategy)
-            self._refinement = self._submit(cached.trip, cached.asked, warm, True, False)
+            self._refinement = self._submit(cached.trip, cached.asked, warm, True, False,
+                                            low_priority=True)
             return self._refinement
 
     def _submit(self, trip: Trip, parameters: NodeParameters, warm: WarmStart | None,
-                background: bool, first: bool) -> Future[CachedPlan]:
+                background: bool, first: bool, low_priority: bool = False) -> Future[CachedPlan]:
         asked = (_Asked(trip, parameters.with_plain_network(), parameters) if first
                  else _Asked(trip, parameters))
         return self._queue.submit(asked, _request(trip, asked.parameters, warm),
-                                  partial(self._solved, asked), parameters.queue_size, background)
+                                  partial(self._solved, asked), parameters.queue_size, background,
+                                  low_priority)
 
     def adopt(self, trip: Trip, parameters: NodeParameters, plan: Plan,
               refined_by: NodeParameters | None = None) -> CachedPlan:

@@ -24,6 +24,7 @@ from .solve_errors import WorkerFailed, no_plan_in, unexpected
 PICKLE_PROTOCOL = 5
 _PR_SET_PDEATHSIG = 1  # from Linux' prctl.h
 _OOM_SCORE = '500'  # the kernel kills the worker before the node when memory runs out
+_NICE = 10  # of solves with low priority, which get a tenth of a core that others want
 
 
 def main() -> None:
@@ -51,7 +52,10 @@ def serve(connection: socket.socket) -> None:
     with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
         socket.send_fds(connection, [b'.'], [os.pidfd_open(os.getpid())])
         while True:
-            _send(_answer(pickle.load(stream)), stream)
+            request, low_priority = pickle.load(stream)
+            if low_priority:
+                _lower_priority()
+            _send(_answer(request), stream)
 
 
 def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
@@ -72,6 +76,14 @@ def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
 def _send(answer: object, stream: BufferedRWPair) -> None:
     pickle.dump(answer, stream, PICKLE_PROTOCOL)
     stream.flush()
+
+
+def _lower_priority() -> None:
+    """Leave the processor to other processes, for good: only a privileged user can undo it."""
+    os.nice(_NICE)
+    os.setsid()  # Linux may schedule sessions, and nice values then count only within one
+    with suppress(OSError):
+        Path('/proc/self/autogroup').write_text(str(_NICE))
 
 
 def _die_with_parent() -> None:

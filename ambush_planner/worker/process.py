@@ -107,8 +107,10 @@ class WorkerProcess:
         ends.register(self._socket, POLLHUP)
         return not (self._killed or ends.poll(0))
 
-    def solve(self, request: PlanRequest) -> Plan:
+    def solve(self, request: PlanRequest, low_priority: bool = False) -> Plan:
         """Solve a request, in little more than the strategy's ``time_limit``.
+
+        A process cannot leave ``low_priority``, so it is killed after such a solve.
 
         Raises the errors of ``plan_from_request``; TimeLimit if the solve overran its limit and was
         killed; WorkerFailed if the process died.
@@ -118,9 +120,11 @@ class WorkerProcess:
         if self._pidfd is None:
             self._begin()
         with self._killed_after(_GRACE * limit + _MARGIN, late, _KILLED):
-            pickle.dump(request, self._stream, PICKLE_PROTOCOL)
+            pickle.dump((request, low_priority), self._stream, PICKLE_PROTOCOL)
             self._stream.flush()
             answer: Plan | AmbushPlannerError = pickle.load(self._stream)
+        if low_priority:
+            self.kill()
         if isinstance(answer, AmbushPlannerError):
             raise answer
         return answer

@@ -37,6 +37,7 @@ class _Solve(Generic[_Key, _Result]):
     request: PlanRequest
     finish: Callable[[Plan], _Result]
     persistent: bool
+    low_priority: bool
     waiters: int
     preempted: bool = False
     outcome: Future[_Result] = field(default_factory=Future)
@@ -77,7 +78,8 @@ class SolveQueue(Generic[_Key, _Result]):
             return [each.key for each in here if each is not None and not each.cancelled]
 
     def submit(self, key: _Key, request: PlanRequest, finish: Callable[[Plan], _Result],
-               size: int, background: bool = False) -> Future[_Result]:
+               size: int, background: bool = False,
+               low_priority: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
         The future raises the errors of ``WorkerProcess.solve``, or SolveCancelled.
@@ -91,6 +93,8 @@ class SolveQueue(Generic[_Key, _Result]):
         background
             No caller waits for it: it runs after all others, begins again if one of them comes
             while it runs, and replaces other background solves that wait.
+        low_priority
+            The worker leaves the processor to other processes.
 
         Raises SolveCancelled if the queue is closed, and QueueFull if ``size`` solves wait.
         """
@@ -109,7 +113,7 @@ class SolveQueue(Generic[_Key, _Result]):
             # If none is running, the first waiting solve is about to begin.
             if not background and waiting - (self._running is None) >= size:
                 raise self._full(size)
-            solve = _Solve(key, request, finish, background, int(not background))
+            solve = _Solve(key, request, finish, background, low_priority, int(not background))
             self._waiting[key] = solve
             self._condition.notify()
             if not background:
@@ -219,7 +223,7 @@ class SolveQueue(Generic[_Key, _Result]):
             worker = self._living_worker()
             if solve.cancelled or solve.preempted:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
-            result = solve.finish(worker.solve(solve.request))
+            result = solve.finish(worker.solve(solve.request, solve.low_priority))
         except AmbushPlannerError as known:
             error = known
         except Exception as unknown:  # such as MemoryError; callers wait for an outcome
