@@ -132,7 +132,7 @@ def test_a_worker_of_low_priority_solves_nothing_else():
     with ThreadPoolExecutor(1) as thread:
         solve = thread.submit(worker.solve, slow_request(), True)
         wait_until(lambda: worker._pidfd, 'its start')
-        wait_until(lambda: os.getpriority(os.PRIO_PROCESS, process_id(worker)) > own, 'its priority')
+        wait_until(lambda: os.getpriority(os.PRIO_PROCESS, process_id(worker)) > own, 'nice')
         worker.kill()
     worker.close()
     assert isinstance(solve.exception(), WorkerFailed)
