@@ -18,8 +18,8 @@ from ..network.construction import NetworkOptions
 # Maximum length of the way out of an obstacle [m].
 WAY_OUT = 1.0
 _MARGIN = 2  # width of the border around the part of the map that is tested [cells]
-# Number of steps of a path that are tested together: the map is read around them.
-_PIECE = 50
+# Length of path that is tested together [cells]: the map is read around it.
+_PIECE = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,9 @@ class ClearGround:
 
     def steps(self, points: FloatArray, clearance: float | None = None) -> BoolArray:
         """Which steps (L - 1,) of a path with ``points`` (L, 2) [m] are clear."""
-        steps = np.arange(len(points) - 1)
-        pieces = np.array_split(steps, max(1, math.ceil(len(steps) / _PIECE)))
+        along = np.cumsum(np.hypot(*np.diff(points, axis=0).T))
+        cuts = np.diff(along // (_PIECE * self.newest.resolution)).nonzero()[0] + 1
+        pieces = np.split(np.arange(len(along)), cuts)
         return np.concatenate([self.segments(points[piece], points[piece + 1], clearance)
                                for piece in pieces])
 
