@@ -25,6 +25,8 @@ from .table import PARAMETERS
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 COSTMAP_OBSTACLE = 99
+# Maximum network.target_nodes of a plan that is soon refined: it is there in about a second.
+_PLAIN_NODES = 1000
 # Stands for any file with roads.
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 # Parameters that are not fields of the options that their groups are named after.
@@ -86,10 +88,12 @@ class NodeParameters:
     values: Mapping[str, Any]
 
     def with_plain_network(self) -> NodeParameters:
-        """The parameters with network.refine 0."""
-        network = replace(self.planning.network, refine=0)
+        """The parameters of a plan that is soon refined: on a plain network of few nodes."""
+        nodes = min(self.planning.network.target_nodes, _PLAIN_NODES)
+        network = replace(self.planning.network, refine=0, target_nodes=nodes)
+        changed = {'network.refine': 0, 'network.target_nodes': nodes}
         return replace(self, planning=replace(self.planning, network=network),
-                       values=MappingProxyType({**self.values, 'network.refine': 0}))
+                       values=MappingProxyType({**self.values, **changed}))
 
 
 def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -> NodeParameters:

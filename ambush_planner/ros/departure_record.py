@@ -32,8 +32,8 @@ from .current_map import ReceivedMessage
 from .inputs import Trip
 from .plan_cache import CachedPlan
 
-# It differs from the request's if the plan is the first one of its trip.
-_REFINE = 'network.refine'
+# They differ from the request's if the plan is the first one of its trip.
+_OF_PLAN = ('network.refine', 'network.target_nodes')
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,8 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
                         departure.end_ns, fields_of(departure.call.request), departure.remarks)
     return Metadata(
         departure.id, departure.number, trip.map.frame,
-        {**departure.parameters.values, _REFINE: departure.held.parameters.values[_REFINE]},
+        {**departure.parameters.values,
+         **{name: departure.held.parameters.values[name] for name in _OF_PLAN}},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
         departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),

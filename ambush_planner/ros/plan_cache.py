@@ -102,7 +102,7 @@ class CachedPlan:
                     parameters.planning.max_gap, self.plan.strategy.gap))
 
     def _is_for(self, trip: Trip, parameters: NodeParameters) -> bool:
-        return _conditions(self.trip, self.parameters) == _conditions(trip, parameters)
+        return _conditions(self.trip, self.asked) == _conditions(trip, parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ class _Asked:
 
     def will_suit(self, trip: Trip, parameters: NodeParameters) -> bool:
         """Whether the plan will probably suit a trip."""
-        other, used = self.trip, self.parameters
+        other, used = self.trip, self.refined_by or self.parameters
         # If the planner chooses the spacing, it is at least the map's resolution.
         spacing = parameters.planning.network.spacing or trip.map.resolution
         joins = trip.moves and _goal(other) == _goal(trip)
@@ -296,8 +296,7 @@ class PlanCache:
 
     def _keep(self, cached: CachedPlan) -> None:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
-        others = [each for each in self._plans
-                  if not each.answers(cached.trip, cached.parameters)]
+        others = [each for each in self._plans if not each.answers(cached.trip, cached.asked)]
         taken = np.cumsum([each.bytes for each in (cached, *reversed(others))])
         kept = min(_MAX_PLANS, max(1, int((taken <= _MAX_BYTES).sum())))
         self._plans = [*others, cached][-kept:]
