@@ -25,7 +25,7 @@ from .game import Game
 from .hits import worst_loss
 from .layered_graph import LayeredGraph
 from .slack import Reason, ceiling
-from .value.routes import Progress, RouteMixture, no_progress
+from .value.routes import Progress, no_progress
 
 # Largest number of rounds in which sites join a search, or of a route distribution, and the least
 # growth of the entropy for another round of the distribution.
@@ -47,11 +47,20 @@ class FoundSites(NamedTuple):
     entering: csr_matrix
 
 
+class Drawn(Protocol):
+    """Routes that are drawn in some way."""
+
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, M)."""
+
+    def meets_at_most(self, rows: csr_matrix) -> FloatArray:
+        """An upper bound (K,) of ``meets`` that is fast to find."""
+
+
 class SiteSearch(Protocol):
     """Finds sites of a map, where an ambusher may wait also between the network's nodes."""
 
-    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
-              rough: bool) -> FoundSites:
+    def worst(self, drawn: Drawn, above: float, apart: float, rough: bool) -> FoundSites:
         """The sites that cost drawn routes more than ``above``, no two within ``apart`` [m].
 
         The worst comes first. A ``rough`` search can miss it.
@@ -210,7 +219,7 @@ class Search:
         with self.keep_incumbent():
             self.lp.solve()
 
-    def join_worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float,
+    def join_worst(self, drawn: Drawn, above: float, apart: float,
                    rough: bool = False) -> FoundSites | None:
         """Let sites that cost more than ``above`` join the others; return them, None if none does.
 

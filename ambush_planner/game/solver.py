@@ -21,7 +21,7 @@ from .game import Game
 from .hits import hits_can_differ
 from .search import Search, SearchProblem, Solution, ValueLP
 from .slack import MIN_SLACK, within
-from .trip_search import find_mixture, find_trip
+from .trip_search import find_legs, find_mixture, find_trip
 from .value.cut import Cut
 from .value.potential import Potential
 from .value.routes import Routes
@@ -64,7 +64,7 @@ def find_value(problem: SearchProblem) -> Search:
     if problem.game.network.legs > 1:
         routes = _routes(problem, slack)
         search = Search(problem, routes, slack)
-        find_mixture(search, routes)
+        (find_legs if routes.planar else find_mixture)(search, routes)
     else:
         search = Search(problem, _within_budgets(problem, slack, _cut_of(problem)), slack)
         find_flow(search)
@@ -76,6 +76,8 @@ def find_distribution(search: Search) -> Solution:
     best, lp = None, search.lp
     if search.problem.game.network.legs > 1:
         assert isinstance(lp, Routes)  # see find_value
+        if lp.planar:
+            find_mixture(search, lp)
         best = find_trip(search, lp)
         if best is None:
             find_flow(search)
@@ -119,18 +121,26 @@ def _cut_of(problem: SearchProblem) -> Cut | None:
 
 def _within_budgets(problem: SearchProblem, slack: float, cut: Cut | None) -> Potential | Routes:
     """The fastest LP that finds the value within budgets, perhaps from that without."""
+    found = _potential(problem, slack, FIRST_CAP * cut.bound if cut else np.inf)
+    return found or _routes(problem, slack)
+
+
+def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> Potential | None:
+    """The LP in potentials if the network is planar and at most one budget binds."""
     game, binding = problem.game, _binding(problem)
-    if game.ambushers == 1 and len(binding) <= 1:
-        faces, budget = make_faces(game), (*binding, problem.budgets[0])[0]
-        if faces and faces.same_both_ways(budget.cost):
-            first = FIRST_CAP * cut.bound if cut else np.inf
-            return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)
-    return _routes(problem, slack)
+    if game.ambushers > 1 or len(binding) > 1 or game.options.loads:
+        return None
+    faces, budget = make_faces(game), (*binding, problem.budgets[0])[0]
+    if faces is None or not faces.same_both_ways(budget.cost):
+        return None
+    return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)
 
 
 def _routes(problem: SearchProblem, slack: float) -> Routes:
+    """The LP over whole routes; on a trip, its bound comes from potentials if there can be any."""
+    planar = _potential(problem, slack) if problem.game.network.legs > 1 else None
     return Routes(problem.game, _binding(problem), ROUTES_GAP * slack, problem.deadline,
-                  problem.progress)
+                  problem.progress, planar)
 
 
 def _binding(problem: SearchProblem) -> tuple[Budget, ...]:

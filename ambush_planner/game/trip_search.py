@@ -8,12 +8,15 @@ import time
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
-from .distribution.chain import conserved_strategy
+from .chain_search import EARLY_AIM, SWEEPS
+from .distribution.chain import SeparateLegs, chain_of, conserved_strategy
 from .distribution.route_distribution import RouteDistribution
 from .layered_graph import LayeredGraph
-from .search import GROWTH, ROUNDS, Incumbent, Search
+from .search import ROUNDS, Incumbent, Search
 from .slack import ceiling, within
+from .value.mixtures import Mixtures
 from .value.routes import APART, MIN_FLOW, TIGHT, Routes
 
 # Shares of the time limit after which the LP ends, as a distribution takes seconds; its first
@@ -23,15 +26,30 @@ SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
 # than SMALL slacks is no better.
 JOINING, SMALL = 0.5, 0.25
 # Routes with a layer of their own at first, and their number times the layers' width in edges.
-FEWEST, WIDTH = 16, 128
+FEWEST, WIDTH = 4, 32
 # Share of the slack that few routes may cost more than all.
 FEW_LOSE = 1.0 / 3.0
+
+
+def find_legs(search: Search, lp: Routes) -> None:
+    """Find what each leg proves by itself, and the sites that matter for that."""
+    assert lp.planar is not None  # else it takes as long as ``find_mixture``
+    leg = search.game.network.leg[search.game.network.tails]
+    for sweep in range(ROUNDS):
+        with search.keep_incumbent():
+            lp.prove_by_legs()
+        if search.problem.late or (sweep >= SWEEPS and lp.bound > 0.0):
+            break
+        flow = SeparateLegs(chain_of(search.game.network, lp.planar.flow), leg)
+        above, apart = ceiling(lp.bound, search.slack), APART * (sweep < SWEEPS - 1)
+        if search.join_worst(flow, above, apart, rough=sweep == 0) is None:
+            break
 
 
 def find_mixture(search: Search, lp: Routes) -> None:
     """Let sites join a mixture of routes, then prove its value: a proof takes seconds."""
     begin, end = time.monotonic(), search.problem.deadline
-    if search.game.reach > 0.0 and end < math.inf:
+    if not lp.planar and search.game.reach > 0.0 and end < math.inf:
         _prove_until(search, lp, begin + FIRST_PROOF * (end - begin))
     lp.deadline = begin + SOLVED * (end - begin)
     with search.keep_incumbent():
@@ -67,69 +85,67 @@ def _prove_until(search: Search, lp: Routes, deadline: float) -> None:
 def find_trip(search: Search, lp: Routes) -> Incumbent | None:
     """The distribution of least value on a layered graph; None if there is none.
 
-    It is found in rounds around the LP's mixture, which go on while sites that cost it too
-    much join, or the LP finds a better mixture.
+    It is found around few routes of a solved LP, or more if it costs too much. Its value is at most
+    (1 + slack) times the bound if possible, or (1 + slack / 2) times that of the mixture. None
+    after the deadline, or if the bound is 0: one chain on the edges that no site hits needs no
+    labels.
     """
-    problem = search.problem
     best: Incumbent | None = None
-    least = math.inf
-    for _ in range(ROUNDS):
-        found = distribution_on_layers(search, lp)
-        if found is None or best and problem.late:
+    count, most = FEWEST, 2 * len(lp.routes)
+    while lp.bound > 0.0 and count < max(most, 2 * FEWEST) and not search.problem.late:
+        around = _around(search, lp, count)
+        count *= 2
+        if around is None:
+            continue
+        found = _rounds(search, lp, *around)
+        if found and (best is None or found.value < best.value):
+            best = found
+        if best and best.value <= ceiling(lp.bound, search.slack):
             break
-        above, mixed = max(found.value, ceiling(lp.bound, search.slack)), lp.value
-        joined = search.join_worst(found.chain, above, APART)
-        most = found.value if joined is None else float(joined.mean_loss.max())
-        if most < least:
-            best, least = found, most
-        if problem.late or not joined and within(found.value, lp.bound, search.slack):
-            break
-        with search.keep_incumbent():
-            lp.solve(prove=not joined)
-        if not joined and within(mixed, lp.value, SMALL * search.slack):
-            break
+        with search.keep_incumbent():  # sites have joined
+            lp.solve(prove=False)
     return best
 
 
-def distribution_on_layers(search: Search, lp: Routes) -> Incumbent | None:
-    """The distribution on layers around few routes of a solved LP, or more if it costs too much.
+def _around(search: Search, lp: Routes, count: int
+            ) -> tuple[RouteDistribution, LayeredGraph, Mixtures, FloatArray] | None:
+    """A distribution on layers around the best ``count`` routes; these routes, and their shares.
 
-    Its value is at most (1 + slack) times the bound if possible, or (1 + slack / 2) times that of
-    the mixture. The last layers have all routes. Returns the distribution of least value if none is
-    within the slack; None after the deadline, or if the bound is 0: one chain on the edges that no
-    site hits needs no labels.
+    None if these routes cost too much more than all of them, or exceed a budget.
     """
-    order, count = np.argsort(-lp.shares, kind='stable'), FEWEST
     game, slack, deadline = search.game, search.slack, search.problem.deadline
+    few = lp.mixtures.among(np.argsort(-lp.shares, kind='stable')[:count])
+    try:
+        shares = few.solve(TIGHT, deadline).shares
+    except (SolverFailed, TimeLimit):
+        return None
+    if not within(few.value(shares), lp.value, FEW_LOSE * slack) and count < len(lp.shares):
+        return None
+    flow = conserved_strategy(game, few.flow(shares, len(game.playable)), MIN_FLOW)
+    assert flow is not None  # a route has a share of at least one in their number
+    layers = LayeredGraph(game, flow, few.routes, shares, max(WIDTH // count, 1))
+    distribution = RouteDistribution(layers.network, layers.p, search.problem.budgets,
+                                     few.ambushers, slack, False, deadline, EARLY_AIM)
+    distribution.add_sites(lp.entering, lp.loss)
+    return distribution, layers, few, shares
+
+
+def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers: LayeredGraph,
+            few: Mixtures, shares: FloatArray) -> Incumbent | None:
+    """The best distribution of rounds in which sites that it costs too much join."""
     best: Incumbent | None = None
-    while lp.bound > 0.0 and time.monotonic() < deadline:
-        few, every = lp.mixtures.among(order[:count]), count >= len(order)
-        count *= 2
-        try:
-            shares = few.solve(TIGHT, deadline).shares
-        except SolverFailed:  # these routes exceed a budget
-            continue
-        except TimeLimit:
+    slack = search.slack
+    limit = max(ceiling(lp.bound, slack), ceiling(few.value(shares), slack / 2.0))
+    for _ in range(ROUNDS):
+        share = limit / ceiling(few.value(shares), slack)  # it grows with the sites
+        distribution.measure(few.caps(shares, lp.gap) * share)
+        best = search.better(best, distribution, layers)
+        done = distribution.rounds and distribution.good
+        if done or search.problem.late or not distribution.round():
             break
-        value = few.value(shares)
-        if within(value, lp.value, FEW_LOSE * slack) or every:
-            flow = conserved_strategy(game, few.flow(shares, len(game.playable)), MIN_FLOW)
-            assert flow is not None  # a route has a share of at least one in their number
-            layers = LayeredGraph(game, flow, few.routes, shares, max(2 * WIDTH // count, 1))
-            distribution = RouteDistribution(layers.network, layers.p, search.problem.budgets,
-                                             few.ambushers, slack, False, deadline)
-            distribution.add_sites(lp.entering, lp.loss)
-            limit = max(ceiling(lp.bound, slack), ceiling(value, slack / 2.0))
-            caps = few.caps(shares, lp.gap) * (limit / ceiling(value, slack))
-            before = 0.0
-            for _ in range(ROUNDS):
-                distribution.measure(caps)
-                best = search.better(best, distribution, layers)
-                grew, before = distribution.entropy > before * (1.0 + GROWTH), distribution.entropy
-                done = distribution.rounds and distribution.good and not grew
-                if search.problem.late or done or not distribution.round():
-                    break
-            search.evaluations += distribution.evaluations
-            if every or best and best.value <= limit:
-                break
+        found = search.join_worst(distribution.chain, limit, APART)
+        if found:
+            distribution.add_sites(found.entering, found.alpha)
+            few.add_sites(found.entering, found.alpha)
+    search.evaluations += distribution.evaluations
     return best

@@ -19,10 +19,8 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges
-from ..game.distribution.chain import MarkovChain
 from ..game.game import Game
-from ..game.search import FoundSites
-from ..game.value.routes import RouteMixture
+from ..game.search import Drawn, FoundSites
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
 from .options import parts_of_cells
@@ -104,7 +102,7 @@ class CellSearch:
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
 
-    def worst(self, drawn: MarkovChain | RouteMixture, above: float, apart: float = 0.0,
+    def worst(self, drawn: Drawn, above: float, apart: float = 0.0,
               rough: bool = False, among: IndexArray | None = None) -> FoundSites:
         """Places that cost drawn routes more than ``above``, the worst first.
 
@@ -126,7 +124,7 @@ class CellSearch:
             return self.worst(drawn, above, apart, among=among)
         return found
 
-    def _above(self, blocks: IndexArray, side: int, drawn: MarkovChain | RouteMixture,
+    def _above(self, blocks: IndexArray, side: int, drawn: Drawn,
                above: float, apart: float) -> IndexArray:
         """Blocks (K, 2) in which a place may cost more, no two of them within ``apart`` [m]."""
         loss = self._cells.of_blocks(side)[tuple(blocks.T)]
@@ -143,7 +141,7 @@ class CellSearch:
             order = _apart(self._cells.centres(blocks, side), order, apart)
         return np.asarray(blocks[np.sort(order)])
 
-    def _of_parts(self, cells: IndexArray, drawn: MarkovChain | RouteMixture,
+    def _of_parts(self, cells: IndexArray, drawn: Drawn,
                   above: float, apart: float) -> FoundSites:
         """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_cells(cells), self._parts

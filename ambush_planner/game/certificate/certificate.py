@@ -92,7 +92,8 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     if ambusher.circulation is None:
         waits = ambusher.q if ambusher.by_leg is None else ambusher.by_leg
         return best_response(game, waits, budgets, ambusher.prices, deadline)
-    faces = replace(faces, game=game) if faces else make_faces(game)
+    same = faces is not None and len(faces.link) == len(game.network.edges)
+    faces = replace(faces, game=game) if faces and same else make_faces(game)
     used = [k for k, price in enumerate(ambusher.prices) if price > 0.0]
     if faces is None or len(used) > 1:
         raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')

@@ -165,6 +165,28 @@ class MarkovChain:
         return edge[some], weight[some]
 
 
+class SeparateLegs:
+    """A trip's chain, judged leg by leg: a site hits it as often as the leg that it hits most.
+
+    However the legs of a trip are drawn together, the site hits it at least that often.
+    """
+
+    def __init__(self, chain: MarkovChain, leg: IndexArray) -> None:
+        """The chain, and the ``leg`` (M,) of each of the whole network's edges."""
+        self._chain, count = chain, len(leg)
+        self._legs = [csr_matrix((np.ones(len(own)), (own, own)), (count, count))
+                      for own in (np.flatnonzero(leg == k) for k in range(int(leg.max()) + 1))]
+
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """P(hit) (K,) by sites whose discs are entered by the whole network's edges (K, M)."""
+        return np.max([self._chain.meets(csr_matrix(rows @ leg)) for leg in self._legs], axis=0)
+
+    def meets_at_most(self, rows: csr_matrix) -> FloatArray:
+        """An upper bound (K,) of ``meets`` that is fast to find."""
+        return np.max([self._chain.meets_at_most(csr_matrix(rows @ leg)) for leg in self._legs],
+                      axis=0)
+
+
 def chain_of(network: Network, p: FloatArray) -> MarkovChain:
     """The chain of an acyclic strategy p (M,), on the edges that it uses."""
     number = order_along(network, p)

@@ -70,12 +70,17 @@ class KeptFlows:
                             np.column_stack((tail, head)).ravel().astype(np.int32),
                             np.tile([1.0, -1.0], count))
 
-    def start_at(self, limit: IndexArray) -> None:
-        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
+    def start_at(self, limit: IndexArray, first: IndexArray) -> None:
+        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0).
+
+        ``first`` are nodes of which each component of the graph has one.
+        """
         status = {-1: self._status.kLower, 0: self._status.kBasic, 1: self._status.kUpper}
         basis = self._new_basis()
         basis.col_status = [status[each] for each in limit.tolist()]
-        basis.row_status = [status[0]] + [status[-1]] * (self._nodes - 1)
+        rows = np.full(self._nodes, -1)
+        rows[first] = 0
+        basis.row_status = [status[each] for each in rows.tolist()]
         basis.valid = True
         self._model.setBasis(basis)
 
@@ -114,7 +119,7 @@ class RepeatedFlows:
         """Add columns (K,)."""
         self._columns = np.hstack((self._columns, [tail, head, cost, low, high]))
 
-    def start_at(self, limit: IndexArray) -> None:
+    def start_at(self, limit: IndexArray, first: IndexArray) -> None:
         """Nothing: linprog takes no basis."""
 
     def change_costs(self, first: int, cost: FloatArray) -> None:

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
-from ..ambusher import Ambusher, at_nodes, padded
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
+from ..ambusher import Ambusher, at_nodes, on_nodes, padded
 from ..budget import Budget
 from ..distribution.acyclic import without_cycles
 from ..distribution.chain import conserved_strategy
@@ -121,8 +121,18 @@ class Potential:
             node = np.full(len(kept), -1)
             node[kept] = game.sites
             curves = replace(curves, site=node[curves.site])
-        return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()),
-                        circulation=curves if hits_can_differ(game) else None)
+        return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()), self._by_leg(game, kept),
+                        curves if hits_can_differ(game) else None)
+
+    def _by_leg(self, game: Game, kept: BoolArray) -> FloatArray | None:
+        """For which leg he waits at each node (legs, N), in a game with the ``kept`` sites (S,)."""
+        legs, curves = len(self.faces.first), self.circulation
+        if legs == 1 or curves is None:
+            return None
+        leg = np.searchsorted(self.faces.first, curves.face, 'right') - 1
+        through = sums(leg * len(kept) + curves.site, np.abs(curves.flow) / 2.0, legs * len(kept))
+        waits = through.reshape(legs, -1)[:, : len(self._loss)] / self._loss
+        return on_nodes(game, padded(waits, len(kept))[:, kept])
 
     @property
     def caps(self) -> FloatArray:
@@ -166,7 +176,8 @@ class Potential:
         self._flows.add_nodes(faces.count)
         self._flows.add_columns(faces.left[real], faces.right[real],
                                 -faces.crossed[real].astype(np.float64), -most[real], most[real])
-        self._flows.start_at(np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0)))
+        self._flows.start_at(np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0)),
+                             faces.first)
 
     def _heights(self) -> FloatArray:
         """The potential at each pair of a disc and a face, along the rim."""

@@ -28,6 +28,7 @@ from ..faces import Faces
 from ..game import Game
 from ..slack import within
 from .mixtures import Mixture, Mixtures
+from .potential import Potential
 
 # Relative gaps of the linear programs: while routes join, and once none does.
 LOOSE, TIGHT = 5e-2, 1e-4
@@ -87,8 +88,9 @@ class Routes:
     faces: Faces | None = None
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
-                 progress: Progress = no_progress) -> None:
+                 progress: Progress = no_progress, planar: Potential | None = None) -> None:
         self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
+        self.planar, self._by_planar = planar, False
         self._progress, self._end = progress, deadline
         self._newest: Mixture | None = None  # of the legs
         binding = [b for b in budgets if b.binds]
@@ -100,11 +102,16 @@ class Routes:
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
-        self.add_sites(game.hits, game.loss[game.sites])
+        self._add_sites(game.hits, game.loss[game.sites])
         self._begin()
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
+        self._add_sites(entering, loss)
+        if self.planar:
+            self.planar.add_sites(entering, loss)
+
+    def _add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         self.entering = csr_matrix(vstack((self.entering, entering)))
         networks = TripNetworks(self.game, self.entering)
         self._networks, self._whole, self._legs = networks, networks.whole, networks.legs
@@ -122,16 +129,22 @@ class Routes:
     @property
     def q(self) -> FloatArray:
         """How likely the ambusher who proves the bound waits at each site (S,)."""
+        if self.planar and self._by_planar:
+            return self.planar.q
         return np.asarray(self.by_leg.sum(axis=0))
 
     @property
     def prices(self) -> FloatArray:
         """His prices of the budgets that bind [loss per unit of cost]."""
+        if self.planar and self._by_planar:
+            return self.planar.prices
         slacks = [b.slack for b in self.budgets if b.binds]
         return np.asarray(self._prices / np.array(slacks))
 
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
+        if self.planar and self._by_planar:
+            return self.planar.ambusher(game, kept)
         by_leg = padded(self.by_leg, len(kept))[:, kept]
         return Ambusher(at_nodes(game, by_leg.sum(axis=0)), tuple(self.prices.tolist()),
                         on_nodes(game, by_leg) if len(by_leg) > 1 else None)
@@ -280,7 +293,7 @@ class Routes:
         """Keep an ambusher who costs every route at least ``least`` if his bound is the best."""
         bound = least - float(prices.sum())
         if bound > self.bound:
-            self.bound, self.by_leg, self._prices = bound, by_leg, prices
+            self.bound, self.by_leg, self._prices, self._by_planar = bound, by_leg, prices, False
 
     def _descend(self, base: FloatArray, dual_weights: FloatArray, start: int, trip: list[int],
                  ways: list[IndexArray] | None = None) -> IndexArray:
@@ -320,6 +333,9 @@ class Routes:
 
     def prove_by_legs(self) -> None:
         """Improve the bound by the LP in which each leg has sites of its own."""
+        if self.planar:
+            self._prove_by_potential(self.planar)
+            return
         if self.bound > 0.0 and self._ended() or not len(self.loss):
             return
         for route in self.routes:
@@ -331,6 +347,14 @@ class Routes:
             if self._newest and self.bound == 0.0:
                 self._proof_by_legs(self._newest)
             raise
+
+    def _prove_by_potential(self, planar: Potential) -> None:
+        planar.deadline = self.deadline
+        try:
+            planar.solve()
+        finally:
+            if planar.bound > self.bound:
+                self.bound, self._by_planar = planar.bound, True
 
     def _solve_legs(self) -> None:
         """Solve the legs' LP in rounds, in which ways join, until its value is proved."""
