@@ -17,7 +17,7 @@ from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_lo
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Search, SearchProblem
 from ambush_planner.game.strategy import make_budgets, solve
-from ambush_planner.game.trip_search import distribution_on_layers
+from ambush_planner.game.trip_search import find_trip
 from ambush_planner.game.value.routes import Routes
 
 SLACK = 0.02
@@ -26,7 +26,7 @@ SLACK = 0.02
 def distribution_around(game, budgets, routes):
     """The distribution on layers around the routes of an LP."""
     search = Search(SearchProblem(game, budgets, SLACK, math.inf), routes, SLACK)
-    return distribution_on_layers(search, routes)
+    return find_trip(search, routes)
 
 
 def solved(seed, reach, detour, ambushers=1):

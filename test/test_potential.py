@@ -24,15 +24,19 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from test_routes import game_on
+from test_trip import roads_of
 
 from ambush_planner import GameOptions, Network, SolverFailed, TimeLimit
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.budget import Budget
+from ambush_planner.game.certificate.best_response import best_response
 from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.value.face_flows import HAS_HIGHSPY, KeptFlows, RepeatedFlows
 from ambush_planner.game.value.potential import PRECISION, Potential
+from ambush_planner.game.value.routes import Routes
 
 WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key')
 FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
@@ -80,6 +84,23 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     assert len(later.q) == len(later.caps) == len(game.sites)
     ambusher = Ambusher(at_nodes(game, q), tuple(later.prices) or (0.0,))
     assert lower_bound(game, ambusher, (later.budget,)) == pytest.approx(later.bound, rel=1e-6)
+
+
+@examples(30)
+@given(st.integers(0, 10**6), st.integers(1, 2), st.sampled_from([0.0, 1.0, 2.5]),
+       st.sampled_from([1.0, 1.05, 1.3, math.inf]))
+def test_legs_of_a_trip_prove_as_much_by_potentials_as_by_their_routes(seed, stops, reach, detour):
+    """The judge reproduces the bound from the circulation, and from each leg's share of q."""
+    game, (length, exposure) = game_on(roads_of(seed, stops, 6), reach, detour, math.inf, 1)
+    lp, routes = lp_of(game, detour), Routes(game, (length, exposure), 1e-3, math.inf)
+    routes.prove_by_legs()
+    assert lp.bound == pytest.approx(routes.bound, rel=5e-3, abs=1e-9)
+    if lp.circulation is None:  # no ambusher is needed, or a single site
+        return
+    him = lp.ambusher(game, np.ones(len(game.sites), dtype=bool))
+    him = replace(him, prices=(*him.prices, 0.0)[:1])
+    assert lower_bound(game, him, (length,)) == pytest.approx(lp.bound, rel=5e-3)
+    assert best_response(game, him.by_leg, (length,), him.prices) >= lp.bound * (1.0 - 5e-3)
 
 
 def test_with_no_site_to_limit_the_value_is_0():

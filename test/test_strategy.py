@@ -45,7 +45,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game.revaluation import revalue
-from ambush_planner.game.value import potential
+from ambush_planner.game.value import face_flows
 from ambush_planner.game.value.face_flows import KeptFlows, RepeatedFlows
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
@@ -381,7 +381,7 @@ def test_a_solver_that_fails_is_named(monkeypatch, recwarn, flows):
         raise SolverFailed('numerical trouble')
 
     monkeypatch.setattr(flows, 'solve', fails)
-    monkeypatch.setattr(potential, 'new_flows', flows)
+    monkeypatch.setattr(face_flows, 'new_flows', flows)
     strategy = solve(terrain_network(4, cells=14), GameOptions(ambush_radius=2.0))
     assert strategy.reason == 'solver' and 0.0 <= strategy.lower_bound < strategy.value
     assert not [str(each.message) for each in recwarn]

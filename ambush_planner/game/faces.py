@@ -63,6 +63,10 @@ class Faces:
     crossed: IndexArray
     first: IndexArray
 
+    def leg(self, face: IndexArray) -> IndexArray:
+        """The leg (K,) of each face (K,)."""
+        return np.searchsorted(self.first, face, 'right') - 1
+
     def discs(self, entering: csr_matrix) -> Discs:
         """The faces on the rims of discs that the edges of the rows ``entering`` (K, M) enter."""
         rims = self._rims(entering)

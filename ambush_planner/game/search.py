@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
@@ -103,6 +103,10 @@ class ValueLP(Protocol):
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
+
+    @property
+    def provers(self) -> Sequence[ValueLP]:
+        """Those whose ambushers prove the bound, or one below it that is checked faster, first."""
 
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
@@ -272,7 +276,8 @@ class Search:
         best = self._worst_of(best)
         own = np.arange(len(self.loss)) < len(self.game.sites)
         weights = padded(best.weights, len(own))
-        kept = own | (padded(self.lp.q, len(own)) > 0.0) | (weights > 0.0)
+        q = [padded(each.q, len(own)) for each in self.lp.provers]
+        kept = own | np.any(q, axis=0) | (weights > 0.0)
         if best.worst >= 0:
             kept[best.worst] = True
         added = np.flatnonzero(kept & ~own)
@@ -285,12 +290,7 @@ class Search:
             length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in budgets)
             budgets = length, exposure
         game = game.with_sites(self.points[added], self.loss[added], csr_matrix(entering))
-        ambusher = self.lp.ambusher(game, kept)
-        ambusher = replace(ambusher, prices=self._of_all_budgets(np.array(ambusher.prices)))
-        bound = 0.0
-        if self.lp.bound > 0.0:  # else a search for what he proves can take minutes
-            bound = lower_bound(game, ambusher, budgets, self.lp.faces, self.problem.judged,
-                                best.value / ceiling(1.0, self.slack))
+        bound, ambusher = self._proof(game, kept, budgets, best.value / ceiling(1.0, self.slack))
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weights[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64),
@@ -298,6 +298,22 @@ class Search:
         return Solution(game, budgets, p, best.value, bound, ambusher,
                         None if best.layers else multipliers, self.evaluations, best.entropy_bound,
                         self._why())
+
+    def _proof(self, game: Game, kept: BoolArray, budgets: tuple[Budget, Budget],
+               enough: float) -> tuple[float, Ambusher]:
+        """The best bound that an ambusher proves, and he; a bound of ``enough`` will do."""
+        found = []
+        for prover in self.lp.provers:
+            ambusher = prover.ambusher(game, kept)
+            ambusher = replace(ambusher, prices=self._of_all_budgets(np.array(ambusher.prices)))
+            bound = 0.0
+            if self.lp.bound > 0.0:  # else a search for what he proves can take minutes
+                bound = lower_bound(game, ambusher, budgets, prover.faces, self.problem.judged,
+                                    enough)
+            found.append((bound, ambusher))
+            if bound >= enough:
+                break
+        return max(found, key=lambda proved: proved[0])
 
     def _worst_of(self, best: Incumbent) -> Incumbent:
         """The incumbent with its value at any site, also at those that joined for others."""

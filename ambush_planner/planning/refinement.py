@@ -24,8 +24,8 @@ from ..maps.risk_map import RiskMap
 from .options import PlanningOptions, finest_spacing, grading, node_spacing
 from .solving import WarmStart
 
-# Unless the number of rounds is given: most rounds after the first one, and most nodes, times the
-# legs of a trip, of a network that is refined further, as larger ones take minutes.
+# Unless the number of rounds is given: most rounds after the first one, and most nodes, those of
+# all legs, of a network that is refined further, as larger ones take minutes.
 ROUNDS, MAX_NODES = 6, 15_000
 # Share of the time limit after which no round begins.
 REFINED_BY = 0.4
@@ -73,8 +73,7 @@ def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
     best = newest = find_value(warm)
     done = [_round(newest, begin)]
     while len(done) <= (ROUNDS if given is None else given) and time.monotonic() < latest:
-        size = done[-1].nodes * newest.problem.game.network.legs
-        too_large = given is None and size > MAX_NODES
+        too_large = given is None and done[-1].nodes > MAX_NODES
         if too_large or (places := next_places(newest, risk_map, options)) is None:
             break
         begin, before = time.monotonic(), best.lp.bound

@@ -14,7 +14,7 @@ aboard, counts that much in P(hit), wherever p_e or V meet it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -179,12 +179,14 @@ class SeparateLegs:
 
     def meets(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the whole network's edges (K, M)."""
-        return np.max([self._chain.meets(csr_matrix(rows @ leg)) for leg in self._legs], axis=0)
+        return self._most(self._chain.meets, rows)
 
     def meets_at_most(self, rows: csr_matrix) -> FloatArray:
         """An upper bound (K,) of ``meets`` that is fast to find."""
-        return np.max([self._chain.meets_at_most(csr_matrix(rows @ leg)) for leg in self._legs],
-                      axis=0)
+        return self._most(self._chain.meets_at_most, rows)
+
+    def _most(self, meets: Callable[[csr_matrix], FloatArray], rows: csr_matrix) -> FloatArray:
+        return np.asarray(np.max([meets(csr_matrix(rows @ leg)) for leg in self._legs], axis=0))
 
 
 def chain_of(network: Network, p: FloatArray) -> MarkovChain:

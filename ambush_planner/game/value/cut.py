@@ -80,6 +80,11 @@ class Cut:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Nothing: all sites are nodes of the network."""
 
+    @property
+    def provers(self) -> list[Cut]:
+        """Itself."""
+        return [self]
+
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` sites."""
         return Ambusher(at_nodes(game, self.q[kept]), tuple(self.prices.tolist()))

@@ -70,17 +70,12 @@ class KeptFlows:
                             np.column_stack((tail, head)).ravel().astype(np.int32),
                             np.tile([1.0, -1.0], count))
 
-    def start_at(self, limit: IndexArray, first: IndexArray) -> None:
-        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0).
-
-        ``first`` are nodes of which each component of the graph has one.
-        """
+    def start_at(self, limit: IndexArray) -> None:
+        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
         status = {-1: self._status.kLower, 0: self._status.kBasic, 1: self._status.kUpper}
         basis = self._new_basis()
         basis.col_status = [status[each] for each in limit.tolist()]
-        rows = np.full(self._nodes, -1)
-        rows[first] = 0
-        basis.row_status = [status[each] for each in rows.tolist()]
+        basis.row_status = [status[0]] + [status[-1]] * (self._nodes - 1)
         basis.valid = True
         self._model.setBasis(basis)
 
@@ -119,7 +114,7 @@ class RepeatedFlows:
         """Add columns (K,)."""
         self._columns = np.hstack((self._columns, [tail, head, cost, low, high]))
 
-    def start_at(self, limit: IndexArray, first: IndexArray) -> None:
+    def start_at(self, limit: IndexArray) -> None:
         """Nothing: linprog takes no basis."""
 
     def change_costs(self, first: int, cost: FloatArray) -> None:
@@ -141,6 +136,68 @@ class RepeatedFlows:
             _time_left(deadline)
             raise SolverFailed(f'the LP in potentials: {found.message}')
         return _solution(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
+
+
+class LegFlows:
+    """One such LP for each leg of a trip: legs have no nodes in common."""
+
+    def __init__(self, legs: int) -> None:
+        self._lps = [new_flows() for _ in range(legs)]
+        # The leg of each node and each column, and their numbers there.
+        self._nodes, self._columns = (_Numbers(legs) for _ in range(2))
+
+    def add_nodes(self, leg: IndexArray) -> None:
+        """Add nodes on the legs (K,)."""
+        for lp, count in zip(self._lps, self._nodes.add(leg), strict=True):
+            lp.add_nodes(count)
+
+    def add_columns(self, tail: IndexArray, head: IndexArray, cost: FloatArray, low: FloatArray,
+                    high: FloatArray) -> None:
+        """Add columns (K,), each between two nodes of a leg."""
+        leg, number = self._nodes.leg[tail], self._nodes.number
+        self._columns.add(leg)
+        for k, lp in enumerate(self._lps):
+            own = leg == k
+            lp.add_columns(number[tail[own]], number[head[own]], cost[own], low[own], high[own])
+
+    def start_at(self, limit: IndexArray) -> None:
+        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
+        for k, lp in enumerate(self._lps):
+            lp.start_at(limit[self._columns.leg == k])
+
+    def change_costs(self, first: int, cost: FloatArray) -> None:
+        """Change the costs of the columns from ``first`` on."""
+        before, after = np.split(self._columns.leg, [first])
+        for k, lp in enumerate(self._lps):
+            lp.change_costs(int(np.count_nonzero(before == k)), cost[after == k])
+
+    def solve(self, deadline: float) -> FlowSolution:
+        """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
+        x, potential = np.empty(len(self._columns.leg)), np.empty(len(self._nodes.leg))
+        cost = 0.0
+        for k, lp in enumerate(self._lps):
+            found = lp.solve(deadline)
+            x[self._columns.leg == k], potential[self._nodes.leg == k] = found.x, found.potential
+            cost += found.cost
+        return FlowSolution(x, potential, cost)
+
+
+class _Numbers:
+    """The legs (K,) of some things, and their numbers on them."""
+
+    def __init__(self, legs: int) -> None:
+        self.leg, self.number = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self._count = np.zeros(legs, dtype=np.int64)
+
+    def add(self, leg: IndexArray) -> list[int]:
+        """Add things on the legs (K,); return how many are on each."""
+        count = np.bincount(leg, minlength=len(self._count))
+        number = np.empty(len(leg), dtype=np.int64)
+        for k in range(len(count)):
+            number[leg == k] = self._count[k] + np.arange(count[k])
+        self.leg, self.number = np.append(self.leg, leg), np.append(self.number, number)
+        self._count = self._count + count
+        return [int(each) for each in count]
 
 
 def new_flows() -> KeptFlows | RepeatedFlows:

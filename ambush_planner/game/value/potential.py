@@ -28,7 +28,7 @@ from ..faces import Circulation, Faces
 from ..game import Game
 from ..hits import hits_can_differ
 from ..route_sampler import shortest_route_strategy
-from .face_flows import new_flows
+from .face_flows import LegFlows
 
 # Largest relative precision of z, and of the share at which faces join.
 PRECISION = 1e-3
@@ -75,13 +75,13 @@ class Potential:
         discs = self.faces.discs(entering)
         order = np.argsort(discs.part, kind='stable')
         first = np.unique(discs.part[order], return_index=True)[1]
+        self._flows.add_nodes(self.faces.leg(discs.face[order][first]))
         self._first = np.append(self._first, len(self._face) + first)
         self._face = np.append(self._face, discs.face[order])
         self._offset = np.append(self._offset, discs.offset[order])
         self._site = np.append(self._site, discs.disc[order] + len(self._loss))
         self._part = np.append(self._part, discs.part[order] + self._parts)
         self._parts += len(first)
-        self._flows.add_nodes(len(first))
         self._loss = np.append(self._loss, loss)
         self._around = np.append(self._around, discs.around)
         self.q = np.append(self.q, np.zeros(len(loss)))
@@ -114,6 +114,11 @@ class Potential:
                 self._z = z
                 return
 
+    @property
+    def provers(self) -> list[Potential]:
+        """Itself."""
+        return [self]
+
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
         q, curves = padded(self.q, len(kept))[kept], self.circulation
@@ -129,7 +134,7 @@ class Potential:
         legs, curves = len(self.faces.first), self.circulation
         if legs == 1 or curves is None:
             return None
-        leg = np.searchsorted(self.faces.first, curves.face, 'right') - 1
+        leg = self.faces.leg(curves.face)
         through = sums(leg * len(kept) + curves.site, np.abs(curves.flow) / 2.0, legs * len(kept))
         waits = through.reshape(legs, -1)[:, : len(self._loss)] / self._loss
         return on_nodes(game, padded(waits, len(kept))[:, kept])
@@ -172,12 +177,11 @@ class Potential:
         # The others are bridges, each between a face and itself.
         self._bridges = np.where(faces.left == faces.right, most * faces.crossed, 0.0)
         low, high = ends[:, real]
-        self._flows = new_flows()
-        self._flows.add_nodes(faces.count)
+        self._flows = LegFlows(len(faces.first))
+        self._flows.add_nodes(faces.leg(np.arange(faces.count)))
         self._flows.add_columns(faces.left[real], faces.right[real],
                                 -faces.crossed[real].astype(np.float64), -most[real], most[real])
-        self._flows.start_at(np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0)),
-                             faces.first)
+        self._flows.start_at(np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0)))
 
     def _heights(self) -> FloatArray:
         """The potential at each pair of a disc and a face, along the rim."""

@@ -141,10 +141,14 @@ class Routes:
         slacks = [b.slack for b in self.budgets if b.binds]
         return np.asarray(self._prices / np.array(slacks))
 
+    @property
+    def provers(self) -> list[Potential | Routes]:
+        """Those whose ambushers prove bounds; what potentials prove is checked in no time."""
+        planar: list[Potential | Routes] = [self.planar] if self.planar else []
+        return planar if self._by_planar else [*planar, self]
+
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
-        if self.planar and self._by_planar:
-            return self.planar.ambusher(game, kept)
         by_leg = padded(self.by_leg, len(kept))[:, kept]
         return Ambusher(at_nodes(game, by_leg.sum(axis=0)), tuple(self.prices.tolist()),
                         on_nodes(game, by_leg) if len(by_leg) > 1 else None)
