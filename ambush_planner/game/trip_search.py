@@ -27,6 +27,8 @@ SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
 JOINING, SMALL = 0.5, 0.25
 # Routes with a layer of their own at first, and their number times the layers' width in edges.
 FEWEST, WIDTH = 4, 32
+# Level lines of each leg from which the first routes are made.
+LINES = 64
 # Share of the slack that few routes may cost more than all.
 FEW_LOSE = 1.0 / 3.0
 
@@ -53,7 +55,9 @@ def find_mixture(search: Search, lp: Routes) -> None:
         _prove_until(search, lp, begin + FIRST_PROOF * (end - begin))
     lp.deadline = begin + SOLVED * (end - begin)
     with search.keep_incumbent():
-        if search.game.reach == 0.0:
+        if lp.planar:
+            lp.add_level_lines(LINES)
+        elif search.game.reach == 0.0:
             lp.prove_by_legs()
         lp.solve(prove=False)
     apart, before = 1.0, lp.value

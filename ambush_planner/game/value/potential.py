@@ -27,7 +27,7 @@ from ..distribution.chain import conserved_strategy
 from ..faces import Circulation, Faces
 from ..game import Game
 from ..hits import hits_can_differ
-from ..route_sampler import shortest_route_strategy
+from ..route_sampler import route_edges, shortest_route, shortest_route_strategy
 from .face_flows import LegFlows
 
 # Largest relative precision of z, and of the share at which faces join.
@@ -161,6 +161,16 @@ class Potential:
         used = float(p[p > 0.0] @ self.budget.reduced_cost[p > 0.0])
         share = min(self.budget.slack / used, 1.0) if used > 0.0 else 1.0
         return without_cycles(self.game.network, share * p + (1.0 - share) * shortest)
+
+    def level_lines(self, count: int) -> list[IndexArray]:
+        """Routes, as edges, along ``count`` level lines; drawn alike, they are the flow."""
+        network, routes = self.game.network, []
+        if self._kept is None:
+            return []
+        for level in (np.arange(count) + 0.5) / count:
+            edge = np.flatnonzero(self.faces.flow(np.floor(self._kept - level)))
+            routes.append(route_edges(network, shortest_route(network, edge, self.budget.cost)))
+        return routes
 
     def _start_with_links(self) -> None:
         """The model without discs at its optimum: links of the shortest-path tree are full."""

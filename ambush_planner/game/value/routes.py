@@ -32,8 +32,10 @@ from .potential import Potential
 
 # Relative gaps of the linear programs: while routes join, and once none does.
 LOOSE, TIGHT = 5e-2, 1e-4
-# Share of the gap by which a route must cost less than the value to join.
-GAIN = 0.25
+# Share of the wanted gap by which a route must cost less than the value to join. Where sites can be
+# met twice, it is at least the second share of the open gap, and the LP ends after so many rounds in
+# which the value does not fall by as much as the first.
+GAIN, OPEN_GAIN, STALLED = 0.25, 0.5, 20
 # Legs with which the search for a trip begins in each round, and the routes of the mixture that are
 # improved leg by leg once none is found.
 STARTS, RESTARTS = 4, 8
@@ -189,15 +191,18 @@ class Routes:
         left out unless it is to ``prove`` the value.
         """
         precision, rounds = LOOSE, 0
+        least, stalled = math.inf, 0
         tight = min(TIGHT, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
             mixture = self.mixtures.solve(precision, self.deadline)
             self.shares = mixture.shares
             self.value = self.mixtures.value(self.shares)
-            if self._ended():
+            if self._ended() or stalled == STALLED and not self._whole.exact:
                 return
-            added, rounds = 0, rounds + 1
+            added, rounds, stalled = 0, rounds + 1, stalled + 1
+            if self.value < least * (1.0 - GAIN * self.gap):
+                least, stalled = self.value, 0
             if precision == LOOSE:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = self._add_responses(centre, precision, prove)
@@ -245,7 +250,10 @@ class Routes:
         """Add routes that cost less than the value, by the fastest way that finds any."""
         q, prices = self._ambusher(mixture, 0.0)
         base, dual_weights = prices @ self.reduced_cost, q[0] * self.loss
-        most = self.value * (1.0 - GAIN * self.gap) + float(prices.sum())
+        gain = GAIN * self.gap
+        if self.bound > 0.0 and not self._whole.exact:
+            gain = max(gain, OPEN_GAIN * (1.0 - self.bound / self.value))
+        most = self.value * (1.0 - gain) + float(prices.sum())
         for routes in self._responses(mixture, base, dual_weights, precision, prove):
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, dual_weights) < most)
@@ -351,6 +359,27 @@ class Routes:
             if self._newest and self.bound == 0.0:
                 self._proof_by_legs(self._newest)
             raise
+
+    def add_level_lines(self, count: int) -> None:
+        """Add trips of ``count`` level lines of each leg, which share the sites that they meet.
+
+        So a mixture of them costs hardly more than its legs.
+        """
+        assert self.planar is not None
+        from scipy.optimize import linear_sum_assignment  # slow to load
+
+        charge, lines = self.planar.q * self.loss, self.planar.level_lines(count)
+        if not lines:
+            return
+        first, *later = zip(*(self._legs_of(line)[1] for line in lines), strict=True)
+        trips, met = list(first), np.array([self._whole.met(way) for way in first])
+        for ways in later:
+            others = np.array([self._whole.met(way) for way in ways])
+            after = linear_sum_assignment((met * charge) @ others.T, maximize=True)[1]
+            trips = [np.concatenate((trip, ways[k])) for trip, k in zip(trips, after, strict=True)]
+            met = np.maximum(met, others[after])
+        for trip in trips:
+            self._add(trip)
 
     def _prove_by_potential(self, planar: Potential) -> None:
         planar.deadline = self.deadline
