@@ -33,8 +33,8 @@ from .potential import Potential
 # Relative gaps of the linear programs: while routes join, and once none does.
 LOOSE, TIGHT = 5e-2, 1e-4
 # Share of the wanted gap by which a route must cost less than the value to join. Where sites can be
-# met twice, it is at least the second share of the open gap, and the LP ends after so many rounds in
-# which the value does not fall by as much as the first.
+# met twice, it is at least the second share of the open gap, and the LP ends after so many rounds
+# in which the value does not fall by as much as the first.
 GAIN, OPEN_GAIN, STALLED = 0.25, 0.5, 20
 # Legs with which the search for a trip begins in each round, and the routes of the mixture that are
 # improved leg by leg once none is found.
