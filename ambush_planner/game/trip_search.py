@@ -145,8 +145,8 @@ def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers:
         distribution.measure(few.caps(shares, lp.gap) * share)
         best = search.better(best, distribution, layers)
         done = distribution.rounds and distribution.good
-        if done or search.problem.late or not distribution.round():
-            break
+        if done or search.problem.late or not distribution.round() or search.problem.late:
+            break  # a round that is cut short costs much at other sites
         found = search.join_worst(distribution.chain, limit, APART)
         if found:
             distribution.add_sites(found.entering, found.alpha)

@@ -100,10 +100,10 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     dual_weights = game.loss * ambusher.q
     if not used:
         return curve_bound(faces, 0.0 * game.network.lengths, 0.0, dual_weights, 0.0,
-                           ambusher.circulation, enough)
+                           ambusher.circulation, deadline, enough)
     budget, price = budgets[used[0]], ambusher.prices[used[0]]
     return curve_bound(faces, budget.cost, budget.limit, dual_weights, price, ambusher.circulation,
-                       enough)
+                       deadline, enough)
 
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:

@@ -30,13 +30,15 @@ from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
 
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: FloatArray,
-                price: float, given: Circulation, enough: float = math.inf) -> float:
+                price: float, given: Circulation, deadline: float = math.inf,
+                enough: float = math.inf) -> float:
     """What a circulation proves about strategies with a mean ``cost`` (M,) of at most ``limit``.
 
     ``dual_weights`` (N,) are q_j alpha_j at each node. Flow beyond a dual weight, or beyond a
     link's share of the price, counts for nothing. Curves that wind more than once count once if
-    that proves ``enough``; else the rest of the dual weights may prove more, which takes seconds.
-    Raises SolverFailed if the circulation is that of another network.
+    that proves ``enough``; else the rest of the dual weights may prove more, which takes seconds,
+    but no longer than to ``deadline`` (``time.monotonic``). Raises SolverFailed if the circulation
+    is that of another network.
     """
     game, given = faces.game, given.at(dual_weights > 0.0)
     if len(given.through) != len(faces.left):
@@ -67,12 +69,26 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: Floa
         across, into = np.split(used, [len(arcs[0])])
         left = np.append(np.where(np.isfinite(most), most, 0.0), 0.0)  # 0 for unplayable edges
         left[arcs[0]] -= across
-        taken = sums(given.site[arcs[1]], into * (inside[arcs[1]] > 0.0), len(dual_weights))
-        dual_weights = np.maximum(dual_weights - taken, 0.0)
+        site, leg = given.site[arcs[1]], faces.leg(given.face[arcs[1]])
+        enters = (inside[arcs[1]] > 0.0).astype(np.float64)
+        others = np.maximum(dual_weights - sums(site, into * enters, len(dual_weights)), 0.0)
+        winds = (size[len(arcs[0]) :] - into) * enters
+        shares = others * _shares_of_legs(leg, site, winds, faces, len(others))
         cost, wanted = np.maximum(left, 0.0)[faces.link], enough - total + price * limit
-        total += max(winding, TripNetworks(game, game.hits).whole.least_cost(
-            cost, dual_weights[game.sites], SEARCHES, enough=wanted)[0])
+        proved = sum(each.network.least_cost(cost, shares[each.number, game.sites], SEARCHES,
+                                             deadline, wanted)[0]
+                     for each in TripNetworks(game, game.hits).legs)
+        total += max(winding, proved)
     return max(total - price * limit, 0.0) if price > 0.0 else total
+
+
+def _shares_of_legs(leg: IndexArray, site: IndexArray, winds: FloatArray, faces: Faces,
+                    count: int) -> FloatArray:
+    """Shares (legs, count) of the sites, in proportion to the flows ``winds`` (T,) into them."""
+    legs = len(faces.first)
+    flow = sums(leg * count + site, winds, legs * count).reshape(legs, count)
+    through = flow.sum(axis=0)
+    return np.where(through > 0.0, flow / np.where(through > 0.0, through, 1.0), 1.0 / legs)
 
 
 def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
