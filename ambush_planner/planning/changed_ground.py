@@ -198,23 +198,36 @@ class ChangedGround:
 
         Only at cells that have changed if ``at_sites`` holds ``on_others``.
         """
-        if not holds_anywhere(self.plan.options) or math.isinf(at_sites.value):
+        changed = self._changed(newest)
+        if math.isinf(at_sites.value) or (on_others and not len(changed)):
             return at_sites
-        changed, hiding = self.compare(newest).changed, self._planned.hiding
-        if not hiding:
-            # Cells that have become obstacles hide nobody. If only such cells have changed, all
-            # ambushers of the planned map count, so that its losses need not be computed again.
-            changed = changed[~obstacles_in(newest.values.ravel()[changed], self._occupancy)]
-        if on_others and not len(changed):
+        search = self.site_search(newest, game, p)
+        if search is None:
             return at_sites
-        cells = self._cell_losses.on(newest if len(changed) else self._planned_on,
-                                     self._occupancy, hiding)
         among = None
-        if on_others and not hiding:
+        if on_others and not self._planned.hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
-        search = CellSearch(cells, game, np.flatnonzero(p > 0.0))
         worst = search.worst(chain_of(game.network, p), at_sites.value, among=among)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
+
+    def site_search(self, newest: OccupancyMap, game: Game, p: FloatArray) -> CellSearch | None:
+        """The search for ambushers at any cell against the edges of p (M,), if the plan's is."""
+        if not holds_anywhere(self.plan.options):
+            return None
+        cells = self._cell_losses.on(newest if len(self._changed(newest)) else self._planned_on,
+                                     self._occupancy, self._planned.hiding)
+        return CellSearch(cells, game, np.flatnonzero(p > 0.0))
+
+    def _changed(self, newest: OccupancyMap) -> IndexArray:
+        """The cells whose losses have changed.
+
+        Cells that have become obstacles hide nobody. If only such cells have changed, all ambushers
+        of the planned map count, so that its losses need not be computed again.
+        """
+        changed = self.compare(newest).changed
+        if self._planned.hiding:
+            return changed
+        return changed[~obstacles_in(newest.values.ravel()[changed], self._occupancy)]
 
     def _assess(self, look: ChangedNetwork) -> Assessment:
         """Return the assessment of drawing routes until one avoids the lost edges."""

@@ -94,19 +94,6 @@ class ConditionedStrategy:
         kept = (~lost[self._order]).tolist()
         return list(zip(self._tails, self._heads, self._chances, kept, strict=True))
 
-    def joins(self, p: FloatArray, nearing: npt.NDArray[np.bool_]) -> FloatArray:
-        """Return where (N,) the routes of p (M,) first use an edge that is not ``nearing`` (M,).
-
-        The sum over the heads of these edges is 1: each route is joined at one of them.
-        """
-        joins, skipped = [0.0] * len(self._network.points), [0.0] * len(self._network.points)
-        skipped[self._network.source] = 1.0
-        near = nearing[self._order].tolist()
-        for tail, head, chance, skips in zip(*self._steps(p), near, strict=True):
-            if skipped[tail] > 0.0:
-                (skipped if skips else joins)[head] += skipped[tail] * chance
-        return np.array(joins)
-
     def flow_from(self, p: FloatArray, begins: FloatArray) -> FloatArray:
         """Return p (M,) of routes that begin at nodes with ``begins`` (N,) and go on as in p."""
         visits, flows, result = begins.tolist(), [], np.zeros(len(p))

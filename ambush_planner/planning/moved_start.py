@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A plan for a convoy that has moved on: its routes, joined from where the convoy is now.
 
-A route is joined at the node where it first leads away from the convoy. The part before that node
-is skipped, and the convoy drives straight to it. Whether an edge leads away depends on the edge
-alone, so the joined routes are those of an acyclic strategy again: on the network whose source is
-the convoy's place, joined to these nodes. Its value is computed like any other, and counts each
-site that can hit the way to the route. The secured area is around the convoy's place instead of the
-planned start.
+The convoy drives straight to a node around it that routes use, and goes on from there as they do.
+The node is drawn, with the probabilities that make the value least (``joins``). The joined routes
+are those of an acyclic strategy again: on the network whose source is the convoy's place, joined to
+these nodes. Its value is computed like any other, and counts each site that can hit the way to the
+route. The secured area is around the convoy's place instead of the planned start.
 
 A convoy that is on its way, and finds the rest of its route blocked, takes another rest of the same
 plan (``other_rest``).
@@ -15,15 +14,17 @@ plan (``other_rest``).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import AmbushPlannerError
 from ..game.ambusher import Ambusher
 from ..game.certificate.certificate import Certificate, lower_bound
+from ..game.distribution.chain import MIN_VISITS
 from ..game.game import make_game
 from ..game.hits import worst_loss
 from ..game.strategy import Strategy, make_budgets
@@ -32,10 +33,14 @@ from ..network.network import Network
 from ..routes.corridors import secured_in_map_axes
 from ..routes.driven_path import Ends
 from .changed_ground import MIN_CLEAR, Assessment, ChangedGround
+from .joins import best_first_steps
 from .plan import Plan, Route, departure_path
 
-# Radius of the region around a plan's start within which its routes are joined [node spacings].
-REGION = 5.0
+# Radius of the region around a plan's start in which a convoy may be that joins its routes, and
+# maximum length of the straight line to them [node spacings].
+REGION, _STRAIGHT = 10.0, 5.0
+# Maximum number of nodes at which they are joined.
+_MAX_JOINS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +48,7 @@ class JoinedPlan:
     """A plan from another start, and its value on the newest map.
 
     Routes and paths are drawn from ``plan`` directly: none of its routes is blocked. The
-    assessment's ``clear_share`` is the share of the original routes that can be joined and driven.
+    assessment's ``clear_share`` is the share of the original routes that are clear.
     """
 
     plan: Plan
@@ -54,8 +59,8 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     """Return the plan for a convoy at ``ends[0]`` [m] instead of at the planned start.
 
     Returns None on roads, if ``ends[0]`` is further than ``REGION`` from the planned start, if too
-    few routes can be joined by a straight line that is clear on the newest map, or if the strategy
-    has cycles.
+    few routes are clear on the newest map or none can be joined by a straight line, or if the
+    strategy has cycles.
     """
     plan, network = ground.plan, ground.plan.network
     away = math.dist(ends[0], network.points[network.source].tolist())
@@ -63,24 +68,22 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
         return None
     look = ground.compare(newest)
     share, p = ground.conditioned.avoiding(look.lost | _through_start_again(network))
-    joins = ground.conditioned.joins(p, _nearing(network, ends[0])) if share else np.zeros(0)
-    at = np.flatnonzero(joins)
-    a, b = np.broadcast_to(ends[0], (len(at), 2)), network.points[at]
-    at = at[(a != b).any(axis=1) & ground.clear(a, b, newest)]
-    share *= float(joins[at].sum())
-    if share < MIN_CLEAR:
+    at = _nodes_ahead(ground, newest, ends[0], p)
+    if share < MIN_CLEAR or not len(at):
         return None
-    begins = np.zeros(len(joins))
-    begins[at] = joins[at] / joins[at].sum()
-    kept = network.tails != network.source
     edges = np.column_stack((np.full(len(at), network.source), at))
+    kept = network.tails != network.source
     points = network.points.copy()
     points[network.places == network.places[network.source]] = ends[0]
-    moved = replace(network, points=points, alpha=look.alpha,
+    moved = replace(network, points=points, alpha=look.alpha, ground_length=None,
                     edges=np.concatenate((network.edges[kept], edges)))
-    flow = np.concatenate((ground.conditioned.flow_from(p, begins)[kept], begins[at]))
+
+    def flow(begins: FloatArray) -> FloatArray:
+        onwards = ground.conditioned.flow_from(p, sums(at, begins, len(points)))
+        return np.concatenate((onwards[kept], begins))
+
     try:
-        strategy = _valued(ground, newest, moved, flow)
+        strategy = _best_joined(ground, newest, moved, flow, len(at))
     except AmbushPlannerError:  # no route within the budgets of length or exposure
         return None
     fitted = ground.fitted(newest, ends, np.unique(network.places[at]))
@@ -152,12 +155,20 @@ def rest_strategy(ground: ChangedGround, newest: OccupancyMap, route: IndexArray
     return replace(strategy, edge_probability=frozen_array(p, np.float64))
 
 
-def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:
-    """Return the edges (M,) that lead towards a place, and neither to a stop nor to the target."""
-    distance = np.hypot(*(network.points - place).T)
-    ends = network.leg[network.tails] < network.leg[network.heads]
-    ends |= network.heads == network.target
-    return np.asarray((distance[network.heads] < distance[network.tails]) & ~ends)
+def _nodes_ahead(ground: ChangedGround, newest: OccupancyMap, place: tuple[float, float],
+                 p: FloatArray) -> IndexArray:
+    """Return nodes (K,) on routes of p (M,), before any stop, to which a straight line is clear.
+
+    They are at most ``_MAX_JOINS``, at all distances up to ``_STRAIGHT``.
+    """
+    network, reach = ground.plan.network, _STRAIGHT * ground.plan.spacing
+    away = np.hypot(*(network.points - place).T)
+    on_routes = sums(network.heads, p, len(away)) > MIN_VISITS
+    near = on_routes & (away > 0.0) & (away <= reach)
+    at = np.flatnonzero(near & (network.leg == network.leg[network.source]))
+    at = at[ground.clear(np.broadcast_to(place, (len(at), 2)), network.points[at], newest)]
+    at = at[np.argsort(away[at], kind='stable')]
+    return np.sort(at[::math.ceil(len(at) / _MAX_JOINS)]) if len(at) else at
 
 
 def _through_start_again(network: Network) -> np.ndarray:
@@ -167,18 +178,23 @@ def _through_start_again(network: Network) -> np.ndarray:
     return np.asarray(again[network.edges].any(axis=1))
 
 
-def _valued(ground: ChangedGround, newest: OccupancyMap, network: Network,
-            p: FloatArray) -> Strategy:
-    """Return the strategy p (M,) on another network, with its value and a lower bound there.
+def _best_joined(ground: ChangedGround, newest: OccupancyMap, network: Network,
+                 flow: Callable[[FloatArray], FloatArray], joins: int) -> Strategy:
+    """Return the best strategy on another network that begins with one of its last edges.
 
-    It may exceed the budgets, whose best routes begin elsewhere. Raises NoRoute or BudgetInfeasible
-    if the best route exceeds a budget.
+    ``flow`` gives p (M,) from their probabilities (``joins``,). It may exceed the budgets, whose
+    best routes begin elsewhere. Raises NoRoute or BudgetInfeasible if the best route exceeds one.
     """
     before = ground.plan.strategy
     game = make_game(network, before.game.options)
     budgets = make_budgets(game, ground.plan.options.strategy)
     prices = tuple(price if budget.binds else 0.0 for price, budget in zip(
         before.ambusher.prices, budgets, strict=True))
+    source = network.source
+    away = math.dist(network.points[source], before.network.points[source])
+    longest = max(budgets[0].limit, before.expected_length + away)
+    p = flow(np.full(joins, 1.0 / joins))
+    p = flow(best_first_steps(game, p, longest, ground.site_search(newest, game, p)))
     ambusher = Ambusher(before.ambusher.q, prices)
     value = worst_loss(game, p)
     at_nodes = Certificate(value, min(lower_bound(game, ambusher, budgets), value))

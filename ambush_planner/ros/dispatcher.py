@@ -48,10 +48,9 @@ from .recordings import Recordings
 from .reporter import Reporter
 from .topics import Publishers
 
-# Maximum number of solves for one departure while the map changes.
-_MAX_SOLVES = 4
-# How far the robot may drive during a solve before the request is refused [m].
-_MAX_BEHIND = 1.0
+# Maximum number of solves for one departure while the map changes or the robot drives. From the
+# second one on, a robot joins the plan at any value: the next one may be out of date again.
+_MAX_SOLVES, _BEST_VALUE = 4, 1
 # Maximum number of trips of one robot that are kept, each with its plan: another goal that is
 # looked up ends none.
 _MAX_TRIPS = 4
@@ -70,7 +69,6 @@ class _Pending:
     client: str
     answer: Future[Answer] = field(default_factory=Future)
     solves: int = 0
-    asked: Trip | None = None  # as the last solve was asked for
 
 
 @dataclass(eq=False)
@@ -261,7 +259,7 @@ class Dispatcher:
         if pending.call.kind is not Trigger and self._goes_on(trip, pending):
             return  # new_route always draws
         trip = _out_of_obstacle(trip, parameters)
-        if fit := self._plans.fit(trip, parameters):
+        if fit := self._plans.fit(trip, parameters, pending.solves > _BEST_VALUE):
             self._leave(fit, pending)
         else:
             self._solve_for(trip, pending)
@@ -335,14 +333,11 @@ class Dispatcher:
 
     def _solve_for(self, trip: Trip, pending: _Pending) -> None:
         """Try again with a plan for this trip; raises GroundChanges after too many."""
-        before, pending.asked, pending.solves = pending.asked, trip, pending.solves + 1
-        driven = math.dist(before.start_xy, trip.start_xy) if before and trip.moves else 0.0
-        if driven > _MAX_BEHIND:
-            raise GroundChanges(f'the robot drove {driven:.3g} m while its plan was solved, and is '
-                                'too far from it: ask again')
+        pending.solves += 1
         if pending.solves > _MAX_SOLVES:
             raise GroundChanges(f'{_MAX_SOLVES} plans in a row were out of date when solved: the '
-                                'map changes too fast; raise network.spacing or strategy.max_gap')
+                                'map changes or the robot drives too fast; raise network.spacing '
+                                'or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
                           lambda _: self._try(pending), pending.answer)
 
@@ -437,8 +432,8 @@ class Dispatcher:
         leaving = max(pending.begin_ns, self._now())
         path = self._path(rows, trip, leaving)
         tight = tight_turns(rows, fit.plan.options.drive.turning_radius)
-        note = (f'the path joins the route of an earlier start: value {fit.assessment.value:.4g}, '
-                f'bound {fit.assessment.lower_bound:.4g}') if fit.joined else ''
+        note = (f'the path joins the routes of an earlier start: value {fit.assessment.value:.4g}, '
+                f'from there {fit.cached.plan.value:.4g}') if fit.joined else ''
         return self._reporter.departing(Departure(
             str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
             fit.joined is not None, fit.cached.ends(trip), source, route, path,

@@ -26,6 +26,8 @@ from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
 
+# Distance that a robot may drive and will probably join the plan that is being solved [m].
+_JOINABLE = 1.0
 # Maximum number of plans kept, and of the bytes that they take for each edge, and for each cell of
 # the maps that a plan was solved and last assessed on, which are kept with their messages.
 _MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 330_000_000, 1100, 4
@@ -73,16 +75,17 @@ class CachedPlan:
         same = _distance(self.trip, trip) == 0.0
         return Fit(self, trip) if same or self.ground.connects(trip.map, self.ends(trip)) else None
 
-    def joined(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
+    def joined(self, trip: Trip, parameters: NodeParameters, at_any_value: bool) -> Fit | None:
         """Return how a robot that has moved joins this plan from where it is, if at all.
 
-        That must not raise the value by more than ``strategy.max_gap``.
+        Unless ``at_any_value``, that must not raise the value by more than ``strategy.max_gap``.
         """
         if not (self.is_near(trip) and self._serves(trip, parameters)):
             return None
         joined = joined_plan(self.ground, trip.map, self.ends(trip))
         most = (1.0 + parameters.planning.max_gap) * self.plan.strategy.value
-        return Fit(self, trip, joined) if joined and joined.assessment.value <= most else None
+        good = joined and (at_any_value or joined.assessment.value <= most)
+        return Fit(self, trip, joined) if good else None
 
     def is_near(self, trip: Trip) -> bool:
         """Whether a trip is that of a robot near the start of this plan, to the same goal."""
@@ -165,7 +168,8 @@ class _Asked:
         spacing = parameters.planning.network.spacing or trip.map.resolution
         joins = trip.moves and _goal(other) == _goal(trip)
         near = _distance(other, trip) <= (
-            REGION * spacing if joins else start_tolerance(parameters.planning, spacing))
+            max(REGION * spacing, _JOINABLE) if joins
+            else start_tolerance(parameters.planning, spacing))
         return (trip.map.same_ground(other.map)
                 and _conditions(other, used) == _conditions(trip, parameters)
                 and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
@@ -193,13 +197,17 @@ class PlanCache:
         """Whether a plan is being refined, or waits for it."""
         return self._refinement is not None and not self._refinement.done()
 
-    def fit(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
-        """Return the nearest plan that suits a trip, else the nearest one that can be joined."""
+    def fit(self, trip: Trip, parameters: NodeParameters,
+            at_any_value: bool = False) -> Fit | None:
+        """Return the nearest plan that suits a trip, else the nearest one that can be joined.
+
+        ``at_any_value``: even if joining it raises the value much.
+        """
         with self._lock:
             plans = sorted(self._plans, key=lambda one: _distance(one.trip, trip))
             near = [each for each in plans if each.is_near(trip)]
             tries = chain((each.fit(trip, parameters) for each in plans),
-                          (each.joined(trip, parameters) for each in near[:1]))
+                          (each.joined(trip, parameters, at_any_value) for each in near[:1]))
             fit = next(filter(None, tries), None)
             if fit is not None:
                 self._keep(fit.cached)
