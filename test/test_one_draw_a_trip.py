@@ -266,7 +266,9 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
                        driven.drawn_from.edge_probability.tolist(), strict=True))
     assert all(chances[step] > 0.0 for step in pairwise(driven.route.tolist()))
     seen = json.loads(run_here(audit, tmp_path, '--json').out)
-    assert (seen['departures'], seen['impossible'], seen['findings']) == (5, 0, [])
+    assert (seen['departures'], seen['impossible']) == (5, 0)
+    by_chance = 'far more or less often'  # once in a thousand audits
+    assert [each for each in seen['findings'] if by_chance not in each] == []
     assert len(together(verdicts[1:])[0]) == 1, 'the departure is missing'
     (missing,), _ = together([*verdicts[:1], *verdicts[2:]])
     assert missing == f'missing: what {files[2].name} was diverted from'
