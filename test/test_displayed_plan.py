@@ -192,7 +192,8 @@ def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path, monkeypatc
         assert client.call('new_route').success
         first = client.diagnostics(departures='1')
         assert first['refined'] == ''
-        wait_until(lambda: client.diagnostics()['refined'], 'a refined plan')
+        wait_until(lambda: client.diagnostics()['refined'], 'a refined plan',
+                   3.0 * TIMEOUT)  # at low priority, on a busy machine
         refined = client.diagnostics(refining='no', state='ready')
         assert float(refined['value']) < float(first['value'])
         assert client.call('new_route').success

@@ -24,7 +24,7 @@ from .solve_errors import WorkerFailed, no_plan_in, unexpected
 PICKLE_PROTOCOL = 5
 _PR_SET_PDEATHSIG = 1  # from Linux' prctl.h
 _OOM_SCORE = '500'  # the kernel kills the worker before the node when memory runs out
-_NICE = 10  # of solves with low priority, which get a tenth of a core that others want
+_NICE = 5  # of solves with low priority, which get a quarter of a core that others want
 
 
 def main() -> None:
