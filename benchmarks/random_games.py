@@ -3,8 +3,8 @@
 
 Maps, networks, trips, roads, reaches, secured areas, budgets, thresholds and ambushers are drawn
 from a seed of each game's own: ``--first SEED --count 1`` repeats a game. All strategies are
-checked by laws. Up to ``CHECKED`` nodes, values are computed again by geometry and recursions that
-are not the package's (test/games.py), and bounds are compared with HiGHS' dual simplex method.
+checked by invariants. Up to ``CHECKED`` nodes, values are computed again by geometry and recursions
+that are not the package's (test/games.py), and bounds are compared with HiGHS' dual simplex method.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def _assumptions(strategy: Strategy) -> str:
             f'{distance(radius)}, and {distance(game.reach - radius)} by which the path and his '
             'place may be off)' if radius > 0.0 else
             'only routes through his node, since no reach is set (game.ambush_radius)')
-    return (f'This assumes that he holds {places} at each departure, chosen before the route is '
+    return (f'This assumes that he waits at {places} per departure, chosen before the route is '
             f'drawn, hits {hits}, and causes the loss of the risk map there.')
 
 
@@ -188,7 +188,7 @@ def settings(section: Section) -> list[tuple[str, str, str]]:
 
 
 def ends(strategy: Strategy) -> str:
-    """The places that are held."""
+    """The ends, around which the area is secured."""
     return 'start, stops and goal' if len(strategy.network.stops) else 'start and goal'
 
 
