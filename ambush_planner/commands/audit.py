@@ -10,7 +10,7 @@ from ..recordings import RecordedDeparture, source_findings
 from ..recordings.audit import Audit, NotAuditable, audit
 from ..recordings.durable_files import write_all_durably
 from . import cli
-from .console import when
+from .report_words import leaving
 
 PICTURE = 'audit.png'
 SENSITIVITY = (
@@ -87,7 +87,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     departures, unreadable = cli.read_all(options.recordings, console)
     result, findings, notes = audited(departures)
     if departures:
-        ends = dict.fromkeys(when(departures[k].stamp_ns) for k in (0, -1))
+        times = [leaving(each) for each in departures]
+        ends = dict.fromkeys((min(times), max(times)))
         console.line(f'{cli.count(len(departures), "departure")}, {" to ".join(ends)}')
     for line in [*(f'FINDING: {each}.' for each in findings), *notes,
                  *(f'UNREADABLE and not audited: {each}' for each in unreadable)]:
