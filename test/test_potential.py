@@ -35,7 +35,7 @@ from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.value.face_flows import HAS_HIGHSPY, KeptFlows, RepeatedFlows
-from ambush_planner.game.value.potential import PRECISION, Potential
+from ambush_planner.game.value.potential import POTENTIAL, Potential
 from ambush_planner.game.value.routes import Routes
 
 WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key')
@@ -71,7 +71,7 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
     network = terrain_network(seed, method, 14)
     lp = lp_of(make_game(network, GameOptions()), detour)
     least = lp_value(network, None, detour * least_weight(network, network.lengths))
-    assert least * (1.0 - PRECISION) <= lp.bound <= least * (1.0 + 1e-6)
+    assert least * (1.0 - POTENTIAL.precision) <= lp.bound <= least * (1.0 + 1e-6)
 
 
 @examples(10)
@@ -80,7 +80,7 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
 def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     game = make_game(terrain_network(seed, cells=12), GameOptions(ambush_radius=reach))
     once, (later, q) = lp_of(game, detour), lp_in_parts(game, detour, parts)
-    assert later.bound == pytest.approx(once.bound, rel=PRECISION)
+    assert later.bound == pytest.approx(once.bound, rel=POTENTIAL.precision)
     assert len(later.q) == len(later.caps) == len(game.sites)
     ambusher = Ambusher(at_nodes(game, q), tuple(later.prices) or (0.0,))
     assert lower_bound(game, ambusher, (later.budget,)) == pytest.approx(later.bound, rel=1e-6)
@@ -130,7 +130,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     near = reached(network, 2.5, 0.4)
     assert value_by_routes(alpha, near, routes_of(network)) == pytest.approx(2 / 5)
     lp = lp_of(game)
-    assert lp.bound == pytest.approx(2 / 5, rel=PRECISION)
+    assert lp.bound == pytest.approx(2 / 5, rel=POTENTIAL.precision)
     curves = replace(lp.circulation, site=game.sites[lp.circulation.site])
     q = np.repeat([0.0, 0.2, 0.0], [21, 5, 1])
     for ambusher in Ambusher(q, ()), Ambusher(q, (), circulation=curves):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from ..game.bottleneck import DECISIVE_SHARE
+from ..game.certificate.best_response import NEGLIGIBLE
 from ..game.strategy import Strategy
 from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..parameters.table import PARAMETERS
@@ -138,7 +138,7 @@ def quantities(section: Section) -> list[tuple[str, str]]:
     strategy, (value, bound) = section.strategy, section.bounds
     network, budget = strategy.network, strategy.length_budget
     waits = strategy.ambush_at_places
-    sites = int((waits > DECISIVE_SHARE * waits.max()).sum()) if strategy.value > 0.0 else 0
+    sites = int((waits > NEGLIGIBLE * waits.max()).sum()) if strategy.value > 0.0 else 0
     return [
         ('mean loss, at most (value)', rounded(value, 4)),
         ('no planner can promise less than', rounded(bound, 4)),

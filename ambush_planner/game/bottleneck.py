@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import IndexArray, frozen_array
+from .certificate.best_response import NEGLIGIBLE
 from .discs import secured_area
 from .revaluation import budgets_in_game
 from .solver import least_value
@@ -16,8 +17,6 @@ from .strategy import Strategy
 
 # Sites are near the source, a stop or the target within this many median edge lengths.
 NEAR_EDGES = 2.0
-# Sites are decisive from this share of the ambusher's largest probability.
-DECISIVE_SHARE = 1e-6
 # Relative tolerance of the secured bound.
 SECURED_TOLERANCE = 0.05
 
@@ -39,7 +38,7 @@ def find_bottleneck(strategy: Strategy) -> Bottleneck:
     """Report the sites that decide the strategy's value."""
     game, q = strategy.game, strategy.ambush_at_places
     network, first = game.network, game.network.representatives
-    decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss[first] > 0.0)
+    decisive = (q > NEGLIGIBLE * q.max()) & (game.loss[first] > 0.0)
     sites = first[decisive & (strategy.value > 0.0)]
     distance = NEAR_EDGES * float(np.median(network.lengths[game.playable]))
     near = secured_area(network, distance).covers(network.points[sites])

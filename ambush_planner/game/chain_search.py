@@ -10,50 +10,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from ..arrays import FloatArray
+from .certificate.best_response import NEGLIGIBLE
 from .distribution.acyclic import acyclic_subnetwork, order_potential, topological_order
-from .distribution.chain import MarkovChain, chain_of
+from .distribution.chain import chain_of
 from .distribution.gibbs import acyclic_network
-from .distribution.route_distribution import AIM, RouteDistribution
+from .distribution.route_distribution import RouteDistribution
 from .game import Game
 from .hits import hits_can_differ
-from .search import GROWTH, ROUNDS, Incumbent, Search
+from .search import ROUNDS, Drawn, Incumbent, Search
 from .slack import ceiling
-from .value.routes import APART, MIN_FLOW
+from .value.routes import ROUTES
 
-# Rounds of constraint generation before the distribution, in the last of them with sites at any
-# distance from each other; more while the value is 0.
-SWEEPS = 3
-# Sites join that cost more than the bound by this share of the slack; if rows are not exact for
-# every chain, a distribution aims at less.
-JOINING, EARLY_AIM = 0.8, 0.7
+
+class ChainSearch(NamedTuple):
+    """The constants of the search for one chain."""
+
+    # Rounds of constraint generation before the distribution, in the last of them with sites at any
+    # distance from each other; more while the value is 0.
+    sweeps: int = 3
+    joining: float = 0.8  # share of the slack beyond which sites join a distribution
+    growth: float = 0.01  # least relative growth of the entropy for another round
+
+
+CHAIN = ChainSearch()
 
 
 def find_flow(search: Search) -> None:
     """Find the least value at the sites that matter for the LP's flow."""
-    search.solve_lp()
-    lp = search.lp
+    find_sites(search, search.lp.solve, lambda: chain_of(search.game.network, search.lp.flow))
+
+
+def find_sites(search: Search, solve: Callable[[], None], drawn: Callable[[], Drawn]) -> None:
+    """Let the LP ``solve``, and the sites that matter for what is then ``drawn`` join, by turns."""
     for sweep in range(ROUNDS):
-        if search.problem.late or (sweep >= SWEEPS and lp.bound > 0.0):
+        with search.keep_incumbent():
+            solve()
+        if search.problem.late or (sweep >= CHAIN.sweeps and search.lp.bound > 0.0):
             break
-        flow = chain_of(search.game.network, lp.flow)
-        above, apart = ceiling(lp.bound, search.slack), APART * (sweep < SWEEPS - 1)
-        if not _join(search, flow, above, apart, rough=sweep == 0):
+        above, apart = ceiling(search.lp.bound, search.slack), sweep < CHAIN.sweeps - 1
+        if search.join_worst(drawn(), above, ROUTES.apart * apart, rough=sweep == 0) is None:
             break
-
-
-def _join(search: Search, chain: MarkovChain, above: float, apart: float, rough: bool = False,
-          distribution: RouteDistribution | None = None) -> bool:
-    """Let sites that cost a chain more than ``above`` join LP and distribution; solve again."""
-    found = search.join_worst(chain, above, apart, rough)
-    if found is None:
-        return False
-    if distribution:
-        distribution.add_sites(found.entering, found.alpha)
-    search.solve_lp()
-    return True
 
 
 def find_chain(search: Search) -> Incumbent | None:
@@ -69,9 +71,13 @@ def find_chain(search: Search) -> Incumbent | None:
     for _ in range(ROUNDS):
         if search.problem.late or not distribution.round():
             break
-        above = ceiling(lp.bound, JOINING * search.slack)
-        joined = _join(search, distribution.chain, above, APART, distribution=distribution)
-        if joined and lp.bound == 0.0:
+        above = ceiling(lp.bound, CHAIN.joining * search.slack)
+        found = search.join_worst(distribution.chain, above, ROUTES.apart)
+        if found:
+            distribution.add_sites(found.entering, found.alpha)
+            with search.keep_incumbent():
+                lp.solve()
+        if found and lp.bound == 0.0:
             search.evaluations += distribution.evaluations
             # Without edges that those sites hit.
             distribution = _distribution_around(search, lp.flow)
@@ -79,7 +85,7 @@ def find_chain(search: Search) -> Incumbent | None:
             continue
         distribution.measure(search.caps())
         best = search.better(best, distribution)
-        grew, before = distribution.entropy > before * (1.0 + GROWTH), distribution.entropy
+        grew, before = distribution.entropy > before * (1.0 + CHAIN.growth), distribution.entropy
         if distribution.good and (distribution.exact or not grew):
             break
     search.evaluations += distribution.evaluations
@@ -98,8 +104,7 @@ def _distribution_around(search: Search, flow: FloatArray) -> RouteDistribution:
     network = acyclic_network(game.network, np.flatnonzero(part.playable), position)
     exact = not hits_can_differ(game)
     distribution = RouteDistribution(network, flow[network.edge], problem.budgets, game.ambushers,
-                                     search.slack, exact, problem.deadline,
-                                     AIM if exact else EARLY_AIM)
+                                     search.slack, exact, problem.deadline)
     distribution.add_sites(search.entering, search.loss)
     if problem.warm:
         prices = zip(problem.warm.budgets, problem.budgets, strict=True)
@@ -109,10 +114,10 @@ def _distribution_around(search: Search, flow: FloatArray) -> RouteDistribution:
 
 
 def _noticeable(search: Search, flow: FloatArray) -> Game:
-    """The game without edges that the budgets leave to less than ``MIN_FLOW`` of the routes.
+    """The game without edges that the budgets leave to less than ``NEGLIGIBLE`` of the routes.
 
     So all best routes for a budget that allows no others are in one order of the nodes.
     """
     game, binding = search.game, [b for b in search.problem.budgets if b.binds]
-    used = [game.through(b.reduced_cost) <= b.slack / MIN_FLOW for b in binding]
+    used = [game.through(b.reduced_cost) <= b.slack / NEGLIGIBLE for b in binding]
     return game.restricted_to(np.all([game.playable, *used], axis=0) | (flow > 0.0)) or game

@@ -27,11 +27,9 @@ from .layered_graph import LayeredGraph
 from .slack import Reason, ceiling
 from .value.routes import Progress, no_progress
 
-# Largest number of rounds in which sites join a search, or of a route distribution, and the least
-# growth of the entropy for another round of the distribution.
-ROUNDS, GROWTH = 25, 0.01
-# Share of the slack that a distribution may use beyond the LP's flow if that costs more than the
-# bound.
+# Largest number of rounds in which sites join a search, or of a route distribution.
+ROUNDS = 25
+# Share of the slack that an LP's strategy may use; a distribution around it may use the rest.
 FLOW_SLACK = 0.5
 
 
@@ -217,11 +215,6 @@ class Search:
         """Move the ends of the search and of its judge (``time.monotonic``)."""
         self.problem = replace(self.problem, deadline=deadline, judged=judged)
         self.lp.deadline = deadline
-
-    def solve_lp(self) -> None:
-        """Let the LP go on from where it is."""
-        with self.keep_incumbent():
-            self.lp.solve()
 
     def join_worst(self, drawn: Drawn, above: float, apart: float,
                    rough: bool = False) -> FoundSites | None:

@@ -29,9 +29,9 @@ from .solver import find_distribution, most_unpredictable
 from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, no_progress
 
-# How much earlier than the time limit a search ends, as a share of it and at most [s]; and how
-# much later at most its judge, as a share and at least [s].
-EARLY, LATER = (0.05, 1.0), (0.03, 0.5)
+# A search ends before its time limit by a share of it or by a time [s], whichever is less; its
+# judge ends at most half of the greater after it.
+RESERVE = 0.05, 1.0
 # Share of the routes that a single ambush hits from which they count as all.
 ALL_ROUTES = 0.99
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
@@ -383,8 +383,8 @@ def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
 
 def _search_ends(end: float, options: StrategyOptions) -> tuple[float, float]:
     """When a search and its judge end if the time limit passes at ``end``."""
-    limit = options.time_limit
-    return end - min(EARLY[0] * limit, EARLY[1]), end + max(LATER[0] * limit, LATER[1])
+    reserve = RESERVE[0] * options.time_limit, RESERVE[1]
+    return end - min(reserve), end + max(reserve) / 2.0
 
 
 def _strategy_within(found: Solution, options: StrategyOptions) -> Strategy:

@@ -5,74 +5,71 @@ from __future__ import annotations
 
 import math
 import time
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
-from .chain_search import EARLY_AIM, SWEEPS
+from .certificate.best_response import NEGLIGIBLE
+from .chain_search import find_sites
 from .distribution.chain import SeparateLegs, chain_of, conserved_strategy
 from .distribution.route_distribution import RouteDistribution
 from .layered_graph import LayeredGraph
-from .search import ROUNDS, Incumbent, Search
+from .search import FLOW_SLACK, ROUNDS, Incumbent, Search
 from .slack import ceiling, within
 from .value.mixtures import Mixtures
-from .value.routes import APART, MIN_FLOW, TIGHT, Routes
+from .value.routes import ROUTES, Routes
 
-# Shares of the time limit after which the LP ends, as a distribution takes seconds; its first
-# proof, if sites join later; and its last one, if they joined until then.
-SOLVED, FIRST_PROOF, LAST_PROOF = 0.8, 0.1, 0.9
-# Sites join that cost more than the mixture by JOINING slacks. A mixture that is better by less
-# than SMALL slacks is no better.
-JOINING, SMALL = 0.5, 0.25
-# Routes with a layer of their own at first, and their number times the layers' width in edges.
-FEWEST, WIDTH = 4, 32
-# Level lines of each leg from which the first routes are made.
-LINES = 64
-# Share of the slack that few routes may cost more than all.
-FEW_LOSE = 1.0 / 3.0
+
+class TripSearch(NamedTuple):
+    """The constants of the search on a trip."""
+
+    # Share of the time limit for the first proof, if sites join later; for the last one, if they
+    # joined until then; and for the distribution.
+    proof: float = 0.1
+    lines: int = 64  # level lines of each leg from which the first routes are made
+    fewest: int = 4  # routes with a layer of their own at first
+    width: int = 32  # the number of these routes times the width of their layers in edges
+
+
+TRIP = TripSearch()
 
 
 def find_legs(search: Search, lp: Routes) -> None:
     """Find what each leg proves by itself, and the sites that matter for that."""
     assert lp.planar is not None  # else it takes as long as ``find_mixture``
-    leg = search.game.network.leg[search.game.network.tails]
-    for sweep in range(ROUNDS):
-        with search.keep_incumbent():
-            lp.prove_by_legs()
-        if search.problem.late or (sweep >= SWEEPS and lp.bound > 0.0):
-            break
-        flow = SeparateLegs(chain_of(search.game.network, lp.planar.flow), leg)
-        above, apart = ceiling(lp.bound, search.slack), APART * (sweep < SWEEPS - 1)
-        if search.join_worst(flow, above, apart, rough=sweep == 0) is None:
-            break
+    planar, network = lp.planar, search.game.network
+    leg = network.leg[network.tails]
+    find_sites(search, lp.prove_by_legs,
+               lambda: SeparateLegs(chain_of(network, planar.flow), leg))
 
 
 def find_mixture(search: Search, lp: Routes) -> None:
     """Let sites join a mixture of routes, then prove its value: a proof takes seconds."""
     begin, end = time.monotonic(), search.problem.deadline
     if not lp.planar and search.game.reach > 0.0 and end < math.inf:
-        _prove_until(search, lp, begin + FIRST_PROOF * (end - begin))
-    lp.deadline = begin + SOLVED * (end - begin)
+        _prove_until(search, lp, begin + TRIP.proof * (end - begin))
+    lp.deadline = begin + (1.0 - 2.0 * TRIP.proof) * (end - begin)
     with search.keep_incumbent():
         if lp.planar:
-            lp.add_level_lines(LINES)
+            lp.add_level_lines(TRIP.lines)
         elif search.game.reach == 0.0:
             lp.prove_by_legs()
         lp.solve(prove=False)
     apart, before = 1.0, lp.value
     for _ in range(ROUNDS):
-        above = ceiling(lp.value, JOINING * search.slack)
+        above = ceiling(lp.value, FLOW_SLACK * search.slack)
         if time.monotonic() > lp.deadline or (
-                search.join_worst(lp.mixture, above, apart) is None and apart == APART):
+                search.join_worst(lp.mixture, above, apart) is None and apart == ROUTES.apart):
             break
         with search.keep_incumbent():
             lp.solve(prove=False)
-            if within(lp.value, before, SMALL * search.slack):  # the bound may be near
+            if within(lp.value, before, FLOW_SLACK / 2.0 * search.slack):  # the bound may be near
                 lp.prove_by_legs()
-        apart, before = max(apart / 2.0, APART), lp.value
+        apart, before = max(apart / 2.0, ROUTES.apart), lp.value
     if time.monotonic() > lp.deadline:
-        _prove_until(search, lp, begin + LAST_PROOF * (end - begin))
+        _prove_until(search, lp, begin + (1.0 - TRIP.proof) * (end - begin))
     else:
         with search.keep_incumbent():
             lp.prove_by_legs()
@@ -95,8 +92,8 @@ def find_trip(search: Search, lp: Routes) -> Incumbent | None:
     labels.
     """
     best: Incumbent | None = None
-    count, most = FEWEST, 2 * len(lp.routes)
-    while lp.bound > 0.0 and count < max(most, 2 * FEWEST) and not search.problem.late:
+    count, most = TRIP.fewest, 2 * len(lp.routes)
+    while lp.bound > 0.0 and count < max(most, 2 * TRIP.fewest) and not search.problem.late:
         around = _around(search, lp, count)
         count *= 2
         if around is None:
@@ -120,16 +117,16 @@ def _around(search: Search, lp: Routes, count: int
     game, slack, deadline = search.game, search.slack, search.problem.deadline
     few = lp.mixtures.among(np.argsort(-lp.shares, kind='stable')[:count])
     try:
-        shares = few.solve(TIGHT, deadline).shares
+        shares = few.solve(ROUTES.tight, deadline).shares
     except (SolverFailed, TimeLimit):
         return None
-    if not within(few.value(shares), lp.value, FEW_LOSE * slack) and count < len(lp.shares):
+    if not within(few.value(shares), lp.value, FLOW_SLACK * slack) and count < len(lp.shares):
         return None
-    flow = conserved_strategy(game, few.flow(shares, len(game.playable)), MIN_FLOW)
+    flow = conserved_strategy(game, few.flow(shares, len(game.playable)), NEGLIGIBLE)
     assert flow is not None  # a route has a share of at least one in their number
-    layers = LayeredGraph(game, flow, few.routes, shares, max(WIDTH // count, 1))
+    layers = LayeredGraph(game, flow, few.routes, shares, max(TRIP.width // count, 1))
     distribution = RouteDistribution(layers.network, layers.p, search.problem.budgets,
-                                     few.ambushers, slack, False, deadline, EARLY_AIM)
+                                     few.ambushers, slack, False, deadline)
     distribution.add_sites(lp.entering, lp.loss)
     return distribution, layers, few, shares
 
@@ -139,7 +136,7 @@ def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers:
     """The best distribution of rounds in which sites that it costs too much join."""
     best: Incumbent | None = None
     slack = search.slack
-    limit = max(ceiling(lp.bound, slack), ceiling(few.value(shares), slack / 2.0))
+    limit = max(ceiling(lp.bound, slack), ceiling(few.value(shares), FLOW_SLACK * slack))
     for _ in range(ROUNDS):
         share = limit / ceiling(few.value(shares), slack)  # it grows with the sites
         distribution.measure(few.caps(shares, lp.gap) * share)
@@ -147,7 +144,7 @@ def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers:
         done = distribution.rounds and distribution.good
         if done or search.problem.late or not distribution.round() or search.problem.late:
             break  # a round that is cut short costs much at other sites
-        found = search.join_worst(distribution.chain, limit, APART)
+        found = search.join_worst(distribution.chain, limit, ROUTES.apart)
         if found:
             distribution.add_sites(found.entering, found.alpha)
             few.add_sites(found.entering, found.alpha)

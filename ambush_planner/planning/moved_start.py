@@ -24,7 +24,7 @@ from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import AmbushPlannerError
 from ..game.ambusher import Ambusher
 from ..game.certificate.certificate import Certificate, lower_bound
-from ..game.distribution.chain import MIN_VISITS
+from ..game.distribution.chain import NO_FLOW
 from ..game.game import make_game
 from ..game.hits import worst_loss
 from ..game.strategy import Strategy, make_budgets
@@ -163,7 +163,7 @@ def _nodes_ahead(ground: ChangedGround, newest: OccupancyMap, place: tuple[float
     """
     network, reach = ground.plan.network, _STRAIGHT * ground.plan.spacing
     away = np.hypot(*(network.points - place).T)
-    on_routes = sums(network.heads, p, len(away)) > MIN_VISITS
+    on_routes = sums(network.heads, p, len(away)) > NO_FLOW
     near = on_routes & (away > 0.0) & (away <= reach)
     at = np.flatnonzero(near & (network.leg == network.leg[network.source]))
     at = at[ground.clear(np.broadcast_to(place, (len(at), 2)), network.points[at], newest)]

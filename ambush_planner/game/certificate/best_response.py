@@ -37,12 +37,12 @@ from ..budget import Budget
 from ..game import Game
 
 # For each search, the most labels that it keeps at a node, and the comparisons of labels after
-# which it stops: a second or less each. The cost reached by then is still a lower bound.
-SEARCHES = ((1, 3_000_000), (3, 2_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 5_000_000))
+# which it stops: a second or two each. The cost reached by then is still a lower bound.
+SEARCHES = tuple((kept, 3_000_000) for kept in (1, 9, 81, math.inf))
 Searches = Sequence[tuple[float, int]]
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
-# Dual weights and flows below this share of the largest are rounding, and not counted.
+# Dual weights, flows and values below this share of the largest are rounding, and not counted.
 NEGLIGIBLE = 1e-7
 
 

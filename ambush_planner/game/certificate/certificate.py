@@ -32,9 +32,6 @@ from ..hits import hits_can_differ, worst_loss
 from .best_response import best_response
 from .curves import curve_bound
 
-# Largest imbalance of the flow at a node.
-CONSERVATION_TOLERANCE = 1e-8
-
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -125,7 +122,7 @@ def _check_flow(game: Game, p: FloatArray) -> None:
     balance[network.source] -= 1.0
     balance[network.target] += 1.0
     residual = float(np.abs(balance).max())
-    if not residual <= CONSERVATION_TOLERANCE:
+    if not residual <= ROUNDING:
         raise SolverFailed(f'p is not a flow from source to target: residual {residual:.1e}')
     if p[~game.playable].any():
         raise SolverFailed('p uses edges that are not playable')

@@ -25,8 +25,8 @@ from ..game import Game
 from .acyclic import order_along, without_cycles
 from .gibbs import AcyclicNetwork, acyclic_network
 
-# Nodes that fewer routes visit count as not visited.
-MIN_VISITS = 1e-13
+# Flow that is rounding, of a strategy with 1 in all.
+NO_FLOW = 1e-13
 
 
 class MarkovChain:
@@ -47,8 +47,8 @@ class MarkovChain:
         onwards, backwards = network.onwards, network.backwards
         self._ahead, self._behind = self.share[onwards.order], self.share[backwards.order]
         self._at_ahead, self._at_behind = np.argsort(onwards.order), np.argsort(backwards.order)
-        self._unvisited = (self.visits <= MIN_VISITS).astype(np.float64)
-        self._per_visit = (1.0 - self._unvisited) / np.maximum(self.visits, MIN_VISITS)
+        self._unvisited = (self.visits <= NO_FLOW).astype(np.float64)
+        self._per_visit = (1.0 - self._unvisited) / np.maximum(self.visits, NO_FLOW)
         self._into = np.searchsorted(network.head[onwards.order], np.arange(network.count + 1))
 
     def uses(self, edges: int) -> FloatArray:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import time
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -26,22 +27,20 @@ from scipy.sparse import csr_matrix
 from ...arrays import ROUNDING, FloatArray
 from .gibbs import AcyclicNetwork
 
-# Evaluations of L-BFGS before Newton's method, and in each round after it.
-EVALUATIONS = 50
-# Limits that Newton's method moves at once, and its largest number of steps.
-NEWTON_LIMITS, MAX_STEPS = 500, 500
-# Least decrease per round, relative to 1 + |value|, else the search ends.
-MIN_GAIN = 1e-5
-# Missing entropy at which the search ends, relative and in nats.
-ENTROPY_TOLERANCE = 5e-4
-# Largest weight of an edge; beyond, sums along a route lose all decimals.
-MAX_WEIGHT = 1e16
-# Largest scaled multiplier in a line search; large enough to prove limits infeasible.
-MAX_SCALED = 1e10
-# Correction pairs of L-BFGS.
-CORRECTIONS = 30
-# Newton's damping at first, as a share of the Hessian's diagonal.
-DAMPING = 1e-2
+
+class EntropySearch(NamedTuple):
+    """The constants of the search for the multipliers."""
+
+    evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
+    newton_limits: int = 500  # that Newton's method moves at once
+    damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
+    least_gain: float = 1e-5  # decrease per round, relative to 1 + |value|, else the search ends
+    tolerance: float = 5e-4  # missing entropy at which the search ends, relative and in nats
+    max_weight: float = 1e16  # of an edge; beyond, sums along a route lose all decimals
+    max_scaled: float = 1e10  # multiplier in a line search; enough to prove limits infeasible
+
+
+ENTROPY = EntropySearch()
 
 
 class _SearchEnded(Exception):
@@ -67,7 +66,7 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatAr
     """Minimise log Z(b + C' v) + sum v over v >= 0, with b = ``weights`` (m,).
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
-    ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
+    ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY.tolerance`` of the
     entropy; when the limits are proved infeasible; when the function hardly falls any more; or at
     ``deadline`` (``time.monotonic``).
     """
@@ -98,7 +97,7 @@ class _DualSearch:
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Return value and gradient at v (R,), or end the search."""
         weights = self.weights + self.columns @ v
-        if not np.abs(weights).max() < MAX_WEIGHT:  # the line search diverges
+        if not np.abs(weights).max() < ENTROPY.max_weight:  # the line search diverges
             raise _SearchEnded
         log_z, self.p, self.share = self.network.distribution(weights)
         used, total = self.rows @ self.p, float(v.sum())
@@ -107,7 +106,7 @@ class _DualSearch:
         value = log_z + total
         # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
-        near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
+        near = missing <= ENTROPY.tolerance * (1.0 + value - missing)
         reached = violation <= self.tolerance and near
         infeasible = not reached and value < self._least_possible - ROUNDING * (1.0 + total)
         if reached or infeasible or not value > self.least:
@@ -122,7 +121,7 @@ class _DualSearch:
         """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
         self.quasi_newton(start)
         before = np.inf
-        while self.least < before - MIN_GAIN * (1.0 + abs(self.least)):
+        while self.least < before - ENTROPY.least_gain * (1.0 + abs(self.least)):
             before = self.least
             self.newton()
             self.quasi_newton(self.found.multipliers)
@@ -133,24 +132,25 @@ class _DualSearch:
         from scipy.optimize import fmin_l_bfgs_b
 
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
-            value, gradient = self(np.minimum(scaled, MAX_SCALED) * self.unit)
+            value, gradient = self(np.minimum(scaled, ENTROPY.max_scaled) * self.unit)
             return value, gradient * self.unit
 
-        fmin_l_bfgs_b(function, start / self.unit, bounds=[(0.0, None)] * len(start), m=CORRECTIONS,
-                      factr=5.0, pgtol=1e-12, maxfun=EVALUATIONS, maxiter=EVALUATIONS)
+        most = ENTROPY.evaluations  # and correction pairs
+        fmin_l_bfgs_b(function, start / self.unit, bounds=[(0.0, None)] * len(start), m=most,
+                      factr=5.0, pgtol=1e-12, maxfun=most, maxiter=most)
 
     def newton(self) -> None:
-        """Take damped Newton steps while they gain, in at most ``NEWTON_LIMITS`` limits.
+        """Take damped Newton steps while they gain, in a limited number of limits.
 
         They are those of the largest multipliers now, or after a step in this limit alone. The
         damping follows H. B. Nielsen, Damping parameter in Marquardt's method, Technical
         University of Denmark, IMM-REP-1999-05, 1999.
         """
-        v, damping, rise = self.found.multipliers, DAMPING, 2.0
+        v, damping, rise = self.found.multipliers, ENTROPY.damping, 2.0
         value, gradient = self(v)
-        for _ in range(MAX_STEPS):
+        while True:
             weight = np.maximum(v, -gradient * self.unit**2)
-            counts = np.argsort(-weight)[:NEWTON_LIMITS]
+            counts = np.argsort(-weight)[:ENTROPY.newton_limits]
             counts = counts[weight[counts] > 0.0]
             if not len(counts):
                 return

@@ -9,7 +9,7 @@ before: it maximises
 
     H(p) + w sum of p ln(share before),    share: the probability of an edge at its tail,
 
-with the weight w of the past (``PAST``, later ``LATER_PAST``, as rounds can swing back and forth).
+with the weight w of the past (greater later, as rounds can swing back and forth).
 Where rounds stand still, the chain before is the new one, so p has the greatest entropy (theory.md,
 Proposition 8.5). Where no route can meet a site twice, the rows are exact for every chain, and one
 round does it.
@@ -18,6 +18,7 @@ round does it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
@@ -25,20 +26,25 @@ from scipy.sparse import csr_matrix, diags, vstack
 from ...arrays import FloatArray
 from ..budget import Budget, budget_rows
 from ..slack import ceiling, within
-from .chain import MarkovChain
-from .entropy_search import ENTROPY_TOLERANCE, maximize_entropy
+from .chain import NO_FLOW, MarkovChain
+from .entropy_search import ENTROPY, maximize_entropy
 from .gibbs import AcyclicNetwork
 
-# Share of the slack that a distribution aims at, and its tolerance, unless that of the entropy is
-# less.
-AIM, TOLERANCE = 0.95, 0.04
-# Sites limit their hits if their entries cost at least this share of their cap; else entries.
-NEAR = 0.97
-# Weight of the cross entropy to the chain before, relative to the entropy: after the first round,
-# and after SWINGS rounds; and the least share of an edge in it.
-PAST, LATER_PAST, SWINGS, LEAST_SHARE = 0.5, 0.8, 8, 1e-12
-# Shares of what p costs too much that limits may leave if those without are infeasible.
-RELAXED = (0.5, 0.75, 0.9)
+
+class DistributionRounds(NamedTuple):
+    """The constants of the rounds of a route distribution."""
+
+    aim: float = 0.95  # share of the slack that a distribution uses, if rows are always exact
+    early_aim: float = 0.7  # the same if rows are exact only at the chain before
+    tolerance: float = 0.04  # share of the slack by which it may exceed its limits
+    near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
+    past: float = 0.5  # weight of the cross entropy to the chain before, after the first round
+    later_past: float = 0.8  # the same after ``swings`` rounds
+    swings: int = 8
+    relaxed: tuple[float, ...] = 0.5, 0.9  # of p's excess, left if all else is infeasible
+
+
+DISTRIBUTION = DistributionRounds()
 
 
 class RouteDistribution:
@@ -46,18 +52,17 @@ class RouteDistribution:
 
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
     ``caps`` (S,) are what each site may cause; the k largest add up to the limit of the value.
-    Rounds aim at the share ``aim`` of the slack.
     ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
     and budgets.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
-                 ambushers: int, slack: float, exact: bool, deadline: float,
-                 aim: float = AIM) -> None:
+                 ambushers: int, slack: float, exact: bool, deadline: float) -> None:
         self.network, self.slack, self.exact = network, slack, exact
         self.chain = MarkovChain(network, p)
-        self.deadline, self._k, self._aim = deadline, ambushers, aim
-        self._tolerance = min(TOLERANCE * slack, ENTROPY_TOLERANCE)
+        self.deadline, self._k = deadline, ambushers
+        self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
+        self._tolerance = min(DISTRIBUTION.tolerance * slack, ENTROPY.tolerance)
         binding = [b for b in budgets if b.binds]
         # A distribution may exceed its limits by the tolerance, but not a budget.
         self._budget_slack = np.array([b.slack * (1.0 - self._tolerance) for b in binding])
@@ -93,7 +98,7 @@ class RouteDistribution:
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
         hits = self._most_hits(self.chain)
-        self._near = near = self._could[hits[self._could] > NEAR * limit[self._could]]
+        self._near = near = self._could[hits[self._could] > DISTRIBUTION.near * limit[self._could]]
         self._rows = self._entering[near]
         if not self.exact:
             hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
@@ -129,8 +134,8 @@ class RouteDistribution:
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
         later = 0.0 if self.exact or not self.rounds else (
-            PAST if self.rounds <= SWINGS else LATER_PAST)
-        past = -later * np.log(np.maximum(self.chain.share, LEAST_SHARE))
+            DISTRIBUTION.past if self.rounds <= DISTRIBUTION.swings else DISTRIBUTION.later_past)
+        past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         for kept in self._limits(most[sites]):
             limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._budget_rows)))
@@ -161,5 +166,5 @@ class RouteDistribution:
         """
         yield aim
         over = self.value / self.limit - 1.0 if self.limit else 0.0
-        for share in RELAXED if over > 0.0 else ():
+        for share in DISTRIBUTION.relaxed if over > 0.0 else ():
             yield aim * (1.0 + share * over)

@@ -20,6 +20,7 @@ from ...errors import SolverFailed
 from ..ambusher import Ambusher, at_nodes
 from ..budget import Budget
 from ..distribution.acyclic import without_cycles
+from ..distribution.chain import NO_FLOW
 from ..faces import Faces
 from ..game import Game
 from ..route_sampler import shortest_route_strategy
@@ -27,9 +28,8 @@ from ..route_sampler import shortest_route_strategy
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
 # several rounds on the residual network reach double precision.
 INTEGER_FLOW = 2**29
+# The most rounds by which a solution comes nearer to double precision.
 MAX_ROUNDS = 12
-# Relative difference of flow and cut at which the rounds end.
-RELATIVE_GAP = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def _solve_by_rounds(game: Game) -> CutSolution:
         if capacity < best[0]:
             best = capacity, cut
         bound = best[0]
-        if split.feasible_total(flow) >= bound * (1.0 - RELATIVE_GAP) or bound <= split.total(flow):
+        if split.feasible_total(flow) >= bound * (1.0 - NO_FLOW) or bound <= split.total(flow):
             break
     p = np.zeros(len(game.network.edges))
     p[split.edge] = flow

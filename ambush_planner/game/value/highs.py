@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_matrix
 
-from ...arrays import FloatArray
+from ...arrays import ROUNDING, FloatArray
 from ...errors import SolverFailed, TimeLimit
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
@@ -22,8 +22,8 @@ OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
 # Values of ipm_optimality_tolerance, tried in turn, but none finer than requested; HiGHS' default
 # is 1e-8.
 OPTIMALITY = (1e-11, 1e-8, 1e-7)
-# HiGHS' primal and dual feasibility tolerances, and their share of a rough precision.
-TOLERANCE, OF_PRECISION = 1e-9, 2e-6
+# HiGHS' primal and dual feasibility tolerances, as a share of a rough precision.
+OF_PRECISION = 2e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ def run(lp: LP, solver: str, deadline: float, presolve: bool = True,
     Returns scipy's result, with status ``OPTIMAL`` or ``INFEASIBLE``; raises TimeLimit or
     SolverFailed.
     """
-    tolerance = max(TOLERANCE, OF_PRECISION * precision)
+    tolerance = max(ROUNDING, OF_PRECISION * precision)
     options: dict[str, Any] = {'primal_feasibility_tolerance': tolerance,
                                'dual_feasibility_tolerance': tolerance}
     left = deadline - time.monotonic()

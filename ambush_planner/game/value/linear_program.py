@@ -10,30 +10,27 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from ...arrays import FloatArray, IndexArray
+from ...arrays import ROUNDING, FloatArray, IndexArray
 from ...errors import BudgetInfeasible, InvalidOption
 from ..ambusher import Ambusher, at_nodes
 from ..budget import BUDGET_TOLERANCE, Budget
 from ..certificate.certificate import entry_bound
+from ..distribution.chain import NO_FLOW
 from ..game import Game
 from ..hits import entry_value
 from ..route_sampler import shortest_route_strategy
 from . import highs
-from .cut import solve_by_min_cut
+from .cut import MAX_ROUNDS, solve_by_min_cut
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 # Upper limit of a node's visits where its loss is so small that its row does not matter.
 MAX_VISITS = 1e6
-# The unit of loss is lowered until the value is above this many units, in this many attempts.
-NEAR_UNIT, MAX_UNITS = 1e-3, 8
-# Range of values that are solved in the unit 1.
-ORDINARY = (1e-2, 1e2)
-# Largest slack of a budget, as a share of its limit, at which no interior point is feasible.
-NO_SLACK = 1e-9
-# Largest residual of A p = b, and the number of corrections to reach it.
-CONSERVED, ATTEMPTS = 1e-13, 10
+# The unit of loss is lowered until the value is above this many units.
+NEAR_UNIT = 1e-3
+# Values up to this many times larger or smaller than 1 are solved in the unit 1.
+ORDINARY = 1e2
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,12 +137,12 @@ def _loss_unit(game: Game) -> float:
     """
     value = solve_by_min_cut(game).value if game.reach == 0.0 else 0.0
     value = value or float(game.loss.max(initial=0.0)) or 1.0
-    return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
+    return 1.0 if 1.0 / ORDINARY < value < ORDINARY else value
 
 
 def _leaves_no_slack(budget: Budget) -> bool:
-    """Whether only the best routes fit."""
-    return budget.slack <= NO_SLACK * budget.limit
+    """Whether only the best routes fit: then no interior point is feasible."""
+    return budget.slack <= ROUNDING * budget.limit
 
 
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
@@ -153,9 +150,9 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
     if length_weight == 0.0 and _leaves_no_slack(length):
-        near = game.through(length.reduced_cost) <= NO_SLACK * length.limit
+        near = game.through(length.reduced_cost) <= ROUNDING * length.limit
         game = game.restricted_to(near) or game
-    for _ in range(MAX_UNITS):
+    for _ in range(MAX_ROUNDS):
         lp = linear_program(game, length_weight, length.limit, unit)
         result = _run(lp, solver, deadline)
         value = float(result.x[-1])
@@ -168,9 +165,9 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
 def _conserved(lp: LinearProgram, p: FloatArray) -> FloatArray:
     """Make p satisfy ``A p = b`` to rounding by small relative changes; HiGHS stops near 1e-8."""
     rows = lp.equalities[:, :-1]
-    for _ in range(ATTEMPTS):
+    for _ in range(MAX_ROUNDS):
         missing = lp.rhs - rows @ p
-        if np.abs(missing).max() < CONSERVED:
+        if np.abs(missing).max() < NO_FLOW:
             break
         weight = np.maximum(p, 1e-12)
         change = rows.T @ spsolve((rows @ diags(weight) @ rows.T).tocsc(), missing)

@@ -21,13 +21,12 @@ from scipy.sparse import csr_matrix, hstack, identity, vstack
 
 from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
+from ..certificate.best_response import NEGLIGIBLE
 from . import highs
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-# Smallest value, as a share of the largest loss, that the LP is scaled to.
-MIN_UNIT = 1e-6
 # Uniform floor of all sites' caps, as a share of the value per relative gap.
 EVEN = 0.3
 # Share of the value from which on a site's losses are near it.
@@ -157,7 +156,7 @@ class Mixtures:
         group, near, cap = np.array(self._group), self._near.ravel(), math.inf
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
-        unit = self._unit if self._unit > MIN_UNIT * most else most
+        unit = self._unit if self._unit > NEGLIGIBLE * most else most
         hit, shares = self._hits(group) / unit, 1.0 / np.bincount(group)[group]
         losses = hit @ shares
         while True:

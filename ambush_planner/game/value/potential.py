@@ -14,6 +14,7 @@ exceeds its share, are new columns of the same model.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -30,16 +31,19 @@ from ..hits import hits_can_differ
 from ..route_sampler import route_edges, shortest_route, shortest_route_strategy
 from .face_flows import LegFlows
 
-# Largest relative precision of z, and of the share at which faces join.
-PRECISION = 1e-3
-# Factor by which z falls at most in one step, until a budget is exceeded.
-STEP = 0.92
-# While the budget is kept, z stays if more than this share of the discs' columns is new: at a lower
-# z, most of the columns that join would not be needed in the end.
-MANY = 0.03
-# Flow through a disc that counts as unbounded: z is infeasible.
-ENDLESS = 1e6
 
+class PotentialSearch(NamedTuple):
+    """The constants of the search for z."""
+
+    precision: float = 1e-3  # largest, relative: of z, and of the share at which faces join
+    step: float = 0.92  # factor by which z falls at most at once, until a budget is exceeded
+    # While the budget is kept, z stays if more than this share of the discs' columns is new: at a
+    # lower z, most of the columns that join would not be needed in the end.
+    many: float = 0.03
+    endless: float = 1e6  # flow through a disc that counts as unbounded: z is infeasible
+
+
+POTENTIAL = PotentialSearch()
 
 class Potential:
     """The LP, at first with the game's sites; ``solve`` goes on from where it is.
@@ -54,7 +58,8 @@ class Potential:
     def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float,
                  first: float = np.inf) -> None:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
-        self._precision = min(max(gap, 2.0 / ENDLESS), PRECISION)  # an endless flow proves no more
+        least = 2.0 / POTENTIAL.endless  # an endless flow proves no more
+        self._precision = min(max(gap, least), POTENTIAL.precision)
         # Pairs of a face and a part of a rim, part by part, and the first pair of each part.
         self._face, self._site, self._offset, self._part, self._first = (
             np.zeros(0, dtype=np.int64) for _ in range(5))
@@ -105,9 +110,10 @@ class Potential:
             endless = self._solve(z)
             height = self._heights()
             new = self._join(z, height) if self._kept is self._potential else 0
-            if new > MANY * len(self._joined):
+            if new > POTENTIAL.many * len(self._joined):
                 continue
-            newer = self.bound * (1.0 + self._precision) if endless else max(self.bound, STEP * z)
+            newer = (self.bound * (1.0 + self._precision) if endless
+                     else max(self.bound, POTENTIAL.step * z))
             found = abs(newer - z) <= self._precision * z and not endless
             z = z if found else newer
             if not (new + self._join(z, height)) and found:
@@ -226,7 +232,7 @@ class Potential:
         new, up = np.divmod(np.setdiff1d(np.array(pairs, dtype=np.int64), known), 2)
         face, disc, none = self._face[new], self.faces.count + self._part[new], np.zeros(len(new))
         self._flows.add_columns(np.where(up, face, disc), np.where(up, disc, face), none, none,
-                                np.full(len(new), ENDLESS))
+                                np.full(len(new), POTENTIAL.endless))
         self._joined, self._up = np.append(self._joined, new), np.append(self._up, up == 1)
         return len(new)
 
@@ -241,7 +247,7 @@ class Potential:
         ambush = np.bincount(self._site[joined], flow / 2.0 / loss, len(self._loss))
         total, gain = float(ambush.sum()), float(np.abs(self._bridges).sum()) - found.cost
         self._potential = found.potential[: self.faces.count]
-        endless = bool((flow > 0.99 * ENDLESS).any())
+        endless = bool((flow > 0.99 * POTENTIAL.endless).any())
         if gain <= 1.0 + self._precision and not endless:
             self._kept = self._potential
         proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0

@@ -11,9 +11,11 @@ every site: an LP of its own, over the legs' ways, finds the shares.
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -22,7 +24,7 @@ from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import BudgetInfeasible, TimeLimit
 from ..ambusher import Ambusher, at_nodes, capped_at_one, on_nodes, padded
 from ..budget import Budget
-from ..certificate.best_response import TripNetworks
+from ..certificate.best_response import NEGLIGIBLE, SEARCHES, Searches, TripNetworks
 from ..distribution.chain import conserved_strategy
 from ..faces import Faces
 from ..game import Game
@@ -30,30 +32,31 @@ from ..slack import within
 from .mixtures import Mixture, Mixtures
 from .potential import Potential
 
-# Relative gaps of the linear programs: while routes join, and once none does.
-LOOSE, TIGHT = 5e-2, 1e-4
-# Share of the wanted gap by which a route must cost less than the value to join. Where sites can be
-# met twice, it is at least the second share of the open gap, and the LP ends after so many rounds
-# in which the value does not fall by as much as the first.
-GAIN, OPEN_GAIN, STALLED = 0.25, 0.5, 20
-# Legs with which the search for a trip begins in each round, and the routes of the mixture that are
-# improved leg by leg once none is found.
-STARTS, RESTARTS = 4, 8
-# Label searches: labels kept at a node, comparisons, and the share of the largest dual weight below
-# which sites are left out. Few sites make a search fast, but each that is left out weakens it.
-SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
-            (math.inf, 4_000_000, 1e-2))
-# The first of these for the ways of one leg, and its share below which sites are left out.
-LEG_SEARCH, LEG_NEGLIGIBLE = tuple(search[:2] for search in SEARCHES[:3]), 1e-3
-# Minimum distance of sites that join at once, as a share of the reach: sites near each other
-# hit nearly the same routes.
-APART = 0.25
-# Rounds after which a value is proved although routes still join, then twice as many and so on; and
-# the most rounds of the legs' LP.
-FIRST_PROOF, LEG_ROUNDS = 16, 400
-# Largest reduced cost of an edge, in budget slacks, that a mixture can notice; and the flow on an
-# edge that it does not.
-MAX_REDUCED_COST, MIN_FLOW = 1e7, 1e-7
+
+class ColumnGeneration(NamedTuple):
+    """The constants of the linear programs over routes."""
+
+    loose: float = 5e-2  # relative gap of the LPs while routes join
+    tight: float = 1e-4  # the same once none does
+    gain: float = 0.25  # share of the wanted gap by which a route must cost less to join
+    # Where sites can be met twice, it is at least this share of the open gap, and the LP ends after
+    # ``stalled`` rounds in which the value does not fall by as much as the first.
+    open_gain: float = 0.5
+    stalled: int = 20
+    starts: int = 4  # trips that are improved leg by leg in a round, of the mixture twice as many
+    comparisons: int = 1_000_000  # of labels in a search
+    # Share of the largest dual weight below which label searches leave out sites, of a whole route
+    # and of a leg. Few sites make a search fast, but each that is left out weakens it.
+    small: float = 3e-3
+    small_on_leg: float = 1e-3
+    apart: float = 0.25  # minimum distance of sites that join at once, as a share of the reach
+    first_proof: int = 16  # rounds before a proof while routes join; then twice as many, and so on
+
+
+ROUTES = ColumnGeneration()
+# Label searches for whole routes, and for the ways of one leg.
+ROUTE_SEARCHES = tuple((kept, ROUTES.comparisons) for kept, _ in SEARCHES)
+LEG_SEARCH = ROUTE_SEARCHES[:2]
 
 
 # Is called with the value of a mixture or strategy, and a bound, as they improve.
@@ -86,7 +89,7 @@ class Routes:
     Raises BudgetInfeasible if no strategy is within all budgets.
     """
 
-    apart = APART
+    apart = ROUTES.apart
     faces: Faces | None = None
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
@@ -96,7 +99,7 @@ class Routes:
         self._progress, self._end = progress, deadline
         self._newest: Mixture | None = None  # of the legs
         binding = [b for b in budgets if b.binds]
-        shares = [np.minimum(b.reduced_cost / b.slack, MAX_REDUCED_COST) for b in binding]
+        shares = [np.minimum(b.reduced_cost / b.slack, 1.0 / NEGLIGIBLE) for b in binding]
         self.reduced_cost = np.reshape([np.where(game.playable, each, 0.0) for each in shares],
                                        (len(binding), len(game.playable)))
         legs = int(game.network.stops_before[-1]) + 1
@@ -174,7 +177,7 @@ class Routes:
             inside = self.mixtures.flow(self.mixtures.of_least_reduced_cost().shares, len(used))
             room = np.maximum(self.mixtures.limit - self.reduced_cost @ inside, 0.0)[over > 0.0]
             used = inside + float((room / (room + over[over > 0.0])).min()) * (used - inside)
-        found = conserved_strategy(self.game, used, MIN_FLOW)
+        found = conserved_strategy(self.game, used, NEGLIGIBLE)
         assert found is not None  # a route has a share of at least one in their number
         return found
 
@@ -190,20 +193,20 @@ class Routes:
         It also ends when no method finds a route that costs less. The searches over labels are
         left out unless it is to ``prove`` the value.
         """
-        precision, rounds = LOOSE, 0
+        precision, rounds = ROUTES.loose, 0
         least, stalled = math.inf, 0
-        tight = min(TIGHT, self.gap / 2.0)
+        tight = min(ROUTES.tight, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
             mixture = self.mixtures.solve(precision, self.deadline)
             self.shares = mixture.shares
             self.value = self.mixtures.value(self.shares)
-            if self._ended() or stalled == STALLED and not self._whole.exact:
+            if self._ended() or stalled == ROUTES.stalled and not self._whole.exact:
                 return
             added, rounds, stalled = 0, rounds + 1, stalled + 1
-            if self.value < least * (1.0 - GAIN * self.gap):
+            if self.value < least * (1.0 - ROUTES.gain * self.gap):
                 least, stalled = self.value, 0
-            if precision == LOOSE:
+            if precision == ROUTES.loose:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = self._add_responses(centre, precision, prove)
             added = added or self._add_responses(mixture, precision, prove)
@@ -250,9 +253,9 @@ class Routes:
         """Add routes that cost less than the value, by the fastest way that finds any."""
         q, prices = self._ambusher(mixture, 0.0)
         base, dual_weights = prices @ self.reduced_cost, q[0] * self.loss
-        gain = GAIN * self.gap
+        gain = ROUTES.gain * self.gap
         if self.bound > 0.0 and not self._whole.exact:
-            gain = max(gain, OPEN_GAIN * (1.0 - self.bound / self.value))
+            gain = max(gain, ROUTES.open_gain * (1.0 - self.bound / self.value))
         most = self.value * (1.0 - gain) + float(prices.sum())
         for routes in self._responses(mixture, base, dual_weights, precision, prove):
             added = sum(self._add(route) for route in routes
@@ -266,24 +269,23 @@ class Routes:
         """Routes that cost little, the fastest way to find them first."""
         legs = len(self.by_leg)
         if self._whole.exact:
-            self._search(mixture, (1, 0, 0.0))
-        starts = self._rng.permutation(legs)[:STARTS].tolist()
+            self._search(mixture, SEARCHES[:1], 0.0)
+        starts = self._rng.permutation(legs)[:ROUTES.starts].tolist()
         yield [self._descend(base, dual_weights, start, self._random_trip()) for start in starts]
-        if precision == LOOSE or self._whole.exact:
+        if precision == ROUTES.loose or self._whole.exact:
             return
         if legs > 1:
-            near = self._rng.choice(len(self.shares), RESTARTS, p=self.shares)
+            near = self._rng.choice(len(self.shares), 2 * ROUTES.starts, p=self.shares)
             yield [self._descend(base, dual_weights, int(self._rng.integers(legs)),
                                  *self._legs_of(self.routes[k])) for k in near]
-        for search in SEARCHES if prove else ():
-            yield self._search(mixture, search)
+        for search in ROUTE_SEARCHES if prove else ():
+            yield self._search(mixture, (search,), ROUTES.small)
 
-    def _search(self, mixture: Mixture, search: tuple[float, int, float]) -> list[IndexArray]:
+    def _search(self, mixture: Mixture, searches: Searches, negligible: float) -> list[IndexArray]:
         """Search the whole network for the route of least cost, and note the bound."""
-        kept, comparisons, negligible = search
         q, prices = self._ambusher(mixture, negligible)
         least, route = self._whole.least_cost(prices @ self.reduced_cost, q[0] * self.loss,
-                                              ((kept, comparisons),), self.deadline)
+                                              searches, self.deadline)
         by_leg = np.zeros_like(self.by_leg)
         by_leg[0] = q[0]
         self._note(least, by_leg, prices)
@@ -391,21 +393,21 @@ class Routes:
 
     def _solve_legs(self) -> None:
         """Solve the legs' LP in rounds, in which ways join, until its value is proved."""
-        precision, self._newest = LOOSE, None
+        precision, self._newest = ROUTES.loose, None
         centre: Mixture | None = None
         quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
-        for rounds in range(LEG_ROUNDS):
+        for rounds in itertools.count():
             mixture, added = self._of_legs.solve(precision, self.deadline), 0
             if not mixture.q.any():  # no site needs to be met
                 return
             self._newest = mixture
-            if precision == LOOSE:
+            if precision == ROUTES.loose:
                 added, before, centre = quick(mixture), centre, mixture
                 if before:
                     centre = _between(before, mixture)
                     added += quick(centre)
-            was_tight = precision == TIGHT
-            precision = precision if added else TIGHT
+            was_tight = precision == ROUTES.tight
+            precision = precision if added else ROUTES.tight
             if not added or _proved(rounds):
                 added += self._proof_by_legs(mixture)
             if (self._ended() or within(mixture.value, self.bound, self.gap / 2.0)
@@ -421,7 +423,7 @@ class Routes:
 
     def _proof_by_legs(self, mixture: Mixture) -> int:
         """Note the bound of a mixture's ambusher; return the number of new ways."""
-        q, prices = self._ambusher(mixture, LEG_NEGLIGIBLE * (self.game.reach > 0.0))
+        q, prices = self._ambusher(mixture, ROUTES.small_on_leg * (self.game.reach > 0.0))
         base, dual_weights, added = prices @ self.reduced_cost, q * self.loss, 0
 
         def cost(k: int) -> float:
@@ -469,8 +471,8 @@ class RouteMixture:
 
 
 def _proved(rounds: int) -> bool:
-    """Whether a round is one of ``FIRST_PROOF``, twice as many, four times as many, ..."""
-    return rounds >= FIRST_PROOF and rounds & (rounds - 1) == 0
+    """Whether a round is the first with a proof, or twice, four times, ... as late."""
+    return rounds >= ROUTES.first_proof and rounds & (rounds - 1) == 0
 
 
 def _between(centre: Mixture, newest: Mixture) -> Mixture:
