@@ -30,8 +30,8 @@ from .value.linear_program import linear_program_strategy
 from .value.routes import Progress, no_progress
 
 # A search ends before its time limit by a share of it or by a time [s], whichever is less; its
-# judge ends at most half of the greater after it.
-RESERVE = 0.05, 1.0
+# judge ends at most half of the greater after it. On a trip the judge takes seconds.
+RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
 # Share of the routes that a single ambush hits from which they count as all.
 ALL_ROUTES = 0.99
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
@@ -370,21 +370,23 @@ def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch |
                  progress: Progress = no_progress) -> SearchProblem:
     """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
     _check_losses(game.network)
-    deadline, judged = _search_ends(time.monotonic() + options.time_limit, options)
+    deadline, judged = _search_ends(time.monotonic() + options.time_limit, options,
+                                    game.network)
     return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
                          site_search, warm, progress, judged)
 
 
 def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
     """The strategy of a search whose value has been found, by ``end``; raises TimeLimit."""
-    search.go_on_until(*_search_ends(end, options))
+    search.go_on_until(*_search_ends(end, options, search.problem.game.network))
     return _strategy_within(find_distribution(search), options)
 
 
-def _search_ends(end: float, options: StrategyOptions) -> tuple[float, float]:
+def _search_ends(end: float, options: StrategyOptions, network: Network) -> tuple[float, float]:
     """When a search and its judge end if the time limit passes at ``end``."""
-    reserve = RESERVE[0] * options.time_limit, RESERVE[1]
-    return end - min(reserve), end + max(reserve) / 2.0
+    share, most = RESERVE_ON_TRIPS if network.legs > 1 else RESERVE
+    later = max(RESERVE[0] * options.time_limit, RESERVE[1]) / 2.0
+    return end - min(share * options.time_limit, most), end + later
 
 
 def _strategy_within(found: Solution, options: StrategyOptions) -> Strategy:

@@ -24,11 +24,11 @@ _STRATEGY_NUMBERS = (
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
     'time': 'the time limit (strategy.time_limit, or max_planning_time of the node) ended the '
-            'search: allow more time or a larger network.spacing',
+            'search: allow more time, or set network.refine to 0',
     'solver': 'a numerical solver failed, so the value may be far from the best: another '
-              'network.spacing or max_detour may help',
-    'stalled': 'no closer strategy or bound was found, and more time would not help; a larger '
-               'network.spacing or fewer stops may',
+              'max_detour, or network.refine 0, may help',
+    'stalled': 'no closer strategy or bound was found, and more time would not help; network.refine '
+               '0 or fewer stops may',
 }
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
 MAX_SPACING = 0.25
@@ -115,9 +115,10 @@ def wide_gap(plan: Plan) -> str:
     strategy, options = plan.strategy, plan.options.strategy
     if within_slack(strategy, options):
         return ''
-    share = strategy.gap / strategy.lower_bound if strategy.lower_bound > 0.0 else math.inf
-    wide = (f'the gap is {share:.1%}: the value is {strategy.value:.4g}, the lower bound '
-            f'{strategy.lower_bound:.4g}')
+    wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
+    if strategy.lower_bound > 0.0:
+        wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the value is '
+                f'{strategy.value:.4g}, the lower bound {strategy.lower_bound:.4g}')
     return f'{wide}; {_WHY[strategy.reason]}'
 
 
@@ -170,7 +171,7 @@ def _covers_all(plan: Plan) -> str:
     network, game = plan.network, plan.strategy.game
     sites = plan.bottleneck.sites
     sites = sites[ALL_ROUTES * game.loss[sites] <= plan.strategy.value]
-    if game.ambushers > 1 or not len(sites):
+    if game.ambushers > 1 or not len(sites) or not is_sound(plan):
         return ''
     ends = network.points[[network.source, *network.stops, network.target]]
     away = np.hypot(*np.moveaxis(game.network.points[sites][:, None] - ends, 2, 0))

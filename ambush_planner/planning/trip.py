@@ -42,8 +42,9 @@ from .solving import WarmStart, find_value_on, finish_on, solve_on_network
 ORDERS = ('given', 'best', 'random')
 # Largest number of stops for which all orders (5040) are compared, and for a random order (24).
 MAX_COMPARED, MAX_RANDOM_STOPS = 7, 4
-# Share of the time left that a round of refinement may take.
-ROUND = 0.6
+# Share of the time limit for the best order, if its network is then refined; and share of the time
+# left that a round of refinement may take.
+ORDERED, ROUND = 0.6, 0.6
 
 Position = tuple[float, float]
 
@@ -181,10 +182,11 @@ class _Trip:
         """The strategy on a network that is refined if it is graded."""
         first = warm.refined if warm else np.empty((0, 3))
         chosen, found, options = tuple(range(len(self.stops))), self.order, self.options
-        end = begin + options.strategy.time_limit
+        end, best = begin + options.strategy.time_limit, None
         if self.order == 'best' and len(self.stops) > 1:
-            graph, rest = self.graph(first), _with_time(options, end)
-            search = _StopOrderSearch(self.risk_map, graph, rest, self.progress)
+            ordered = ORDERED if is_graded(options) else 1.0
+            rest = _with_time(options, begin + ordered * options.strategy.time_limit)
+            search = _StopOrderSearch(self.risk_map, self.graph(first), rest, self.progress)
             best = search.run()
             if not is_graded(options):
                 return best
@@ -202,8 +204,16 @@ class _Trip:
             return find_value_on(self.risk_map, self.network(graph, chosen), rest, similar,
                                  self.progress)
 
-        refined, rounds = refine(value_on, self.risk_map, options, warm)
-        return _Planned(finish_on(refined, options, end), chosen, found, rounds)
+        try:
+            refined, rounds = refine(value_on, self.risk_map, options, warm)
+            strategy = finish_on(refined, options, end)
+        except TimeLimit:
+            if best is None:
+                raise
+            return best
+        if best and best.strategy.value <= strategy.value:
+            return best
+        return _Planned(strategy, chosen, found, rounds)
 
     def graph(self, refined: FloatArray) -> TripGraph:
         """The graph of drivable places with ``Network.refined`` (K, 3)."""

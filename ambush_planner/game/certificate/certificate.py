@@ -32,6 +32,9 @@ from ..hits import hits_can_differ, worst_loss
 from .best_response import best_response
 from .curves import curve_bound
 
+# Largest imbalance of the flow at a node: ten times what solvers round to.
+CONSERVATION_TOLERANCE = 10.0 * ROUNDING
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -122,7 +125,7 @@ def _check_flow(game: Game, p: FloatArray) -> None:
     balance[network.source] -= 1.0
     balance[network.target] += 1.0
     residual = float(np.abs(balance).max())
-    if not residual <= ROUNDING:
+    if not residual <= CONSERVATION_TOLERANCE:
         raise SolverFailed(f'p is not a flow from source to target: residual {residual:.1e}')
     if p[~game.playable].any():
         raise SolverFailed('p uses edges that are not playable')
