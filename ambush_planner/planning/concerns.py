@@ -27,8 +27,8 @@ _WHY: dict[Reason, str] = {
             'search: allow more time, or set network.refine to 0',
     'solver': 'a numerical solver failed, so the value may be far from the best: another '
               'max_detour, or network.refine 0, may help',
-    'stalled': 'no closer strategy or bound was found, and more time would not help; network.refine '
-               '0 or fewer stops may',
+    'stalled': 'no closer strategy or bound was found, and more time would not help; '
+               'network.refine 0 or fewer stops may',
 }
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
 MAX_SPACING = 0.25
