@@ -132,7 +132,7 @@ def test_one_of_few_routes(tmp_path):
     assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
     assert 'No area on the way is secured' in page and len(rows[0]) == 5 and 'km/h' not in page
     count = len(plan.few.paths)
-    for options, words in (('', '--route NUMBER'),
+    for options, words in (('', 'name a route with --route N'),
                            ('--route 9', f'has routes 1 to {count}, not 9')):
         done = run_here(card, tmp_path / 'few.plan', '-o', tmp_path / 'c.html', *options.split())
         assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()

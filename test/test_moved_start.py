@@ -122,7 +122,7 @@ def test_the_mixture_of_first_steps_is_nearly_the_best_within_its_length(seed, s
     assert (losses @ x).max() <= best + 0.03 * losses.max() and over @ x <= 0.03
 
 
-@pytest.mark.filterwarnings('ignore:.*nodes decide the value')
+@pytest.mark.filterwarnings('ignore:.*is decided at .* nodes')
 def test_a_convoy_that_drove_aside_is_hardly_hit_more_often():
     """Routes that all leave it the same way are: the nearest place would hit each of them."""
     values = np.full((80, 120), 10, np.int8)

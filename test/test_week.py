@@ -256,12 +256,15 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
     done = run_here(verify, file)
     assert 'it is a plan: ambush draw makes a departure of it' in done.out + done.err
     done = run_here(card, file, '-o', tmp_path / 'c.html')
-    assert done.code == 2 and '--route NUMBER goes with a plan of few routes' in done.err
+    assert done.code == 2 and 'is a plan, not a departure: draw one with' in done.err
     done = run_here(card, file, '-o', tmp_path / 'c.html', '--route', 1)
-    assert done.code == 2 and 'no few routes' in done.err
+    assert done.code == 2 and 'is not a plan of few routes' in done.err
     file.write_bytes(whole[:5000] + b'x' + whole[5001:])
     done = run_here(draw, file)
-    assert done.code == 3 and 'damaged' in done.err
+    assert done.code == 3 and 'week.plan was changed or damaged since it was saved' in done.err
+    file.write_bytes(b'not a plan')
+    done = run_here(draw, file)
+    assert done.code == 3 and 'week.plan is no plan: make one with ambush plan' in done.err
     file.write_bytes(whole)
     parameters = read_recording(file).entries['parameters']
     changed(file, parameters=parameters | {'game.ambush_radius': 1.0})

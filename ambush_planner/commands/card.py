@@ -46,8 +46,12 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     of_plan = arguments.departure.suffix.lower() == PLAN
     if of_plan == (arguments.route is None):
-        raise cli.UsageError('--route NUMBER goes with a plan of few routes (ambush plan --routes '
-                             'K -o FILE.plan), and only there')
+        file = cli.place(arguments.departure)
+        raise cli.UsageError(
+            f'{file} is a plan, not a departure: draw one with ambush draw {file} -o '
+            f'{arguments.output}, or name a route with --route N if it was made with --routes'
+            if of_plan else
+            f'{file} is a departure, which has one route: leave out --route')
     card = _chosen(arguments) if of_plan else _recorded(arguments)
     if crs := crs_text(arguments):
         card = replace(card, risk_map=replace(card.risk_map, crs=crs))
@@ -72,11 +76,12 @@ def _recorded(arguments: argparse.Namespace) -> Card:
 
 def _chosen(arguments: argparse.Namespace) -> Card:
     plan = read_plan(arguments.departure).plan
-    count = len(plan.few.paths) if plan.few else 0
-    if plan.few is None or not 1 <= arguments.route <= count:
-        raise cli.UsageError(f'{cli.place(arguments.departure)} has ' + (
-            f'routes 1 to {count}, not {arguments.route}' if count else
-            'no few routes: plan with --routes K, or draw a departure'))
+    file = cli.place(arguments.departure)
+    if plan.few is None:
+        raise cli.UsageError(f'{file} is not a plan of few routes: make one with --routes K, or '
+                             'draw a departure')
+    if not 1 <= arguments.route <= (count := len(plan.few.paths)):
+        raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
     assert plan.risk_map is not None
     k = arguments.route - 1
     return card_of(plan.few.paths[k], plan.risk_map, plan.strategy,

@@ -104,6 +104,10 @@ def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
             'candidates': step.candidates, 'solved': step.solved}
 
 
+def _others(count: int) -> str:
+    return 'the other candidate stays' if count == 1 else f'the other {count} candidates stay'
+
+
 def _tell(found: Holding, rows: list[dict[str, Any]], count: int, like: Position,
           risk_map: RiskMap, console: cli.Console) -> None:
     before = found.before
@@ -111,8 +115,7 @@ def _tell(found: Holding, rows: list[dict[str, Any]], count: int, like: Position
     for row in rows:
         at = row['name'] or like.like((row['x'], row['y']), risk_map)
         others = '' if row['others'] is None else (
-            f'; none of the other {row["candidates"] - 1} candidates gets below '
-            f'{row["others"]:.4g}')
+            f'; {_others(row["candidates"] - 1)} above {row["others"]:.4g}')
         console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
                      f'{row["lower_bound"]:.4g}{others}')
     if len(rows) < count:

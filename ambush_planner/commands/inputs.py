@@ -56,8 +56,9 @@ KINDS = {float: 'a number', int: 'a whole number', bool: 'true or false', str: '
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
               '(default: 0, only the network nodes that he waits at)'),
-    'held': ('game.secured_radius', 'METRES', 'radius of the area that you hold around start, '
-             'stops and goal: nobody can wait there (default: as far as the reach)'),
+    'held': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
+             'start, stops and goal: nobody can wait there (default: as far as an ambush reaches: '
+             'the reach and the tube)'),
     'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
                "route's (default: 1.2)"),
     'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '
@@ -167,10 +168,11 @@ def add_places(parser: argparse.ArgumentParser, stops: bool = True) -> None:
                             metavar='POSITION', help=_POSITIONS[end])
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``."""
+def add_options(parser: argparse.ArgumentParser, hidden: str = '') -> None:
+    """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``; help omits ``hidden``."""
     for word, (_, unit, text) in WORDS.items():
-        parser.add_argument(f'--{word}', metavar=unit, help=text)
+        parser.add_argument(f'--{word}', metavar=unit,
+                            help=argparse.SUPPRESS if word == hidden else text)
     parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
                         'cross without a shared vertex (network.node_crossings)')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',

@@ -64,7 +64,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
                       metavar='PICTURE.png', help='the picture to write')
     add_crs(made)
-    add_options(made)
+    add_options(made, hidden='detour')  # the tracks set the length budget
     return made
 
 

@@ -180,10 +180,6 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
     else:
         console.fact('mean length', f'{distance(plan.driven_length)} as driven' + (
             '' if few else f' (along the network {distance(strategy.expected_length)}, {ratio})'))
-    if len(plan.refinement) > 1:
-        values = ' ... '.join(dict.fromkeys(f'{each.value:.4g}' for each in plan.refinement))
-        known = ' at a known time' * bool(day)
-        console.fact('refined', f'value{known} {values}, on {plan.refinement[-1].nodes} nodes')
     if few:
         price = few.value / few.lower_bound if few.lower_bound else math.inf
         console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '
@@ -194,7 +190,12 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
     if arguments.verbose:
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
-            f'no planner can guarantee less on this network of {plan.network.place_count} nodes'))
+            'no planner can guarantee less on this network of '
+            f'{len(strategy.network.points)} nodes'))
+        if len(plan.refinement) > 1:
+            values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
+            known = ', at a known time' * bool(day)
+            console.fact('refined', f'{values} after each round{known}, before the final strategy')
         if seen:
             where: Position = arguments.start[0]
             assert plan.risk_map is not None

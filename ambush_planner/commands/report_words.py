@@ -146,7 +146,7 @@ def quantities(section: Section) -> list[tuple[str, str]]:
         ('shortest route along it', travel(strategy, strategy.shortest_length)),
         ('limit of that mean', travel(strategy, budget) if math.isfinite(budget) else 'none'),
         ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
-        ('network', f'{network.place_count:,} nodes, {len(network.edges):,} edges'),
+        ('network', f'{len(network.points):,} nodes, {len(network.edges):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
     ]
 

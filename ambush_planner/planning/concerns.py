@@ -155,10 +155,11 @@ def _secured_area(plan: Plan) -> str:
                 f'hit every route; hold {distance(enough)} (game.secured_radius -1)')
     if not bottleneck.near_ends:
         return ''
+    count, near = len(bottleneck.sites), bottleneck.near_ends
     return (
-        f'{len(bottleneck.sites)} nodes decide the value {plan.strategy.value:.4g}, '
-        f'{bottleneck.near_ends} of them within {distance(bottleneck.distance)} of start or goal; '
-        'holding that ground (game.secured_radius) may lower it'
+        f'the value {plan.strategy.value:.4g} is decided at {count} nodes, '
+        f'{"all" if near == count else f"{near} of them"} within {distance(bottleneck.distance)} '
+        'of start, stops or goal; a larger secured area there (game.secured_radius) may lower it'
     )
 
 

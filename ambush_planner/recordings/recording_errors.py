@@ -36,6 +36,12 @@ class UnreadableRecording(_AtPath):
     _sentence = '{} cannot be read as a recording: {}'
 
 
+class UnreadablePlan(UnreadableRecording):
+    """A file is not a plan, or not as it was saved."""
+
+    _sentence = '{} {}'
+
+
 @contextmanager
 def recording_to(path: Path) -> Iterator[None]:
     """Turn an OSError met while writing ``path``, or a missing library, into RecordingFailed."""

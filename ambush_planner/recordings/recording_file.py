@@ -31,7 +31,7 @@ METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
 FORMAT = '10'
 _CHUNK_SIZE = 2**20  # bytes
-_MAGIC = 8  # bytes that begin and end a file
+MAGIC = b'\x89MCAP0\r\n'  # begins and ends a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +114,7 @@ def read_recording(path: Path | str) -> RecordingFile:
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
-            f'it is damaged or not an MCAP file ({type(error).__name__}); try `mcap recover` to '
-            'salvage intact messages',
+            'it is damaged or not an MCAP file; try `mcap recover` to salvage intact messages',
         ) from error
     texts: Mapping[str, str] | None = next(
         (each.metadata for each in found
@@ -147,9 +146,9 @@ def _check_summary(data: bytes) -> None:
     Raises ValueError if bytes follow the end, or the summary (statistics, indexes, the footer) does
     not have the CRC that the footer states.
     """
-    if not data.endswith(data[:_MAGIC]):
+    if not data.endswith(MAGIC):
         raise ValueError('bytes follow the end')
-    end = len(data) - _MAGIC  # of the footer, whose last 4 bytes are the CRC
+    end = len(data) - len(MAGIC)  # of the footer, whose last 4 bytes are the CRC
     start, _, stated = struct.unpack_from('<QQI', data, end - 20)
     begin = start or end - 29  # of the summary, or of the footer if there is none
     if stated not in (0, zlib.crc32(data[begin : end - 4])):
