@@ -47,7 +47,8 @@ def short_of_time(game, options, ground, *_):
 
 @pytest.mark.parametrize('max_gap', [0.1, 0.01])
 def test_what_was_reached_in_time_departs_with_a_warning_or_not_at_all(monkeypatch, max_gap):
-    monkeypatch.setattr(WorkerProcess, 'solve', lambda _, request: plan_from_request(request))
+    monkeypatch.setattr(WorkerProcess, 'solve',
+                        lambda _, request, low_priority: plan_from_request(request))
     monkeypatch.setattr(planner, 'solve_game', short_of_time)
     with stage(parameters={'strategy.max_gap': max_gap}) as running:
         client = running.give()
