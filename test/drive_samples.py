@@ -94,7 +94,7 @@ def excess(path, drawn, tube, reach, secured_area):
     """How far beyond ``reach`` of the drawn route (L, 2) an ambush may be that meets the path
     (K, 2) within ``reach`` less the tube [m].
 
-    It meets neither in the secured area, of which the route has what is left within the tube.
+    Parts in the secured area meet nobody; for the route, this area is smaller by the tube.
     """
     centres, radii = secured_area
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rasters and images declare is applied or refused, and what is left out is said: tables."""
+"""What rasters and images declare is applied or refused, and what is ignored is named: tables."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which requests continue the trip of a robot, and what is left of its path; without ROS."""
+"""Which requests continue the trip of a robot, and the rest of its path; without ROS."""
 
 import math
 

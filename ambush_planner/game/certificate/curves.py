@@ -92,7 +92,7 @@ def _shares_of_legs(leg: IndexArray, site: IndexArray, winds: FloatArray, faces:
 
 
 def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
-           face: IndexArray) -> tuple[FloatArray, IndexArray, IndexArray]:
+                     face: IndexArray) -> tuple[FloatArray, IndexArray, IndexArray]:
     """Whether each pair (T,) of a disc and a face exists, as 0 or 1, its winding offset, its part.
 
     A curve passes a disc only within one part of its rim: it does not cross the secured area.
