@@ -178,7 +178,7 @@ class Strategy(Shown):
         """q by place (K,), K = ``network.place_count``: summed over the nodes of each."""
         return self.game.at_places(self.ambush_probability)
 
-    @property
+    @cached_property
     def edge_entropy(self) -> float:
         """-sum p ln p, the paper's [nats]."""
         return entropy(self.edge_probability, np.ones_like(self.edge_probability))
@@ -196,7 +196,7 @@ class Strategy(Shown):
         """
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
-    @property
+    @cached_property
     def expected_length(self) -> float:
         """Mean length [m], or [s] if the network has driving times (``travel_costs``)."""
         return self.budgets[0].mean(self.edge_probability)
@@ -216,7 +216,7 @@ class Strategy(Shown):
         """Decrease of the value per unit of increase of the length budget."""
         return self.ambusher.prices[0]
 
-    @property
+    @cached_property
     def expected_exposure(self) -> float:
         """Mean integral of alpha along the route [loss x m]."""
         return self.budgets[1].mean(self.edge_probability)

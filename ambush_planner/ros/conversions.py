@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
@@ -24,9 +24,13 @@ from ..arrays import FloatArray
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
     """Return the pose at (x, y) [m] with heading yaw [rad]."""
-    half = 0.5 * float(yaw)
-    return Pose(position=Point(x=float(x), y=float(y)),
-                orientation=Quaternion(z=math.sin(half), w=math.cos(half)))
+    return _set_pose(Pose(), float(x), float(y), float(yaw))
+
+
+def _set_pose(pose: Pose, x: float, y: float, yaw: float) -> Pose:
+    pose.position.x, pose.position.y = x, y
+    pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+    return pose
 
 
 def occupancy_to_ros(values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float],
@@ -47,7 +51,10 @@ def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> P
     It ends at the position of the last pose with the goal's height and orientation: a blocked goal
     has been moved there.
     """
-    result = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
+    result = [PoseStamped() for _ in poses]  # rclpy makes default fields even if others are given
+    for stamped, row in zip(result, poses.tolist(), strict=True):
+        stamped.header = header
+        _set_pose(stamped.pose, *row)
     end = result[-1].pose.position
     position = Point(x=end.x, y=end.y, z=goal.position.z)
     result[0].pose = start
