@@ -33,6 +33,13 @@ def test_entry_lists_all_commands(capsys):
     assert "there is no command 'verfy'; did you mean 'verify'?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('name', sorted(cli.COMMANDS))
+def test_help_fits_a_screen(name, monkeypatch, capsys):
+    monkeypatch.setenv('COLUMNS', '80')
+    assert exit_code([name, '--help']) == 0
+    assert capsys.readouterr().out.count('\n') <= 45
+
+
 def test_missing_input_exits_3_even_if_quiet(tmp_path, capsys):
     for name in ('audit', 'replay', 'report', 'verify'):
         output = ['-o', str(tmp_path / 'out')] if name == 'report' else []

@@ -73,7 +73,7 @@ def test_a_mixture_is_what_it_says(plan, equal):
     np.testing.assert_allclose(few.costs, lengths(few.paths))
     assert few.shares @ few.costs <= plan.strategy.length_budget * (1.0 + 1e-6)
     sizes, values = zip(*few.curve, strict=True)
-    assert sizes == (1, 2, 4, 5) and values[-1] == few.value
+    assert sizes == tuple(sorted({min(k, count) for k in (1, 2, 4, 5)})) and values[-1] == few.value
     if equal:
         assert count == 5 and np.ptp(few.shares) == 0.0
     else:

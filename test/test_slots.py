@@ -46,6 +46,8 @@ def test_equal_slots_and_a_window(slots, window):
     assert found.lower_bound == pytest.approx(1.9 / ceil(slots / window))
     worst = max(found.shares[k : k + window].sum() for k in range(slots))
     assert worst * 2.0 == pytest.approx(found.value)
+    if window >= slots:  # no time is better than another
+        assert found.shares == pytest.approx(1.0 / slots)
 
 
 def test_a_safe_slot_takes_all():

@@ -293,6 +293,8 @@ def test_a_map_that_changed_and_a_clock_that_went_back_are_named(tmp_path, monke
     done = run_here(draw, file)
     assert done.code == 2 and 'set the clock, or name the day with --date' in done.err
     assert run_here(draw, file, '--date', '2040-01-01').code == 0
+    done = run_here(draw, file, '--date', '2020-01-01')
+    assert done.code == 0 and '2020-01-01 has passed: today is 20' in done.err
 
 
 def test_python_saves_plans_too(tmp_path):

@@ -31,7 +31,7 @@ the convoy should have driven, where it did, and the loss that the observer woul
 picture shows secret routes, so it has mode 0600 and a new folder 0700.
 --json: {"verdict", "departures", "left_out", "findings", "p_value", "impossible", "value",
 "observer_loss", "observer_range", "unreadable"}
-""" + cli.EXIT_CODES
+"""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -24,7 +24,7 @@ The page is for printing (A4): the map with this route, and its way points with 
 its coordinate system is unknown), distances along the path, times, and what is secured on the way.
 It tells nothing of other routes. MGRS needs the package mgrs, which is in the extra gis.
 --json: {"verdict", "file", "legs", "length"}
-""" + cli.EXIT_CODES
+"""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -112,12 +112,13 @@ def new_parser(command: str, description: str, epilog: str, common: Sequence[str
                brief: str = '', usage: str = '') -> argparse.ArgumentParser:
     """Return a parser with the options that all commands have.
 
-    If there are ``common`` options, ``--help`` shows only these, ``usage`` and ``brief`` as the
-    epilog; ``--help-all`` shows everything.
+    Help ends with ``epilog`` and the exit codes. If there are ``common`` options, ``--help`` shows
+    only these, ``usage``, and ``brief`` instead of the epilog; ``--help-all`` shows everything.
     """
-    parser = _parser(f'ambush {command}', description, epilog)
+    parser = _parser(f'ambush {command}', description, epilog + EXIT_CODES)
     if common:
-        parser.common, parser.brief, parser.usage = ('-h', '--help-all', *common), brief, usage
+        parser.common, parser.usage = ('-h', '--help-all', *common), usage
+        parser.brief = brief + EXIT_CODES
         parser.add_argument('--help-all', action=_HelpAll, help='show all options')
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
     parser.add_argument('-q', '--quiet', action='store_true', help='print errors only')

@@ -46,7 +46,7 @@ on a terminal, the command asks. One that was not driven does not count in audit
 If a file cannot be written, nothing is, and nothing has been drawn.
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
 "recording"}]}
-""" + cli.EXIT_CODES
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if saved.source and saved.map_has_changed:
         console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '
                      'if the ground has changed, plan again')
-    first = arguments.date or date.today()
+    today = date.today()
+    first = arguments.date or today
+    if first < today:
+        console.warn(f"{first} has passed: today is {today} by this computer's clock")
     dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
     folder = departures_folder(arguments.plan)
     if arguments.dry_run:

@@ -18,7 +18,7 @@ last departure. The coordinate system is the node's parameter map.crs, unless --
 another one.
 {FORMATS_HELP}
 --json: {{"verdict", "files", "departures", "unreadable"}}
-""" + cli.EXIT_CODES
+"""
 
 
 def parser() -> argparse.ArgumentParser:

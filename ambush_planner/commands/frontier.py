@@ -19,46 +19,35 @@ from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from ..recordings.durable_files import write_all_durably
 from . import cli
 from .geo_files import add_outputs, check_outputs, tell_overwritten
-from .inputs import (
-    MAP_HELP,
-    OPTIONS_HELP,
-    POSITION_HELP,
-    add_crs,
-    add_options,
-    add_places,
-    options_from,
-    places_on,
-)
+from .inputs import options_from, places_on, planner_parser
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
-EPILOG = f"""\
-{MAP_HELP}
-{POSITION_HELP}
+BRIEF = """\
+The table (.csv) has value, length, exposure and entropy for each budget, the picture (.png) the
+same as curves.
+"""
+EPILOG = """\
 Solves a strategy for each of --detours, all with --slack, and for each of --slacks, all with
 --detour.
 The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
 finding. The picture (.png) shows the same as curves.
-{OPTIONS_HELP}
---json: {{"verdict", "files", "rows": [{{...}}]}}
-""" + cli.EXIT_CODES
+--json: {"verdict", "files", "rows": [{...}]}
+"""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser(
-        'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.', EPILOG
-    )
-    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
-    add_places(made, stops=False)
+    made = planner_parser(
+        'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.', EPILOG,
+        BRIEF, '--start POSITION --goal POSITION [options] -o FILE ...', ('--detours', '--slacks'),
+        stops=False)
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
     made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
                       help="length budgets, as multiples of the shortest route's length "
                       '(default: 1.02 to 1.5)')
     made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
                       'of the value to give up for less predictable routes (default: 0 to 0.3)')
-    add_crs(made)
-    add_options(made)
     return made
 
 

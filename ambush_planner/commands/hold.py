@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -23,24 +22,16 @@ from ..planning.holding import Held, Holding, places_to_hold
 from ..recordings.durable_files import write_all_durably
 from . import cli
 from .geo_files import add_outputs, check_outputs, tell_overwritten
-from .inputs import (
-    MAP_HELP,
-    OPTIONS_HELP,
-    POSITION_HELP,
-    Position,
-    add_crs,
-    add_options,
-    add_places,
-    options_from,
-    places_on,
-)
+from .inputs import Position, options_from, places_on, planner_parser
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
 NAME_WIDTH = 12  # characters in a line below the curve
-EPILOG = f"""\
-{MAP_HELP}
-{POSITION_HELP}
+BRIEF = """\
+PLACES has points with a name: a CSV file with name, and x, y or lat, lon, or a vector file.
+The table (.csv) has a row for each place, the picture (.png) the places on the map.
+"""
+EPILOG = """\
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
 PLACES has points with a name: a CSV file with the columns name, and x, y (world positions [m]) or
@@ -48,16 +39,16 @@ lat, lon [degrees], or a GeoPackage, GeoJSON or other vector file.
 The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
 and others, below which no other candidate can bring the value instead. The picture (.png) has
 the places on the map, with the strategy if all are held, and the value as a curve.
-{OPTIONS_HELP}
---json: {{"verdict", "files", "value", "lower_bound", "places": [{{...}}]}}
-""" + cli.EXIT_CODES
+--json: {"verdict", "files", "value", "lower_bound", "places": [{...}]}
+"""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('hold', 'Find the places whose holding lowers the value most.', EPILOG)
-    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
-    add_places(made)
+    made = planner_parser(
+        'hold', 'Find the places whose holding lowers the value most.', EPILOG, BRIEF,
+        '--start POSITION --goal POSITION --radius METRES [options] -o FILE ...',
+        ('-k', '--radius', '--candidates'))
     made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
                       help='number of places to hold (default: 5)')
     made.add_argument('--radius', type=float, required=True, metavar='METRES',
@@ -65,8 +56,6 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--candidates', metavar='PLACES', help='the places that can '
                       "be held (default: places around the ambusher's sites)")
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
-    add_crs(made)
-    add_options(made)
     return made
 
 

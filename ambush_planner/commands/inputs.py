@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,19 +32,26 @@ from ..network.trip_graph import position_errors
 from ..planning.options import DriveOptions, PlanningOptions
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
-from .console import Console
+from .cli import Console, new_parser
 
-MAP_HELP = """\
+# Options of all commands that plan which their short help shows.
+COMMON = ('-o', '--start', '--goal', '--via', '--reach', '--held', '--detour', '--slack', '--crs',
+          '--set')
+BRIEF = """\
+MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
+A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
+"""
+HELP = """\
 MAP is a YAML file for map_server, as ambush risk writes it, a GeoTIFF of the same values, -1..100,
 or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution [m] and, if they are
-known, origin (x, y, yaw) and crs, the coordinate system."""
-OPTIONS_HELP = """\
+known, origin (x, y, yaw) and crs, the coordinate system.
+A position is X Y, world coordinates [m], LAT,LON [degrees], negative in the south and west, or an
+MGRS reference.
 The options of --set are named like the node's parameters (map., network., game., strategy.,
 route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
-that strategy.time_limit is 60 s."""
-POSITION_HELP = """\
-A position is X Y, world coordinates [m], LAT,LON [degrees], negative in the south and west, or an
-MGRS reference."""
+that strategy.time_limit is 60 s.
+
+"""
 # Time limit of each solve [s], as the node's.
 TIME_LIMIT = 60.0
 # Options that a plan or an argument of its own sets.
@@ -161,14 +169,31 @@ def _parts(text: str) -> Sequence[str | float]:
     return [part for part in text.split(',') if part]
 
 
-def add_places(parser: argparse.ArgumentParser, stops: bool = True) -> None:
+def planner_parser(command: str, description: str, epilog: str, brief: str, usage: str,
+                   common: Sequence[str] = (), stops: bool = True,
+                   hidden: str = '') -> argparse.ArgumentParser:
+    """Return the parser of a command that plans: with a map, places, options, ``--crs``.
+
+    ``epilog``, ``brief`` and ``usage`` are as in ``new_parser``; ``common`` are the command's own
+    options in its short help, which omits the option ``hidden``.
+    """
+    parser = new_parser(command, description, HELP + epilog, (*COMMON, *common), BRIEF + brief,
+                        f'ambush {command} MAP {usage}')
+    parser.add_argument('map', type=Path, metavar='MAP', help='the risk map')
+    _add_places(parser, stops)
+    _add_options(parser, hidden)
+    add_crs(parser)
+    return parser
+
+
+def _add_places(parser: argparse.ArgumentParser, stops: bool) -> None:
     """Add the arguments ``--start``, ``--goal`` and perhaps ``--via``, lists of ``Position``."""
     for end in ('--start', '--goal', *['--via'] * stops):
         parser.add_argument(end, nargs='+', action=_Positions, required=end != '--via',
                             metavar='POSITION', help=_POSITIONS[end])
 
 
-def add_options(parser: argparse.ArgumentParser, hidden: str = '') -> None:
+def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
     """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``; help omits ``hidden``."""
     for word, (_, unit, text) in WORDS.items():
         parser.add_argument(f'--{word}', metavar=unit,
@@ -197,7 +222,7 @@ def crs_text(arguments: argparse.Namespace) -> str:
 
 
 def options_from(arguments: argparse.Namespace) -> SolveOptions:
-    """The options that ``add_options`` has parsed; raises InvalidOption.
+    """The options of a ``planner_parser``; raises InvalidOption.
 
     An option can be given once, by its word of ``WORDS`` or with ``--set``. The arguments of
     ``add_crs`` take precedence over ``map.crs``.
@@ -328,7 +353,7 @@ def _similar(name: str, names: Iterable[str]) -> str:
 
 def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,
             console: Console, **more: Any) -> Plan:
-    """The plan between the places of ``add_places``; ``more`` as ``plan_trip`` takes it."""
+    """The plan between the places that were given; ``more`` as ``plan_trip`` takes it."""
     start, goal, stops = places_on(arguments, risk_map)
     limit = options.strategy.time_limit
     what = f'solving the game, at most {limit:g} s (strategy.time_limit)'

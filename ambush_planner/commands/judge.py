@@ -25,46 +25,34 @@ from ..planning.path_mixtures import PathMixture
 from ..recordings.durable_files import write_all_durably
 from . import cli
 from .console import distance, percent
-from .inputs import (
-    MAP_HELP,
-    OPTIONS_HELP,
-    POSITION_HELP,
-    add_crs,
-    add_options,
-    add_places,
-    options_from,
-    places_on,
-)
+from .inputs import options_from, places_on, planner_parser
 from .judge_figure import MIN_SHARE, judge_figure
 
-EPILOG = f"""\
-{MAP_HELP}
-
+BRIEF = """\
+TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, or recordings. Trips
+are found between start and goal; their mean length is the budget of the optimal strategy.
+"""
+EPILOG = """\
 TRACKS are recordings (.mcap, or a folder), or files:
   .gpx    tracks, or routes if there are none
   .csv    columns x and y [m] or lat and lon [degrees], optional track and time (ISO 8601 or [s])
   others  lines of a GeoPackage, GeoJSON or other vector file; FILE|layername=NAME names a layer
 A trip leads from the last approach to the start to the first approach to the goal after it. The
 mean length of all trips is the length budget of the optimal strategy. The picture has mode 0600.
-
-{POSITION_HELP}
-{OPTIONS_HELP}
---json: {{"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval",
-"shares": [{{"track", "share"}}], "driven": {{...}}, "reweighted": {{...}}, "optimal": {{...}}}}
-""" + cli.EXIT_CODES
+--json: {"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval",
+"shares": [{"track", "share"}], "driven": {...}, "reweighted": {...}, "optimal": {...}}
+"""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('judge', 'Judge trips that were driven: what would an ambusher cause who '
-                          'has watched them?', EPILOG)
-    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
+    made = planner_parser(
+        'judge', 'Judge trips that were driven: what would an ambusher cause who has watched them?',
+        EPILOG, BRIEF, 'TRACKS ... --start POSITION --goal POSITION [options] -o PICTURE.png',
+        stops=False, hidden='detour')  # the tracks set the length budget
     made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
-    add_places(made, stops=False)
     made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
                       metavar='PICTURE.png', help='the picture to write')
-    add_crs(made)
-    add_options(made, hidden='detour')  # the tracks set the length budget
     return made
 
 

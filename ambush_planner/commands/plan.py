@@ -7,7 +7,6 @@ import argparse
 import math
 from dataclasses import asdict, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -26,17 +25,7 @@ from . import cli
 from .console import distance, duration, percent
 from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
-from .inputs import (
-    MAP_HELP,
-    OPTIONS_HELP,
-    POSITION_HELP,
-    Position,
-    add_crs,
-    add_options,
-    add_places,
-    options_from,
-    planned,
-)
+from .inputs import Position, options_from, planned, planner_parser
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
@@ -44,40 +33,30 @@ Plan on a map. Save the plan and draw from it each day, or draw routes for a qui
 
   ambush plan map.tif --start 36.55,-84.38 --goal 36.70,-84.12 --reach 500 -o week.plan
   ambush plan map.yaml --start 4 20 --goal 56 20 --reach 2 -n 20 -o routes.csv routes.png"""
-COMMON = ('-o', '-n', '--start', '--goal', '--via', '--reach', '--held', '--detour', '--slack',
-          '--routes', '--roads', '--slots', '--crs', '--set', '-v')
-USAGE = 'ambush plan MAP --start POSITION --goal POSITION [options] -o FILE ...'
 BRIEF = """\
-MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
-A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
 FILE.plan saves the plan, for ambush draw; .gpx .kml .gpkg .geojson .csv and .png
 have the routes that -n draws. All are secret, and only you can read them.
-Exit codes: 0 success; 1 a finding; 2 wrong usage; 3 a file cannot be used."""
+"""
 EPILOG = f"""\
-{MAP_HELP}
-
-{POSITION_HELP}
 FILE.plan has all that departures are drawn from; ambush draw, card and the node read it.
 {FORMATS_HELP}
 With --routes, the files have a layer or track for each route, with its number and share, and .png
 shows each. The table on the console has the faces of one or two dice (a first and a second one) and
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
-{OPTIONS_HELP}
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
 "shortest_length", "driven_length", "shortest_route_loss", "informant": {{"x", "y", "loss",
 "factor"}}, "refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
 or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
 "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
-""" + cli.EXIT_CODES
+"""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('plan', DESCRIPTION, EPILOG, COMMON, BRIEF, USAGE)
-    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
-    add_places(made)
-    add_options(made)
+    made = planner_parser('plan', DESCRIPTION, EPILOG, BRIEF,
+                          '--start POSITION --goal POSITION [options] -o FILE ...',
+                          ('-n', '--routes', '--roads', '--slots', '-v'))
     add_outputs(made, 'files to write, such as week.plan or routes.gpx', (PLAN, *SUFFIXES),
                 tell=False)
     number = made.add_mutually_exclusive_group()
@@ -101,7 +80,6 @@ def parser() -> argparse.ArgumentParser:
                       help='with --via: share of the loss that is aboard on each leg')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
-    add_crs(made)
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
                       'all assumptions, and what an informant is worth')
     return made
@@ -131,6 +109,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         mixture = mix_slots([plan.value] * len(slots), [plan.lower_bound] * len(slots),
                             arguments.window)
         day = DaySlots(tuple(slots), mixture, arguments.window)
+        if arguments.window >= len(slots):
+            console.warn('an ambush lasts as long as all slots together, so drawing the time of '
+                         'departure does not lower the value')
     if arguments.seed is not None:
         console.warn('drawn with --seed, so anyone who knows the seed can predict these routes; '
                      'use it for tests only')

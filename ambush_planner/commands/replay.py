@@ -27,7 +27,8 @@ have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node op
   ambush replay FOLDER --keep --topics /alpha_map /path
   ambush replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
-""" + cli.EXIT_CODES + ' Ctrl-C ends it with 0.'
+Ctrl-C ends it with exit code 0.
+"""
 INPUT_TYPES = frozenset({'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped',
                          'geometry_msgs/msg/PoseWithCovarianceStamped',
                          'geometry_msgs/msg/PoseArray'})

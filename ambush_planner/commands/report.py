@@ -24,7 +24,7 @@ only script is inline. It shows secret routes: its mode is 0600, that of a new f
 --verify it also says what ambush verify and ambush audit find; the exit code is 1 if a recording
 fails verification.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
-""" + cli.EXIT_CODES
+"""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -30,6 +30,14 @@ Make a risk map from an elevation model, or from layers of risk.
 
   ambush risk dem.tif -o map.yaml --resolution 90 --weapon-range 500
   ambush risk layers.yaml -o map.yaml"""
+COMMON = ('-o', '--roads', '--resolution', '--weapon-range', '--slope-limit', '--crs')
+USAGE = 'ambush risk DEM_OR_LAYERS [options] -o MAP.yaml'
+BRIEF = """\
+A DEM is a GeoTIFF of heights, or an npz file. LAYERS.yaml has a line for each layer of risk, such
+as terrain, villages, roads and incidents; docs/risk_layers.md explains them.
+It writes MAP.yaml and MAP.pgm for map_server, a picture, MAP.png, and, if the coordinate system is
+known, a GeoTIFF, MAP.tif, with its style for QGIS; of layers also MAP.npz with the exact losses.
+"""
 EPILOG = """\
 DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
 unknown, and resolution [m] (or dx and dy [m]). --roads takes the same kinds of files (npz: roads);
@@ -52,7 +60,7 @@ result, and, if the coordinate system is known, a GeoTIFF, MAP.tif, with MAP.qml
 QGIS; of layers also MAP.npz with the exact losses. The second band of a GeoTIFF from an elevation
 model has the heights: pictures show the relief then.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
-""" + cli.EXIT_CODES
+"""
 # Losses of the values 0 and 100 in MAP.yaml unless the map exceeds them: the node's defaults.
 LEAST, MOST = 1.0, 10.0
 _COLUMNS = 2
@@ -60,7 +68,7 @@ _COLUMNS = 2
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('risk', DESCRIPTION, EPILOG)
+    made = cli.new_parser('risk', DESCRIPTION, EPILOG, COMMON, BRIEF, USAGE)
     made.add_argument('source', type=Path, metavar='DEM_OR_LAYERS',
                       help='the elevation model (.tif, .npz), or the layers (.yaml)')
     made.add_argument('-o', '--output', type=cli.file_of('.yaml', '.yml'), required=True,

@@ -28,7 +28,7 @@ sign a folder.
 Output: one line per departure with its problems below it; progress on standard error.
 --json: {"verdict", "departures": [{"file", "number", "holds", "value", "problems", "notes"}],
 "findings", "notes"}
-""" + cli.EXIT_CODES
+"""
 
 
 def parser() -> argparse.ArgumentParser:

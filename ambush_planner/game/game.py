@@ -49,7 +49,7 @@ class GameOptions:
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
     ambushers
-        Number of different sites held at once; their losses add up.
+        Number of different sites where the ambusher waits at once; their losses add up.
     ambush_in_obstacles
         With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
         without edges.
@@ -149,7 +149,7 @@ class Game:
 
     @property
     def ambushers(self) -> int:
-        """Number of sites that the ambusher holds at once."""
+        """Number of sites where the ambusher waits at once."""
         return self.options.ambushers
 
     @property

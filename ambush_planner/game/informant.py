@@ -6,7 +6,7 @@ he choose where to wait (docs/theory.md, Proposition 5.7). With the published st
 
     max over j of alpha_j P(hit j and i)  +  max over j of alpha_j P(hit j, not i),
 
-the k largest instead of the largest if he holds k sites.
+the k largest instead of the largest if he waits at k sites.
 """
 
 from __future__ import annotations

@@ -129,7 +129,8 @@ def few_routes(plan: Plan, most: int, equal: bool = False,
     return FewRoutes(tuple(paths[k] for k in chosen), frozen_array(shares[chosen], np.float64),
                      found[-1].value, found[-1].worst_xy, min(search.bound, found[-1].value),
                      len(paths), frozen_array(costs[0][chosen], np.float64),
-                     tuple(zip(sizes, (mixture.value for mixture in found), strict=True)),
+                     tuple({min(size, len(chosen)): mixture.value  # more do not lower it
+                            for size, mixture in zip(sizes, found, strict=True)}.items()),
                      tuple(frozen_array(routes[k], np.int64) for k in chosen))
 
 

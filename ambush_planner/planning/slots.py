@@ -70,9 +70,10 @@ def _least(values: FloatArray, window: int) -> tuple[FloatArray, float]:
     from scipy.optimize import linprog
 
     slots, unit = len(values), float(values.max())
-    if values.min() == 0.0:  # nobody can harm who departs then
-        return np.eye(slots)[int(values.argmin())], 0.0
-    first = np.arange(max(slots - window, 0) + 1)[:, None]
+    if window >= slots or values.min() == 0.0:  # one ambush covers all, or some slots are safe
+        least = values == values.min()
+        return least / least.sum(), float(values.min())
+    first = np.arange(slots - window + 1)[:, None]
     covered = (np.arange(slots) >= first) & (np.arange(slots) < first + window)
     rows = np.column_stack((covered * values / unit, -np.ones(len(first))))
     found = linprog(np.append(np.zeros(slots), 1.0), A_ub=rows, b_ub=np.zeros(len(first)),
