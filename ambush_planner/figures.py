@@ -11,7 +11,7 @@ on a telephone of 400.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -52,16 +52,16 @@ RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
 RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
     'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
 PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
-# Minimum probability of edges in pictures.
-MIN_PROBABILITY = 1e-3
+# Minimum probability of edges in pictures, and of sites relative to the likeliest one.
+MIN_PROBABILITY, MIN_SITE = 1e-3, 0.01
 # Maximum cells across a picture; larger maps are subsampled.
 MAX_CELLS = 2000
 WIDTH = 7.0  # inches
 DOTS_PER_INCH = 200
 SECURED_DASHES = (0, (4, 3))
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
-# Distance between numbers, as a share of the picture.
-BADGE = 0.07
+# Size of a number, and room for one on a route, as shares of the picture.
+BADGE, ROOM = 0.04, 0.07
 # Minimum radius of the secured area that a mark does not cover, as a share of the picture.
 SEEN = 0.015
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
@@ -72,6 +72,10 @@ SECURED_AREA = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DA
                      label='secured area: nobody can wait here')
 OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
 UNKNOWN = Patch(facecolor='#f2f2f2', edgecolor='#a8a8a8', hatch='////', label='unknown')
+START = Line2D([], [], linestyle='none', marker='s', markersize=8, color=colours.ENDS,
+               markeredgecolor='black', label='start')
+GOAL = Line2D([], [], linestyle='none', marker='*', markersize=13, color=colours.ENDS,
+              markeredgecolor='black', label='goal')
 NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
                  label='the convoy may drive here: the wider, the likelier')
 
@@ -101,8 +105,9 @@ def draw_map(axes: Axes, risk_map: RiskMap, title: str = '',
     return draw_risk_map(axes, risk_map)
 
 
-def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None) -> None:
-    """Give the axes the map's extent, or a box, equal scales, and ticks.
+def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None,
+          ticks: int = 4) -> None:
+    """Give the axes the map's extent, or a box, equal scales, and up to about ``ticks`` ticks.
 
     Ticks are latitudes and longitudes, with a graticule, as they are not parallel to the edges; for
     maps without a coordinate system, the map's own coordinates in km (m for maps under 2 km).
@@ -117,12 +122,12 @@ def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | N
                                   for end in ((right, bottom), (left, top)))
         box = np.array([(left, bottom), (right, bottom), (left, top), (right, top)])
         for axis, edge in ((axes.xaxis, bottom_edge), (axes.yaxis, left_edge)):
-            _graticule(axes, system, box, *_degrees(axis, system, edge))
+            _graticule(axes, system, box, *_degrees(axis, system, edge, ticks))
         axes.set(xlim=(left, right), ylim=(bottom, top))
         return
     unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10]))
+        axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
     axes.set(xlabel=f'x [{unit}]', ylabel=f'y [{unit}]')
 
@@ -144,7 +149,7 @@ def _graticule(axes: Axes, system: Coordinates, box: FloatArray, kind: int, step
         axes.plot(*system.from_lat_lon(line).T, color='0.3', linewidth=0.5, alpha=0.5, zorder=1)
 
 
-def _degrees(axis: Axis, system: Coordinates, edge: FloatArray) -> tuple[int, float]:
+def _degrees(axis: Axis, system: Coordinates, edge: FloatArray, most: int) -> tuple[int, float]:
     """Mark round latitudes or longitudes, whichever vary, along an edge (K, 2) of the axes.
 
     Returns 0 for latitudes, 1 for longitudes, and their distance.
@@ -153,7 +158,7 @@ def _degrees(axis: Axis, system: Coordinates, edge: FloatArray) -> tuple[int, fl
     kind = int(np.ptp(degrees, axis=0).argmax())
     order = degrees[:, kind].argsort()
     found = degrees[order, kind]
-    ticks = MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(found[0], found[-1])
+    ticks = MaxNLocator(nbins=most, steps=[1, 2, 5, 10]).tick_values(found[0], found[-1])
     step = float(ticks[1] - ticks[0])
     ticks = ticks[(found[0] <= ticks) & (ticks <= found[-1])]
     at = np.interp(ticks, found, edge[order, 'xy'.index(axis.axis_name)])
@@ -278,16 +283,26 @@ def draw_ends(axes: Axes, strategy: Strategy, named: bool = True, size: float = 
 
     ``size`` is that of the marks, as a share of the usual area.
     """
-    network, options = strategy.network, strategy.game.options
-    draw_places(axes, network.points[[network.source, *network.stops, network.target]],
-                options.secured_distance, named, size)
+    options = strategy.game.options
+    held = [(x, y) for x, y, _ in options.held_places]
+    draw_places(axes, places_of(strategy), options.secured_distance, named, size,
+                np.array([*held, *sites_of(strategy)[0]]))
     for x, y, radius in options.held_places:
         _circle(axes, (x, y), radius)
 
 
+def places_of(strategy: Strategy) -> FloatArray:
+    """Start, stops and goal (P, 2) of a strategy's network."""
+    network = strategy.network
+    return network.points[[network.source, *network.stops, network.target]]
+
+
 def draw_places(axes: Axes, places: FloatArray, secured_distance: float, named: bool = True,
-                size: float = 1.0) -> None:
-    """Mark start (square), stops (diamonds) and goal (star) with names; circle the secured area."""
+                size: float = 1.0, avoid: FloatArray | None = None) -> None:
+    """Mark start (square), stops (diamonds) and goal (star) with names; circle the secured area.
+
+    Names are above or below, where they cover fewer of the points (K, 2) to ``avoid``.
+    """
     stops = [('D', 70, f'stop {k}') for k in range(1, len(places) - 1)]
     marks = [('s', 90, 'start'), *stops, ('*', 260, 'goal')]
     if np.array_equal(places[0], places[-1]):  # a round trip
@@ -296,10 +311,23 @@ def draw_places(axes: Axes, places: FloatArray, secured_distance: float, named: 
         axes.scatter(x, y, s=size * area, marker=marker, color=colours.ENDS,
                      edgecolors='black', zorder=7)
         if named:
-            axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
-                          va='top', weight='bold', path_effects=HALO, zorder=10)
+            _name(axes, (x, y), name, places if avoid is None else avoid)
         if secured_distance > 0.0:
             _circle(axes, (x, y), secured_distance)
+
+
+def _name(axes: Axes, xy: tuple[float, float], name: str, avoid: FloatArray) -> None:
+    """Write the name of a mark below it, or above it if fewer points (K, 2) are there."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    wide, tall = 0.02 * len(name) * (right - left), 0.07 * (right - left)
+    inwards = xy[0] + wide > right
+    x, y = (avoid - xy).T
+    beside = (np.abs(x) < 0.3 * wide) | ((0.0 < -x if inwards else 0.0 < x) & (np.abs(x) < wide))
+    above, below = (np.sum(beside & (0.0 < up) & (up < tall)) for up in (y, -y))
+    up = xy[1] + tall < high and (above < below or xy[1] - tall < low)
+    axes.annotate(name, xy, xytext=(4 if inwards else -4, 8 if up else -8),
+                  textcoords='offset points', ha='right' if inwards else 'left',
+                  va='bottom' if up else 'top', weight='bold', path_effects=HALO, zorder=10)
 
 
 def _circle(axes: Axes, centre: tuple[float, float], radius: float) -> None:
@@ -307,8 +335,9 @@ def _circle(axes: Axes, centre: tuple[float, float], radius: float) -> None:
                           linestyle=SECURED_DASHES, zorder=6))
 
 
-def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
-    """Draw routes (K, 2), each with its number where it is farthest from the others.
+def draw_routes(axes: Axes, routes: Sequence[FloatArray],
+                avoid: Iterable[FloatArray] = ()) -> tuple[Line2D, ...]:
+    """Draw routes (K, 2), each with its number far from the others and the places to ``avoid``.
 
     Those that share a road are stripes of one line. More routes than there are colours have the
     first colour and no numbers. Returns a handle for a legend with ``HandlerTuple``.
@@ -321,7 +350,7 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> tuple[Line2D, ...]:
         for route in routes:
             axes.plot(*route.T, color=used[0], linewidth=1.1, alpha=0.7, zorder=4)
     if few and len(routes) > 1:
-        for k, place in enumerate(badge_places(routes)):
+        for k, place in enumerate(badge_places(routes, *avoid)):
             number_badge(axes, k + 1, place, used[k])
     return tuple(Line2D([], [], color=each, linewidth=ROUTE_WIDTH) for each in used)
 
@@ -347,7 +376,7 @@ def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[Float
         away = cKDTree(np.concatenate(others)).query(route)[0]
         free = cKDTree(np.array(taken)).query(route)[0]
         # First of all room for the badge; then far from the other routes.
-        best = int((np.minimum(free, BADGE * size) * 10.0 + away + 0.1 * free).argmax())
+        best = int((np.minimum(free, ROOM * size) * 10.0 + away + 0.1 * free).argmax())
         places.append(route[best])
         taken.append(route[best])
     return places
@@ -373,16 +402,28 @@ def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str,
     line = {'arrowstyle': '-', 'color': colour, 'shrinkA': 0.0, 'shrinkB': 0.0}
     axes.annotate(str(number), tuple(xy), tuple(xy if spot is None else spot), ha='center',
                   arrowprops=None if spot is None else line, va='center', fontsize=8, weight='bold',
-                  zorder=8, bbox={'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
+                  zorder=9, bbox={'boxstyle': 'circle,pad=0.25', 'facecolor': 'white',
                                   'edgecolor': colour, 'linewidth': 1.6})
 
 
 def draw_sites(axes: Axes, strategy: Strategy) -> None:
     """Draw where the ambusher waits, each dot's area in proportion to its probability."""
+    places, shares = sites_of(strategy)
+    axes.scatter(*places.T, s=np.maximum(110.0 * shares, 6.0), color=colours.AMBUSHER,
+                 edgecolors='white', linewidths=0.3 + 0.4 * np.sqrt(shares), zorder=8)
+
+
+def sites_of(strategy: Strategy) -> tuple[FloatArray, FloatArray]:
+    """Where the ambusher waits (K, 2), and how likely (K,) relative to the likeliest place."""
     network, q = strategy.network, strategy.ambush_at_places
-    shown = np.flatnonzero(q > MIN_PROBABILITY * q.max())
-    axes.scatter(*network.points[network.representatives[shown]].T, s=110.0 * q[shown] / q.max(),
-                 color=colours.AMBUSHER, edgecolors='white', linewidths=0.7, zorder=9)
+    shown = np.flatnonzero(q > MIN_SITE * q.max())
+    return network.points[network.representatives[shown]], q[shown] / q.max()
+
+
+def marks_of(strategy: Strategy) -> FloatArray:
+    """What numbers must not cover (K, 2): start, stops, goal, and the likelier ambush sites."""
+    sites, shares = sites_of(strategy)
+    return np.concatenate((places_of(strategy), sites[shares > 0.1]))
 
 
 def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,
@@ -406,7 +447,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
         draw_ends(axes, strategy)
     edges = draw_network(axes, strategy, below_routes=bool(routes))
     if routes:
-        lines = draw_routes(axes, routes)
+        lines = draw_routes(axes, routes, marks_of(strategy))
         key = [NETWORK, lines, *key]
     else:
         probability_bar(figure, edges, axes, **bars)

@@ -124,7 +124,7 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     if suffix in _DEGREES_ONLY and not drawn.risk_map.crs:
         raise InvalidCoordinates(
             f'{path}: {suffix[1:].upper()} holds latitude and longitude, but the coordinate system '
-            "of the map is unknown; name it (--crs), or the robot's frame (--datum)")
+            "of the map is unknown; plan or export with --crs SYSTEM, or a robot's frame (--datum)")
     if suffix == '.png':
         from .figures import as_png
 

@@ -104,10 +104,10 @@ def trip(demo: Section) -> Figure:
                                   plan.strategy.shown_probability)
     figures.draw_sites(left, plan.strategy)
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
-    figures.draw_routes(right, [path[:, :2] for path in paths])
+    figures.draw_routes(right, [path[:, :2] for path in paths], figures.places_of(plan.strategy))
     right.label_outer()
-    figures.probability_bar(figure, edges, left, location='bottom')
-    figures.risk_bar(figure, risk, right, location='bottom')
+    figures.probability_bar(figure, edges, left, location='bottom', shrink=0.9)
+    figures.risk_bar(figure, risk, right, location='bottom', shrink=0.9)
     figure.legend(handles=[figures.SITES, figures.SECURED_AREA, figures.OBSTACLE], ncols=3,
                   **LEGEND)
     return figure

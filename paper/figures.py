@@ -67,7 +67,7 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
         ('figure_solvers', _solvers(results)),
     ):
         say(f'drawing {name}.png')
-        figure.savefig(folder / f'{name}.png')
+        figure.savefig(folder / f'{name}.png', bbox_inches='tight', pad_inches=0.12)
 
 
 def _methods(results: Results, solver: str, name: str) -> Figure:

@@ -297,6 +297,19 @@ def test_a_map_that_changed_and_a_clock_that_went_back_are_named(tmp_path, monke
     assert done.code == 0 and '2020-01-01 has passed: today is 20' in done.err
 
 
+def test_a_bound_whose_proof_had_no_time_may_be_low(tmp_path):
+    """When the time is up, the bound is stated that was proved by then."""
+    plan = plan_trip(ground(), START, GOAL, OPTIONS)
+    certificate = plan.strategy.certificate
+    for factor, words in ((0.9, ''), (1.001, 'it was edited: its lower_bound is stated as')):
+        bound = replace(certificate, bound=factor * certificate.bound)
+        file = tmp_path / 'w.plan'
+        file.write_bytes(plan_bytes(saved_plan(replace(plan, strategy=replace(
+            plan.strategy, certificate=bound)))))
+        done = run_here(draw, file, '--dry-run')
+        assert done.code == (3 if words else 0) and words in done.err
+
+
 def test_python_saves_plans_too(tmp_path):
     plan = plan_trip(RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0), (25.0, 95.0),
                      (275.0, 95.0), PlanningOptions(network=NetworkOptions(spacing=40.0)))

@@ -35,8 +35,6 @@ _ROUTE = PROBABILITY[2]
 _KILOMETRES = 2000.0
 # Margin around the route on the map, as a share of the map's longer side.
 _MARGIN = 0.12
-# Size of a number on the map, as a share of the map's longer side.
-_BADGE = 0.04
 # Minimum of the map's shorter side, as a share of the longer one.
 _MIN_SIDE = 0.7
 
@@ -197,7 +195,8 @@ def _picture(card: Card) -> bytes:
     axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=figures.HALO, zorder=4)
     figures.draw_places(axes, card.places, card.secured_distance)
     numbered = sorted(set(range(len(card.points))) - set(card.names))
-    spots = figures.free_spots(card.points[numbered], card.places, _BADGE * max(width, height))
+    apart = figures.BADGE * max(width, height)
+    spots = figures.free_spots(card.points[numbered], card.places, apart)
     for k, spot in zip(numbered, spots, strict=True):
         figures.number_badge(axes, k + 1, card.points[k], _ROUTE, spot)
     return figures.as_png(figure)

@@ -49,5 +49,6 @@ def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
     what = ', '.join([*['plan'] * bool(plans), *routes])
     files = console.secret(paths, f'{what}; ')
     if plans:
-        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html route.gpx')
+        gpx = ' route.gpx' * bool(drawn.risk_map.crs)
+        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html{gpx}')
     console.result |= {'files': files, 'departures': len(drawn.paths)}

@@ -12,7 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from ..colours import AMBUSHER
-from ..figures import WIDTH, as_png, draw_strategy, number_badge
+from ..figures import (
+    BADGE,
+    WIDTH,
+    as_png,
+    draw_strategy,
+    free_spots,
+    marks_of,
+    number_badge,
+)
 from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
@@ -123,9 +131,12 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     held = f'{cli.count(len(found.steps), "place")} held (green)'
     overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
                      linespacing=1.4)
-    for number, step in enumerate(found.steps, 1):
+    for step in found.steps:
         overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
-        number_badge(overview, number, np.array(step.xy), HELD)
+    points = np.array([step.xy for step in found.steps]).reshape(-1, 2)
+    apart = BADGE * float(np.ptp(overview.get_xlim()))
+    for number, spot in enumerate(free_spots(points, marks_of(found.strategies[-1]), apart), 1):
+        number_badge(overview, number, points[number - 1], HELD, spot)
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
                label='lower bound', **style)

@@ -320,7 +320,6 @@ _FIELDS = {each.name: f'{group}.{each.name}' for group, part in vars(SolveOption
            for each in dataclasses.fields(part)}
 _PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
             ' (game.secured_radius -1)': ' (leave out --held)',
-            'network.refine -1': '--set network.refine=-1',
             ' (strategy.time_limit, or max_planning_time of the node)': ' (strategy.time_limit)',
             'max_planning_time': 'strategy.time_limit'}
 # Qualified names, and those that are no ordinary words.

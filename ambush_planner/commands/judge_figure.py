@@ -20,7 +20,7 @@ from .console import distance
 # Minimum share of trips and edges that are shown.
 MIN_SHARE = 0.001
 # What the panels show around the trips, as a multiple of their size; size of start and goal, which
-# must not cover the secured area.
+# must not cover the secured area, as their names would.
 MARGIN, MARKS = 1.25, 0.35
 _CONVOY, _HIT = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
 _LEGEND = (
@@ -29,6 +29,8 @@ _LEGEND = (
     Line2D([], [], color=_HIT, linewidth=3.6, label='50 % of departures, hit there'),
     Line2D([], [], color=_CONVOY, linewidth=1.2, label='10 % of departures, not hit there'),
     figures.SITES,
+    figures.START,
+    figures.GOAL,
 )
 
 
@@ -41,10 +43,10 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, 0.5 * half.max())
     low, high = middle - MARGIN * half, middle + MARGIN * half
-    low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # names and the scale bar
+    low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # the scale bar
     low, high = np.maximum(low, risk_map.bounds[0]), np.minimum(high, risk_map.bounds[1])
     height = figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
-    figure = Figure((figures.WIDTH, height + 3.3), layout='compressed')
+    figure = Figure((figures.WIDTH, height + 3.8), layout='compressed')
     figure.suptitle('Mean loss caused by an ambusher who has watched', x=0.0, ha='left')
     panels = figure.subplots(1, 3)
     for axes, name, value, length, text in (
@@ -58,10 +60,11 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
          f'{_less(strategy.value, driven.value)}\na fresh route each time\n'
          f'no strategy is below {strategy.lower_bound:.3g}'),
     ):
-        figures.frame(axes, risk_map, name, (low, high))
+        figures.frame(axes, risk_map, name, (low, high), ticks=2)
         risk = figures.draw_risk_map(axes, risk_map)
-        figures.draw_ends(axes, strategy, size=MARKS)
+        figures.draw_ends(axes, strategy, named=False, size=MARKS)
         figures.scale_bar(axes)
+        axes.label_outer()
         axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),
                       textcoords='offset points', fontsize=28, weight='bold', color=AMBUSHER)

@@ -133,7 +133,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day:
         _tell_slots(day, drawn, console)
     for text in concerns(plan):
-        console.warn(text)
+        console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
     tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
 

@@ -20,15 +20,14 @@ _STRATEGY_NUMBERS = (
     'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
     'expected_length', 'shortest_length',
 )
-# What a gap over the slack says about the search, and what helps.
+# What a gap over the slack says about the search.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
     'time': 'the time limit (strategy.time_limit, or max_planning_time of the node) ended the '
-            'search: allow more time, or set network.refine to 0',
+            'search: allow more time',
     'solver': 'a numerical solver failed, so the value may be far from the best: another '
-              'max_detour, or network.refine 0, may help',
-    'stalled': 'no closer strategy or bound was found, and more time would not help; '
-               'network.refine 0 or fewer stops may',
+              'max_detour may help',
+    'stalled': 'no closer strategy or bound was found, and more time would not help',
 }
 # Maximum spacing of nodes that goes without saying, as a share of the reach.
 MAX_SPACING = 0.25
@@ -102,7 +101,7 @@ def _coarse(plan: Plan) -> list[str]:
     if rounds or plan.options.network.roads or not reach or spacing <= MAX_SPACING * reach:
         return []
     return [f'the convoy drives between nodes {distance(spacing)} apart, {spacing / reach:.2f} '
-            'times the reach; on a finer network (network.refine -1) the value can be lower']
+            'times the reach; on a finer network (network.refine=-1) the value can be lower']
 
 
 def is_sound(plan: Plan) -> bool:
@@ -119,7 +118,10 @@ def wide_gap(plan: Plan) -> str:
     if strategy.lower_bound > 0.0:
         wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the value is '
                 f'{strategy.value:.4g}, the lower bound {strategy.lower_bound:.4g}')
-    return f'{wide}; {_WHY[strategy.reason]}'
+    simpler = [*['network.refine=0'] * (plan.options.network.refine != 0),
+               *['fewer stops'] * bool(len(plan.network.stops))]
+    may_help = f'; {" or ".join(simpler)} may help' if simpler else ''
+    return f'{wide}; {_WHY[strategy.reason]}{may_help}'
 
 
 def _long_routes(plan: Plan) -> str:

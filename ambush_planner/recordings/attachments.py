@@ -10,7 +10,7 @@ the few routes that departures draw from, if they do.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
@@ -38,6 +38,8 @@ NUMBERS = (
     'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
     'edge_entropy', 'route_entropy',
 )
+# Rounding between releases of numpy and scipy, relative and absolute.
+_SAME = 1e-9
 _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg', 'refined')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
 # What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
@@ -110,6 +112,21 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     if reason not in get_args(Reason):
         raise ValueError(f'{reason!r} is no reason why a search ends')
     return replace(strategy, reason=cast(Reason, reason)), stated
+
+
+def misstated(strategy: Strategy,
+              stated: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
+    """The ``NUMBERS`` that a strategy does not have: name, what is stated, what it has.
+
+    A lower bound may be stated too low, as time may have limited the proof.
+    """
+    # The route entropy is a difference of two numbers of the edge entropy's size.
+    rounding = _SAME * max(1e-3, abs(strategy.edge_entropy))
+    for name in NUMBERS:
+        found, said = getattr(strategy, name), stated[name]
+        if not (math.isclose(said, found, rel_tol=_SAME, abs_tol=rounding)
+                or (name == 'lower_bound' and said < found)):
+            yield name, said, found
 
 
 def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) -> bytes:

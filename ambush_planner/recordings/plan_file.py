@@ -9,7 +9,6 @@ if there are any. A departure that is drawn from it has the same, and its route.
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import time
 from collections.abc import Mapping
@@ -35,11 +34,11 @@ from ..planning.slots import SlotMixture
 from .attachments import (
     FEW_FILE,
     MAP_FILE,
-    NUMBERS,
     ROADS_FILE,
     STRATEGY_FILE,
     few_file,
     few_from_file,
+    misstated,
     roads_file,
     roads_from_file,
     strategy_file,
@@ -60,8 +59,6 @@ from .recording_file import MAGIC, RecordingFile, encode, read_recording
 from .versions import software_versions
 
 KIND = 'plan'
-# Relative difference of a stated number from the one computed again that is rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,11 +223,7 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
 
 def _check_stated(path: Path, stated: Mapping[str, float], strategy: Any) -> None:
     """Raise UnreadableRecording if a stated number is not that of the strategy."""
-    rounding = _ROUNDING * max(1.0, abs(strategy.edge_entropy))
-    for name in NUMBERS:
-        found = getattr(strategy, name)
-        if not math.isclose(stated[name], found, rel_tol=_ROUNDING, abs_tol=rounding):
-            raise UnreadableRecording(path, f'it was edited: its {name} is stated as '
-                                      f'{stated[name]:.9g}, its strategy has {found:.9g}; plan '
-                                      'again')
+    for name, said, found in misstated(strategy, stated):
+        raise UnreadableRecording(path, f'it was edited: its {name} is stated as {said:.9g}, its '
+                                  f'strategy has {found:.9g}; plan again')
 

@@ -37,7 +37,7 @@ from ..planning.plan import Plan, Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from ..words import count
-from .attachments import NUMBERS
+from .attachments import misstated
 from .bag_folder import FILE_NAME, listed_in
 from .metadata import Metadata, RecordedTrip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in
@@ -252,16 +252,8 @@ def _with_recorded_layers(network: Network, recorded: Network) -> Network:
 def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
                          planning: PlanningOptions) -> list[str]:
     """Check what the planner promises of every strategy, from its probabilities alone."""
-    problems = []
-    # The route entropy is a difference of two numbers of the edge entropy's size.
-    rounding = _TOLERANCE * max(1e-3, abs(strategy.edge_entropy))
-    for name in NUMBERS:
-        found = said = getattr(strategy, name)
-        if name != 'lower_bound' or stated[name] > found:  # time may have limited the proof
-            said = stated[name]
-        if not math.isclose(said, found, rel_tol=_TOLERANCE, abs_tol=rounding):
-            problems.append(f'strategy: its {name} is stated as {said:.12g}, its '
-                            f'probabilities give {found:.12g}')
+    problems = [f'strategy: its {name} is stated as {said:.12g}, its probabilities give '
+                f'{found:.12g}' for name, said, found in misstated(strategy, stated)]
     if planning.strategy.solver == 'max_entropy' and not is_acyclic(
         strategy.network, strategy.edge_probability
     ):

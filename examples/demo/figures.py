@@ -46,7 +46,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
     ):
         risk = figures.draw_ground(axes, strategy, risk_map, title)
     right.label_outer()
-    figures.draw_routes(left, routes)
+    figures.draw_routes(left, routes, figures.marks_of(strategy))
     figures.draw_sites(left, strategy)
     for route, (colour, dashes), (side, share) in zip(
         fixed, FIXED, (('left', 0.62), ('right', 0.75)), strict=True
