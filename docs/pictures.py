@@ -127,8 +127,8 @@ class Panel:
         self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=9)
         self.hit = axes.scatter([], [], s=420, marker='X', color=AMBUSHER, edgecolors='black',
                                 zorder=9)
-        self.name = axes.annotate('', (0.0, 0.0), xytext=(-12, -18), textcoords='offset points',
-                                  ha='right', weight='bold', path_effects=figures.HALO, zorder=9)
+        self.name = axes.annotate('', (0.0, 0.0), (8, 16), textcoords='offset points', va='center',
+                                  weight='bold', path_effects=figures.HALO, zorder=9)
         self.losses: list[float] = []
 
     def step(self, route: IndexArray, row: int, share: float) -> None:
@@ -139,6 +139,10 @@ class Panel:
         place = self.points[self.game.sites[row]]
         self.site.set_offsets(place)
         self.name.xy = place
+        right, top = self.axes.transAxes.inverted().transform(
+            self.axes.transData.transform(place)) > (0.5, 0.85)
+        self.name.xyann = (-8 if right else 8, -16 if top else 16)  # inside the map
+        self.name.set_ha('right' if right else 'left')
         self.name.set_text('ambusher')
         self.hit.set_offsets(np.empty((0, 2)))
 
