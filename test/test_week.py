@@ -120,6 +120,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
                           (export, ('-o', tmp_path / 'all.csv'))):
         done = run_here(command, folder, *more)
         assert done.code == 0, (command, done.out, done.err)
+    assert '2030-01-06 ' in (tmp_path / 'all.csv').read_text(), 'the day that it is for'
     page = (tmp_path / 'out' / 'report.html').read_text()
     assert f'<b>{SLOTS.mixture.value:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
@@ -181,7 +182,7 @@ def test_a_second_draw_asks_and_one_that_was_not_driven_does_not_count(plans, tm
     file = copy_of(plans, 'routes', tmp_path)
     folder = tmp_path / 'week.departures'
     day = ('--date', '2030-03-04')
-    assert run_here(draw, file, *day, '--slot', '8:00').code == 0
+    assert 'time of departure is not drawn' in run_here(draw, file, *day, '--slot', '8:00').err
     assert run_here(draw, file, *day, '--slot', '11:00').code == 0  # another slot is another trip
     again = run_here(draw, file, *day, '--slot', '08:00')
     assert again.code == 2
@@ -231,7 +232,8 @@ def test_a_full_disk_leaves_nothing_and_nothing_has_been_drawn(plans, tmp_path):
               f'raise SystemExit(cli.main(["draw", "{file}", "-o", "{tmp_path}/card.html"]))')
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                           timeout=120, check=False)
-    assert done.returncode == 3 and 'File too large' in done.stderr, done.stderr
+    assert done.returncode == 3 and '.mcap: File too large' in done.stderr, done.stderr
+    assert 'Nothing was written, so nothing was drawn.' in done.stderr
     assert (tmp_path / 'card.html').read_text() == 'yesterday'
     assert list((tmp_path / 'week.departures').iterdir()) == []
     assert run_here(draw, file).code == 0  # and nobody is asked about an earlier one
@@ -262,6 +264,7 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
     file.write_bytes(whole[:5000] + b'x' + whole[5001:])
     done = run_here(draw, file)
     assert done.code == 3 and 'week.plan was changed or damaged since it was saved' in done.err
+    assert 'none.plan cannot be read: No such' in run_here(draw, tmp_path / 'none.plan').err
     file.write_bytes(b'not a plan')
     done = run_here(draw, file)
     assert done.code == 3 and 'week.plan is no plan: make one with ambush plan' in done.err

@@ -97,6 +97,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                      'if the ground has changed, plan again')
     today = date.today()
     first = arguments.date or today
+    if arguments.slot and saved.slots:
+        console.warn(f'the time of departure is not drawn, so the value is {saved.plan.value:.4g}, '
+                     f'that of a known time, instead of {saved.value:.4g}')
     if first < today:
         console.warn(f"{first} has passed: today is {today} by this computer's clock")
     dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
@@ -165,7 +168,11 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
                                                 before.id if before else '')
             row['recording'] = cli.place(path)
         rows.append(row)
-    write_all_durably(files)
+    try:
+        write_all_durably(files)
+    except OSError:
+        console.say('Nothing was written, so nothing was drawn.')
+        raise
     if arguments.days is None:
         _tell(rows[0], console)
     if files:

@@ -11,11 +11,12 @@ from ..route_files import Drawn, write_routes
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
 from .inputs import add_crs, crs_text
+from .report_words import leaving
 
 EPILOG = f"""\
 Routes are the recorded paths, numbered in order of time; strategy, map and ground are those of the
-last departure. The coordinate system is the node's parameter map.crs, unless --crs or --datum names
-another one.
+last departure. The column slot has the day and time that departures from a plan file are for. The
+coordinate system is the node's parameter map.crs, unless --crs or --datum names another one.
 {FORMATS_HELP}
 --json: {{"verdict", "files", "departures", "unreadable"}}
 """
@@ -40,7 +41,10 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     last = departures[-1]
     risk_map = replace(last.risk_map, crs=crs_text(options) or last.risk_map.crs)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
-    drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times)
+    slots = [leaving(each) for each in departures] if any(
+        each.metadata.day for each in departures) else ()
+    drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times,
+                  slots=slots)
     tell_overwritten(options.output, console)
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)

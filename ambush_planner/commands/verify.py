@@ -50,8 +50,9 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         line = f'{"holds" if verdict.holds else "FAILS"}  {shown(verdict.path.name)}'
         if said := verdict.metadata:
             diverted = f' diverted ({said.diversion.number})' if said.diversion else ''
+            known = ' at a known time' * bool(said.plan and said.plan.slots)
             line += (f': departure {said.departure}{diverted}, {verdict.nodes} nodes, '
-                     f'value {verdict.value:.6g}')
+                     f'value {verdict.value:.6g}{known}')
         console.line(line)
         _print_below(console, verdict.problems, verdict.notes)
     findings, notes = together(verdicts)

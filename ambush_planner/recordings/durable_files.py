@@ -39,8 +39,12 @@ def write_all_durably(files: Mapping[Path, bytes]) -> None:
     try:
         for path, data in files.items():
             make_private_folders(Path(os.path.abspath(path.parent)))
-            temporary[path].unlink(missing_ok=True)
-            _write_new_file(temporary[path], data)
+            try:
+                temporary[path].unlink(missing_ok=True)
+                _write_new_file(temporary[path], data)
+            except OSError as error:
+                error.filename = os.fspath(path)  # on a full disk, the error names no file
+                raise
         for path, written in temporary.items():
             os.replace(written, path)
     finally:

@@ -187,8 +187,10 @@ def read_plan(path: Path | str) -> SavedPlan:
     try:
         file = read_recording(path)
     except UnreadableRecording as error:
-        if error.__cause__ is None or isinstance(error.__cause__, OSError):
+        if error.__cause__ is None:
             raise
+        if isinstance(error.__cause__, OSError):
+            raise UnreadablePlan(error.path, f'cannot be read: {error.reason}') from error
         raise UnreadablePlan(error.path, (
             'was changed or damaged since it was saved; use your copy of it, or plan again'
             if error.path.read_bytes().startswith(MAGIC) else
