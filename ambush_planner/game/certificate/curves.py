@@ -11,22 +11,29 @@ links, or the curve's sites hit it. Let curves c of weights w_c go through each 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is decomposed into simple cycles, and those whose
-crossings add up to 1 count. A curve that winds around an end more than once counts as often unless
-some route spirals through it: a search over labels finds the least that any route pays of what the
-other curves leave.
+crossings add up to 1 count. A curve that winds around an end n times counts n times if each route
+meets n of its links and sites. Of the others, through which some route spirals, a search over
+labels finds the least that any route pays.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+import time
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import FloatArray, IndexArray, sums
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..faces import Circulation, Faces
 from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
+
+# Maximum number of sets of a curve's sites, all of one size, whose routes are looked for.
+MOST_SETS = 100
 
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: FloatArray,
@@ -35,60 +42,142 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: Floa
     """What a circulation proves about strategies with a mean ``cost`` (M,) of at most ``limit``.
 
     ``dual_weights`` (N,) are q_j alpha_j at each node. Flow beyond a dual weight, or beyond a
-    link's share of the price, counts for nothing. Curves that wind more than once count once if
-    that proves ``enough``; else the rest of the dual weights may prove more, which takes seconds,
-    but no longer than to ``deadline`` (``time.monotonic``). Raises SolverFailed if the circulation
-    is that of another network.
+    link's share of the price, counts for nothing. How often curves count that wind more than once
+    is found until ``enough`` is proved, or to ``deadline`` (``time.monotonic``); the others count
+    once. Raises SolverFailed if the circulation is that of another network.
     """
     game, given = faces.game, given.at(dual_weights > 0.0)
     if len(given.through) != len(faces.left):
         raise SolverFailed('the circulation is that of another network')
     edge, most = np.flatnonzero(game.playable), np.full(len(faces.left), np.inf)
     np.minimum.at(most, faces.link[edge], price * cost[edge])
-    through = np.clip(given.through, -most, most)
     passed = sums(given.site, np.maximum(given.flow, 0.0), len(dual_weights))
     fits = np.minimum(dual_weights, passed) / np.where(passed > 0.0, passed, 1.0)
     inside = np.where(given.flow > 0.0, given.flow * fits[given.site], given.flow)
-    arcs = np.flatnonzero(through), np.flatnonzero(inside)
     site, row = np.unique(given.site, return_inverse=True)
-    entering = game.hits[np.searchsorted(game.sites, site)]
-    pair, offset, part = _winding_offsets(faces, csr_matrix(entering), row.ravel(), given.face)
-    tail = np.concatenate((faces.left[arcs[0]], given.face[arcs[1]]))
-    head = np.concatenate((faces.right[arcs[0]], faces.count + part[arcs[1]]))
-    gain = np.concatenate((faces.crossed[arcs[0]], offset[arcs[1]]))
-    flow = np.concatenate((through[arcs[0]], (inside * pair)[arcs[1]]))
+    entering = csr_matrix(game.hits[np.searchsorted(game.sites, site)])
+    arcs = _arcs(faces, np.clip(given.through, -most, most), inside, entering, row.ravel(),
+                 given.face)
+    once, used, winding = _curves(arcs)
+    total, spirals = once + sum(curve.weight for curve in winding) - price * limit, 0.0
+    routes = _RoutesAcross(faces, entering)
+    for curve in sorted(winding, key=lambda curve: -curve.weight * curve.winds):
+        if total >= enough or time.monotonic() > deadline:
+            return max(total, 0.0)
+        link, inner = arcs.link[curve.arcs], np.unique(arcs.row[curve.arcs])
+        met = routes.least_met(link[link >= 0], inner[inner >= 0], curve.winds)
+        total += (met - 1) * curve.weight
+        if met == curve.winds:
+            used[curve.arcs] += curve.weight
+        else:
+            spirals += met * curve.weight
+    if spirals > 0.0 and total < enough:
+        across = arcs.link >= 0
+        spent = sums(arcs.link[across], used[across], len(most))
+        left = np.append(np.maximum(np.where(np.isfinite(most), most, 0.0) - spent, 0.0), 0.0)
+        shares = _shares(faces, arcs, used, site, dual_weights)
+        searched = (each.network.least_cost(left[faces.link], shares[each.number, game.sites],
+                                            SEARCHES, deadline, enough - total + spirals)
+                    for each in TripNetworks(game, game.hits).legs)
+        total += max(sum(least for least, _ in searched) - spirals, 0.0)
+    return max(total, 0.0)
+
+
+class _Arcs(NamedTuple):
+    """The flows ``size`` (K,) of a circulation, from ``tail`` to ``head`` (K,).
+
+    These are faces, and then parts of the rims of discs. An arc crosses ``link`` or leads into or
+    out of the disc in ``row``; the other one is -1. ``gain`` is what it adds to the winding.
+    """
+
+    tail: IndexArray
+    head: IndexArray
+    gain: IndexArray
+    size: FloatArray
+    link: IndexArray
+    row: IndexArray
+
+
+def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, entering: csr_matrix,
+          row: IndexArray, face: IndexArray) -> _Arcs:
+    """Arcs of the flows through links (L,), and into the discs ``row`` (T,) from a ``face`` (T,).
+
+    ``entering`` (S, M) are the edges that enter each disc.
+    """
+    link, pair = np.flatnonzero(through), np.flatnonzero(inside)
+    found, offset, part = _winding_offsets(faces, entering, row[pair], face[pair])
+    tail = np.concatenate((faces.left[link], face[pair]))
+    head = np.concatenate((faces.right[link], faces.count + part))
+    gain = np.concatenate((faces.crossed[link], offset))
+    flow = np.concatenate((through[link], inside[pair] * found))
     tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
     gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
-    kept = np.flatnonzero(size > NEGLIGIBLE * size.max(initial=0.0))
-    total, winding, once = _curves(tail[kept], head[kept], gain[kept], size[kept])
-    if winding > 0.0 and total + winding - price * limit >= enough:
-        total += winding
-    elif winding > 0.0:
-        used = np.zeros(len(size))
-        used[kept] = once
-        across, into = np.split(used, [len(arcs[0])])
-        left = np.append(np.where(np.isfinite(most), most, 0.0), 0.0)  # 0 for unplayable edges
-        left[arcs[0]] -= across
-        site, leg = given.site[arcs[1]], faces.leg(given.face[arcs[1]])
-        enters = (inside[arcs[1]] > 0.0).astype(np.float64)
-        others = np.maximum(dual_weights - sums(site, into * enters, len(dual_weights)), 0.0)
-        winds = (size[len(arcs[0]) :] - into) * enters
-        shares = others * _shares_of_legs(leg, site, winds, faces, len(others))
-        cost, wanted = np.maximum(left, 0.0)[faces.link], enough - total + price * limit
-        proved = sum(each.network.least_cost(cost, shares[each.number, game.sites], SEARCHES,
-                                             deadline, wanted)[0]
-                     for each in TripNetworks(game, game.hits).legs)
-        total += max(winding, proved)
-    return max(total - price * limit, 0.0) if price > 0.0 else total
+    kept = size > NEGLIGIBLE * size.max(initial=0.0)
+    return _Arcs(*(each[kept] for each in (
+        tail, head, gain, size, np.append(link, np.full(len(pair), -1)),
+        np.append(np.full(len(link), -1), row[pair]))))
 
 
-def _shares_of_legs(leg: IndexArray, site: IndexArray, winds: FloatArray, faces: Faces,
-                    count: int) -> FloatArray:
-    """Shares (legs, count) of the sites, in proportion to the flows ``winds`` (T,) into them."""
-    legs = len(faces.first)
-    flow = sums(leg * count + site, winds, legs * count).reshape(legs, count)
+def _shares(faces: Faces, arcs: _Arcs, used: FloatArray, site: IndexArray,
+            dual_weights: FloatArray) -> FloatArray:
+    """What ``used`` flows (K,) leave of the dual weights (N,), shared among the legs (legs, N).
+
+    In proportion to the other flows there into each site.
+    """
+    legs, count, into = len(faces.first), len(dual_weights), arcs.head >= faces.count
+    at, leg = site[arcs.row[into]], faces.leg(arcs.tail[into])
+    left = np.maximum(dual_weights - sums(at, used[into], count), 0.0)
+    others = (arcs.size - used)[into]
+    flow = sums(leg * count + at, others, legs * count).reshape(legs, count)
     through = flow.sum(axis=0)
-    return np.where(through > 0.0, flow / np.where(through > 0.0, through, 1.0), 1.0 / legs)
+    return left * np.where(through > 0.0, flow / np.where(through > 0.0, through, 1.0), 1.0 / legs)
+
+
+class _Winding(NamedTuple):
+    """A curve that winds around an end more than once: its weight, how often, and its arcs."""
+
+    weight: float
+    winds: int
+    arcs: IndexArray
+
+
+class _RoutesAcross:
+    """The routes across curves, through discs that the edges ``entering`` (S, M) enter."""
+
+    def __init__(self, faces: Faces, entering: csr_matrix) -> None:
+        network, edge = faces.game.network, np.flatnonzero(faces.game.playable)
+        order = edge[np.lexsort((network.heads[edge], network.tails[edge]))]
+        self._ends, self._head = (network.source, network.target), network.heads[order]
+        count = faces.game.node_count
+        self._first = np.searchsorted(network.tails[order], np.arange(count + 1))
+        self._link, self._entering = faces.link[order], csr_matrix(entering[:, order]) > 0.0
+
+    def least_met(self, links: IndexArray, sites: IndexArray, winds: int) -> int:
+        """How many of a curve's links and sites each route meets at least, up to ``winds``.
+
+        A site counts once, a link each time. A route that meets no site crosses ``winds`` links.
+        """
+        crossing, entering = np.isin(self._link, links), self._entering[sites]
+        times, least = np.asarray(entering.sum(axis=0)).ravel(), winds
+        for count in range(1, winds):
+            if math.comb(len(sites), count) > MOST_SETS:
+                return min(count, least)
+            for met in itertools.combinations(range(len(sites)), count):
+                if count >= least:
+                    return least
+                free = np.asarray(entering[list(met)].sum(axis=0)).ravel()
+                crossed = self._crossed(crossing, times > free, least - count)
+                least = min(least, count + crossed)
+        return least
+
+    def _crossed(self, crossing: BoolArray, blocked: BoolArray, most: int) -> int:
+        """The fewest ``crossing`` edges of a route without ``blocked`` ones, or ``most``."""
+        weight = np.where(blocked, np.inf, np.where(crossing, 1.0, ROUNDING))
+        count = len(self._first) - 1
+        graph = csr_matrix((weight, self._head, self._first), (count, count))
+        source, target = self._ends
+        away = dijkstra(graph, indices=source, limit=most - 0.5)[target]
+        return min(round(away), most) if np.isfinite(away) else most
 
 
 def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
@@ -108,20 +197,20 @@ def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
     return found.astype(np.float64), offset, discs.part[at]
 
 
-def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
-            size: FloatArray) -> tuple[float, float, FloatArray]:
-    """Take a circulation on arcs (K,) apart into simple cycles.
+def _curves(arcs: _Arcs) -> tuple[float, FloatArray, list[_Winding]]:
+    """Take a circulation apart into simple cycles.
 
-    Returns the weight of those of gain 1 or -1, that of those of a larger gain, and the flow (K,)
-    of the former. What rounding leaves unbalanced ends a walk and is lost.
+    Returns the weight and the flow (K,) of those of gain 1 or -1, and those of a larger gain. What
+    rounding leaves unbalanced ends a walk and is lost.
     """
-    order = np.argsort(tail, kind='stable')
-    tail, heads = tail[order], head[order].tolist()
-    gains, left = gain[order].tolist(), size[order].tolist()
-    nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
-    arcs = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
-    free, ends, once, winding = arcs[:-1], arcs[1:], 0.0, 0.0
-    used = [0.0] * len(left)
+    order = np.argsort(arcs.tail, kind='stable')
+    tail, heads = arcs.tail[order], arcs.head[order].tolist()
+    gains, left = arcs.gain[order].tolist(), arcs.size[order].tolist()
+    nodes = int(max(tail.max(initial=0), arcs.head.max(initial=0))) + 1
+    first = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
+    free, ends, once = first[:-1], first[1:], 0.0
+    winding: list[_Winding] = []
+    used = np.zeros(len(left))
     for start in np.unique(tail).tolist():
         walk: list[int] = []
         node, place = start, {start: 0}
@@ -141,16 +230,14 @@ def _curves(tail: IndexArray, head: IndexArray, gain: IndexArray,
                 cycle = walk[place[node] :]
                 least = min(left[arc] for arc in cycle)
                 winds = abs(sum(gains[arc] for arc in cycle))
-                once += least * (winds == 1)
-                winding += least * (winds > 1)
+                if winds == 1:
+                    once += least
+                    used[order[cycle]] += least
+                elif winds > 1:
+                    winding.append(_Winding(least, winds, order[cycle]))
                 for arc in cycle:
                     left[arc] -= least
-                    used[arc] += least * (winds == 1)
                     del place[heads[arc]]
                 del walk[len(walk) - len(cycle) :]
-                place[node] = len(walk)
-            else:
-                place[node] = len(walk)
-    flow = np.empty(len(used))
-    flow[order] = used
-    return once, winding, flow
+            place[node] = len(walk)
+    return once, used, winding
