@@ -18,7 +18,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from ambush_planner import GameOptions, Network, SolverFailed
+from ambush_planner import (
+    GameOptions,
+    Network,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    SolverFailed,
+    plan_trip,
+)
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.best_response import SEARCHES, TripNetworks
@@ -152,6 +160,17 @@ def test_the_circulation_of_another_network_is_refused():
     with pytest.raises(SolverFailed, match='links cross'):
         lower_bound(crossing, Ambusher(q, (0.0,), circulation=curves),
                     (Budget.length(crossing, 1.2),))
+
+
+def test_curves_that_wind_twice_around_a_start_in_a_hall_count_twice():
+    obstacles = np.zeros((140, 140), dtype=bool)
+    for x, y, width, height in ((70, 60, 25, 8), (105, 95, 6, 20), (40, 110, 18, 12)):
+        obstacles[y:y + height, x:x + width] = True
+    hall = RiskMap(np.ones(obstacles.shape), obstacles, 0.1, (0.0, 0.0, 0.0))
+    options = PlanningOptions(network=NetworkOptions(target_nodes=1200, refine=0),
+                              game=GameOptions(ambush_radius=1.0))
+    plan = plan_trip(hall, (2.0, 7.0), (12.0, 7.0), options)
+    assert plan.value <= 1.011 * plan.lower_bound  # 1.021 if they count once
 
 
 def nearly_two_secured_radii_apart(seed):

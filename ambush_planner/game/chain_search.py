@@ -61,7 +61,8 @@ def find_sites(search: Search, solve: Callable[[], None], drawn: Callable[[], Dr
 def find_chain(search: Search) -> Incumbent | None:
     """The distribution of most entropy within the slack, else of least value; None if none is.
 
-    It is found in rounds around the LP's flow; each strategy on the way counts.
+    It is found in rounds around the LP's flow; each strategy on the way counts. Rounds can lead to
+    a chain from which no distribution keeps the limits of sites that joined: then they begin again.
     """
     lp, distribution, before = search.lp, _distribution_around(search, search.lp.flow), 0.0
     best: Incumbent | None = None
@@ -69,17 +70,20 @@ def find_chain(search: Search) -> Incumbent | None:
     if search.problem.site_search is None:  # otherwise other sites may cost the flow more
         best = search.better(best, distribution)
     for _ in range(ROUNDS):
-        if search.problem.late or not distribution.round():
+        found, feasible = None, not search.problem.late and distribution.round()
+        if not feasible and (search.problem.late or not distribution.rounds):
             break
-        above = ceiling(lp.bound, CHAIN.joining * search.slack)
-        found = search.join_worst(distribution.chain, above, ROUTES.apart)
+        if feasible:
+            above = ceiling(lp.bound, CHAIN.joining * search.slack)
+            found = search.join_worst(distribution.chain, above, ROUTES.apart)
         if found:
             distribution.add_sites(found.entering, found.alpha)
             with search.keep_incumbent():
                 lp.solve()
-        if found and lp.bound == 0.0:
+        if not feasible or (found and lp.bound == 0.0):
+            # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
+            # without edges that they hit.
             search.evaluations += distribution.evaluations
-            # Without edges that those sites hit.
             distribution = _distribution_around(search, lp.flow)
             distribution.measure(search.caps())
             continue

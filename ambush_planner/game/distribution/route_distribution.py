@@ -17,7 +17,7 @@ round does it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +41,6 @@ class DistributionRounds(NamedTuple):
     past: float = 0.5  # weight of the cross entropy to the chain before, after the first round
     later_past: float = 0.8  # the same after ``swings`` rounds
     swings: int = 8
-    relaxed: tuple[float, ...] = 0.5, 0.9  # of p's excess, left if all else is infeasible
 
 
 DISTRIBUTION = DistributionRounds()
@@ -137,34 +136,20 @@ class RouteDistribution:
             DISTRIBUTION.past if self.rounds <= DISTRIBUTION.swings else DISTRIBUTION.later_past)
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
-        for kept in self._limits(most[sites]):
-            limits = csr_matrix(vstack((diags(1.0 / kept) @ rows, self._budget_rows)))
-            found = maximize_entropy(self.network, limits, past, start, self._tolerance,
-                                     self.deadline)
-            self.evaluations += found.evaluations
-            if not found.infeasible:
-                break
+        limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
+        found = maximize_entropy(self.network, limits, past, start, self._tolerance, self.deadline)
+        self.evaluations += found.evaluations
         if found.infeasible or not len(found.p):
             return False
         # Where rounds stand still, the chain before stands for this share of the multipliers.
         multipliers = found.multipliers / (1.0 - later)
         self.multipliers, self.prices = np.zeros(len(self._loss)), multipliers[len(sites) :]
         self.multipliers[sites] = multipliers[: len(sites)]
-        whole = np.append(self.caps[sites] * ceiling(1.0, self.slack) / self._loss[sites] / kept,
-                          np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
+        whole = np.append(
+            np.full(len(sites), ceiling(1.0, self.slack) / ceiling(1.0, self._aim * self.slack)),
+            np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
         log_z = self.network.distribution(limits.T @ multipliers)[0]
         self.entropy_bound = log_z + float(whole @ multipliers)
         self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1
         return True
-
-    def _limits(self, aim: FloatArray) -> Iterator[FloatArray]:
-        """Limits (K,) of the hits to try in turn.
-
-        If p costs too much, the last ones do not ask for all of the way to the aim at once: the
-        rows are exact only at p.
-        """
-        yield aim
-        over = self.value / self.limit - 1.0 if self.limit else 0.0
-        for share in DISTRIBUTION.relaxed if over > 0.0 else ():
-            yield aim * (1.0 + share * over)
