@@ -10,7 +10,6 @@ from ros_harness import header, wait_until
 from scipy.spatial.transform import Rotation
 
 from ambush_planner.parameters.values import RobotOptions
-from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.topics import TF
 
 interfaces.install('tf2_msgs')
@@ -54,8 +53,4 @@ class Robot:
     def _known(self):
         """Where the node believes the robot to be, None if it does not know."""
         robot = RobotOptions(self._frame, math.inf)
-        try:
-            at = self._running.planner._inputs._located_start(None, robot, 'map')[1].pose.position
-        except FrameMismatch:
-            return None
-        return at.x, at.y
+        return self._running.planner._parts.inputs.robot_place(robot, 'map')

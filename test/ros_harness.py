@@ -194,8 +194,8 @@ def interface_of(planner):
 
     Maps and paths to look along arrive at hidden nodes; the one for transforms is left out.
     """
-    nodes = (planner, planner._topic_subscriptions._maps._node,
-             *([planner._requests._looks._node] if planner._requests._looks else []))
+    nodes = (planner, planner._parts.subscriptions._maps.node,
+             *([planner._requests.looks.node] if planner._requests.looks else []))
 
     def made(kind, name, type_):
         return {getattr(each, name): type_name(getattr(each, type_))

@@ -151,7 +151,8 @@ def full_queue(_):
     with solving() as (slow, _):
         use(slow, {'queue.size': 1})
         slow.client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(5.0, 50.0)))
-        wait_until(lambda: slow.planner._dispatcher._plans._queue.unfinished == 2, 'the request')
+        queue = slow.planner._parts.dispatcher._plans.queue
+        wait_until(lambda: len(queue.keys) == 2, 'the request')
         assert not slow.client.get_plan(pose(5.0, 50.0), NORTH).poses
         code = _error_code(slow.client)
         assert slow.client.call('cancel').success

@@ -104,8 +104,9 @@ def test_plans_are_kept_while_it_is_inactive_unless_the_map_changes():
         changed = risk_grid()
         changed.data[20 * 4 + 2:20 * 4 + 18] = type(changed.data)('b', [100] * 16)
         client.publish('alpha_map', changed)
-        wait_until(lambda: running.planner._inputs.current_map().values[4, 5] == 100, 'the map')
-        assert not any(running.planner._dispatcher.activity)
+        inputs = running.planner._parts.inputs
+        wait_until(lambda: inputs.map.values[4, 5] == 100, 'the map')
+        assert not any(running.planner._parts.dispatcher.activity)
         manager.go(activate='active')
         client.last('edge_probabilities', 2)
 
@@ -119,7 +120,7 @@ def test_deactivation_answers_waiting_requests():
         manager.go(deactivate='inactive')
         wait_until(lambda: all(each.done() for each in waiting), 'the answers')
         assert not any(each.result().success for each in waiting)
-        assert not any(running.planner._dispatcher.activity)
+        assert not any(running.planner._parts.dispatcher.activity)
         assert client.call('cancel').message == 'no solve is running'
         assert not client.received['path']
 
@@ -180,7 +181,7 @@ def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
     with stage(tmp_path) as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
-        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the recording')
+        wait_until(lambda: not running.planner._recordings[0]._unwritten, 'the recording')
         monkeypatch.setattr(durable_files.os, 'fsync', lambda _: go_on.wait(10 * TIMEOUT))
         try:
             for _ in range(4):
@@ -203,7 +204,7 @@ def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method
 
     with stage() as running:
         client, manager = running.give(), Manager(running.client)
-        dispatcher = running.planner._dispatcher
+        dispatcher = running.planner._parts.dispatcher
         if transition == 'cleanup':
             manager.go(deactivate='inactive')
         with monkeypatch.context() as patch:

@@ -129,7 +129,7 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
         client = running.give()
         departs(client)
         wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
-        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the disk')
+        wait_until(lambda: not running.planner._recordings[0]._unwritten, 'the disk')
         monkeypatch.setattr(durable.os, 'fsync', hang)
         try:
             departs(client)

@@ -26,7 +26,7 @@ from waiting import stderr_in
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.planning.changed_ground import Assessment
 from ambush_planner.ros import planner_node
-from ambush_planner.ros.diagnostics import Status, status_to_ros
+from ambush_planner.ros.diagnostics import Problem, Status, status_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.worker.solve_errors import SolveCancelled
 
@@ -82,9 +82,7 @@ def test_an_error_of_a_request_disappears_and_a_bad_map_stays():
      'CANCELLED'),
 ])
 def test_the_level_is_that_of_the_worst(errors, level, code):
-    status = Status()
-    for concern, error in errors.items():
-        status = status.with_problem(concern, error)
+    status = Status(problems={concern: Problem.of(error) for concern, error in errors.items()})
     (reported,) = status_to_ros(status, 'name', pose(0, 0).header.stamp).status
     assert reported.level == level
     assert {each.key: each.value for each in reported.values}['code'] == code

@@ -23,7 +23,7 @@ from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import durable_files, read_departures, recordings_in
 from ambush_planner.recordings.verify import Verifier, together
-from ambush_planner.ros import dispatcher
+from ambush_planner.ros import departures
 
 FLAT = np.full((20, 20), 10, dtype=np.int8)
 HERE, GOAL = pose(0.0, 0.0, frame='base_link'), pose(8.5, 5.5)
@@ -39,7 +39,7 @@ class Drive:
     def begin(self, grid=None):
         self.robot.is_at(1.5, 5.5)
         self.client.publish('alpha_map', risk_grid(FLAT) if grid is None else grid)
-        wait_until(lambda: self.running.planner._inputs._map is not None, 'the map')
+        wait_until(lambda: self.running.planner._parts.inputs.map is not None, 'the map')
         return self.ask('new')
 
     def ask(self, answer, goal=GOAL):
@@ -53,8 +53,8 @@ class Drive:
         values = FLAT.copy()
         values[row, column] = 100
         self.client.publish('alpha_map', risk_grid(values))
-        wait_until(lambda: (self.running.planner._inputs.current_map().values == values).all(),
-                   'the obstacle')
+        inputs = self.running.planner._parts.inputs
+        wait_until(lambda: (inputs.map.values == values).all(), 'the obstacle')
 
     def departures(self, count):
         return self.client.diagnostics(departures=str(count))
@@ -123,7 +123,7 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
         drive, client = Drive(running), running.client
         drive.robot.is_at(1.5, 5.5)
         client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
         with slow_disk(monkeypatch) as (go_on, asked):
             answers = [client.send('get_plan', request) for _ in range(5)]
             wait_until(asked.is_set, 'a recording')
@@ -143,7 +143,7 @@ def test_a_departure_whose_required_recording_fails_is_not_under_way(tmp_path, m
         drive, client = Drive(running), running.client
         drive.robot.is_at(1.5, 5.5)
         client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
         with monkeypatch.context() as patch:
             patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
             assert not client.get_plan(HERE, GOAL).poses
@@ -278,7 +278,7 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
 
 
 def test_a_diversion_that_is_cancelled_in_time_is_none(actions, tmp_path, monkeypatch):
-    drawn, go_on, draw = Event(), Event(), dispatcher.other_rest
+    drawn, go_on, draw = Event(), Event(), departures.other_rest
 
     def draws(*given):
         result = draw(*given)
@@ -292,7 +292,7 @@ def test_a_diversion_that_is_cancelled_in_time_is_none(actions, tmp_path, monkey
         goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
         drive.robot.is_at(*whole[len(whole) // 4, :2])
         drive.block(*cell(whole, len(whole) // 2))
-        monkeypatch.setattr(dispatcher, 'other_rest', draws)
+        monkeypatch.setattr(departures, 'other_rest', draws)
         goal = goals.send(start=None)
         wait_until(drawn.is_set, 'the draw')
         assert goals.cancel(goal) == 1
@@ -377,7 +377,7 @@ class Tour(Drive):
         self.poses = poses
         self.robot.is_at(1.5, 5.5)
         self.client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
 
     def send(self):
         return self.goals.send(start=None, goals=list(self.poses))
@@ -388,7 +388,7 @@ class Tour(Drive):
         return path_from_ros(result.path), result.error_msg
 
     def undecided(self):
-        return self.running.planner._dispatcher._undecided
+        return self.running.planner._parts.dispatcher._undecided
 
 
 def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end(actions):
@@ -435,7 +435,7 @@ def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once(actions):
         goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
         robot.is_at(1.5, 5.5)
         running.client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
         handles = [goals.send(start=None) for _ in range(3)]
         said = [goals.result(each)[1].error_msg for each in handles]
         assert sorted(said) == ['', 'departure 1 continued', 'departure 1 continued']

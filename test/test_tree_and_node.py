@@ -41,7 +41,7 @@ class Drive(World):
                                                        'ambush_planner/is_path_valid')
         self.robot.is_at(*xy)
         self.client.publish('alpha_map', risk_grid(values))
-        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
 
     def away(self, goal):
         return math.dist(self.place, goal)

@@ -2,7 +2,7 @@
 """The ROS node: one room of the package that needs rclpy.
 
 ``planner_node`` wires the parts and has the lifecycle; ``subscriptions`` and ``inputs`` take what
-arrives, ``requests`` and ``compute_path`` answer, and ``dispatcher`` takes a request to its
-departure by ``plan_cache`` and ``displayed_plan``; ``reporter`` publishes the diagnostics.
+arrives, ``requests`` and ``compute_path`` answer, and ``dispatcher`` takes a request through
+``plan_cache`` to ``departures``; ``reporter`` publishes the diagnostics.
 docs/architecture.md follows a request through these files.
 """

@@ -26,10 +26,9 @@ class Bond:
         self._status = installed_type('bond.msg', 'Status')
         self._publisher = self._status and node.create_publisher(self._status, 'bond', 1)
         self.active = False
-        if self._publisher:
-            # A steady clock: heartbeats go on while simulated time is paused.
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            node.create_timer(_PERIOD, self._beat_if_active, clock=steady)
+        # A steady clock: heartbeats go on while simulated time is paused.
+        node.create_timer(_PERIOD, self._beat_if_active,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def set_active(self, active: bool) -> None:
         """Begin or end; the end is announced."""

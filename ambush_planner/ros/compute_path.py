@@ -15,7 +15,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from ..worker.serial_executor import started
-from .conversions import installed_type
 from .departure_record import Answer
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
@@ -35,7 +34,7 @@ _NAV2_CODES = {'NO_START': 'TF_ERROR', 'NO_GOAL': 'NO_VIAPOINTS_GIVEN', 'OUT_OF_
 
 
 class ComputePath:
-    """The action called ``name``, if ``nav2_msgs`` is installed; if not, ``server`` is None.
+    """The action called ``name``, of the type ``action``.
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
     last. As in Nav2, a new goal replaces a waiting one that leads elsewhere. Waiting goals are
@@ -44,18 +43,16 @@ class ComputePath:
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
-                 settings: NodeSettings, name: str) -> None:
-        self._name = name
+                 settings: NodeSettings, name: str, action: Any) -> None:
         self._node, self._error_boundary, self._requests = node, error_boundary, requests
-        self._settings = settings
+        self._settings, self._name, self._action = settings, name, action
         self._waiting: dict[bytes, tuple[Any, Future[Answer]]] = {}
         # One group, so that no goal ends while a request to cancel it is being handled.
         group = MutuallyExclusiveCallbackGroup()
         self._wake = node.create_guard_condition(self._finish, callback_group=group)
-        self._action = installed_type('nav2_msgs.action', ACTIONS[name])
         # Resolved here: rcl does not remap the names of actions.
-        self.server = None if self._action is None else ActionServer(
-            node, self._action, node.resolve_topic_name(name), self._result, callback_group=group,
+        self.server = ActionServer(
+            node, action, node.resolve_topic_name(name), self._result, callback_group=group,
             handle_accepted_callback=self._accepted, cancel_callback=self._cancel,
             goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS,
             cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
@@ -63,8 +60,7 @@ class ComputePath:
 
     def close(self) -> None:
         """Destroy the action server; call this before the node is destroyed."""
-        if self.server is not None:
-            self.server.destroy()
+        self.server.destroy()
 
     def _accepted(self, handle: Any) -> None:
         departure = started(lambda: self._requests.start_plan(
@@ -94,22 +90,21 @@ class ComputePath:
         if departure.cancelled():
             handle.canceled()
             return result
-        name = self._name.removeprefix('~/')
-        done, error = self._error_boundary.attempt(name, 'request', departure.result)
-        if done is None:
-            code = code_of(error or RuntimeError())
-            codes = self._action.Result
+        done, error = self._error_boundary.attempt(self._name.removeprefix('~/'), 'request',
+                                                   departure.result)
+        if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
+            result.error_msg = done.remarks if done else str(error)
+        if done:
+            result.path = done.path
+            result.planning_time = Duration(nanoseconds=done.took_ns).to_msg()
+            handle.succeed()
+        else:
+            code, codes = code_of(error or RuntimeError()), self._action.Result
             result.error_code = getattr(codes, _NAV2_CODES.get(code, code), codes.UNKNOWN)
-            _say(result, str(error))
             handle.abort()
-            return result
-        _say(result, done.remarks)
-        result.path = done.path
-        result.planning_time = Duration(nanoseconds=done.end_ns - done.begin_ns).to_msg()
-        handle.succeed()
         return result
 
-    def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray | None]:
+    def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray]:
         """Return the goal as a request of get_plan, and its stops.
 
         Raises InvalidPlanner if the goal is for another planner, NoGoal if it has no poses, and
@@ -119,15 +114,11 @@ class ComputePath:
         if goal.planner_id not in names:
             raise InvalidPlanner(f'planner_id is {goal.planner_id[:80]!r}, but must be one of '
                                  f'{sorted(names)} (planner_ids)')
-        start = goal.start
-        if not goal.use_start:
-            start = robot_pose(self._settings.current.robot)
-            if start is None:
-                raise NoStart(
-                    'use_start is false, so the route begins at the robot: set robot_base_frame, '
-                    'or give a start'
-                )
-        elif not start.header.frame_id:
+        start = goal.start if goal.use_start else robot_pose(self._settings.current.robot)
+        if start is None:
+            raise NoStart('use_start is false, so the route begins at the robot: set '
+                          'robot_base_frame, or give a start')
+        if not start.header.frame_id:
             raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
         *stops, last = poses_of(goal) or [None]
         if last is None:
@@ -136,8 +127,9 @@ class ComputePath:
         if len(frames) > 1:
             raise FrameMismatch(f'the stops are in different frames, {", ".join(frames)[:200]}; '
                                 'give all of them in one frame')
-        poses = [stop.pose for stop in stops]
-        via = PoseArray(header=stops[0].header, poses=poses) if stops else None
+        via = PoseArray(poses=[stop.pose for stop in stops])
+        if stops:
+            via.header = stops[0].header
         return GetPlan.Request(start=start, goal=last), via
 
 
@@ -149,8 +141,3 @@ def poses_of(goal: Any) -> list[PoseStamped]:
     if hasattr(goal, 'goal'):
         return [*getattr(goal, 'viapoints', ()), goal.goal]
     return list(getattr(goal.goals, 'goals', goal.goals))
-
-
-def _say(result: Any, text: str) -> None:
-    if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
-        result.error_msg = text

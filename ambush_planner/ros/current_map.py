@@ -9,9 +9,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
 
 from ..errors import InvalidRiskMap
 from ..maps.occupancy import OccupancyMap, check_occupancy
@@ -64,38 +66,35 @@ class CurrentMap(OccupancyMap):
         """Whether two maps differ at most in their time stamps."""
         return self.same_ground(other) and np.array_equal(self.values, other.values)
 
+    def with_costmap(self, costmap: OccupancyMap, unknown: bool) -> CurrentMap:
+        """Return the map with the obstacles of a costmap in the same frame."""
+        values = with_obstacles_of(self, costmap, COSTMAP_OBSTACLE, unknown).values
+        return self._with_values(values, self.received.message.header)
+
+    def updated(self, update: Any) -> CurrentMap:
+        """Return the map with the cells of a map_msgs/OccupancyGridUpdate.
+
+        Raises InvalidRiskMap if the update is malformed or does not fit the map.
+        """
+        if fault := update_fault(update, self.frame, self.values.shape):
+            raise InvalidRiskMap(f'map update: {fault}')
+        cells = np.frombuffer(update.data, np.int8).reshape(update.height, update.width)
+        try:
+            check_occupancy(cells, self.resolution, self.origin)
+        except InvalidRiskMap as error:
+            raise InvalidRiskMap(f'map update: {error}') from error
+        values, x, y = self.values.copy(), update.x, update.y
+        values[y:y + update.height, x:x + update.width] = cells
+        return self._with_values(values, update.header)
+
+    def _with_values(self, values: npt.NDArray[np.int8], header: Header) -> CurrentMap:
+        """Return the map with other cell values (H, W), as if it had arrived with them."""
+        data = array.array('b', values.tobytes())
+        message = OccupancyGrid(header=header, info=self.received.message.info, data=data)
+        return replace(self, values=np.frombuffer(data, np.int8).reshape(values.shape),
+                       received=replace(self.received, message=message, serialised=None))
+
 
 def map_from(received: ReceivedMessage) -> CurrentMap:
     """Read a map; raises InvalidRiskMap if it is malformed."""
     return CurrentMap(*occupancy_from_ros(received.message), received=received)
-
-
-def joined_map(risk: CurrentMap, costmap: OccupancyMap, unknown: bool) -> CurrentMap:
-    """Return a risk map with the obstacles of a costmap in the same frame, as if it had arrived."""
-    values = with_obstacles_of(risk, costmap, COSTMAP_OBSTACLE, unknown).values
-    before = risk.received.message
-    message = OccupancyGrid(header=before.header, info=before.info,
-                            data=array.array('b', values.tobytes()))
-    received = replace(risk.received, message=message, serialised=None)
-    return replace(risk, values=values, received=received)
-
-
-def updated_map(present: CurrentMap, update: Any) -> CurrentMap:
-    """Return the map with the cells of a map_msgs/OccupancyGridUpdate.
-
-    Raises InvalidRiskMap if the update is malformed or does not fit the map.
-    """
-    (rows, columns), x, y = (update.height, update.width), update.x, update.y
-    if fault := update_fault(update, present.frame, present.values.shape):
-        raise InvalidRiskMap(f'map update: {fault}')
-    new = np.frombuffer(update.data, np.int8).reshape(rows, columns)
-    try:
-        check_occupancy(new, present.resolution, present.origin)
-    except InvalidRiskMap as error:
-        raise InvalidRiskMap(f'map update: {error}') from error
-    cells = present.received.message.data[:]
-    values = np.frombuffer(cells, np.int8).reshape(present.values.shape)
-    values[y:y + rows, x:x + columns] = new
-    message = OccupancyGrid(header=update.header, info=present.received.message.info, data=cells)
-    received = replace(present.received, message=message, serialised=None)
-    return CurrentMap(values, present.resolution, present.origin, received=received)

@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 from nav_msgs.msg import Path
 
-from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import npz_bytes
 from ..network.road_network import in_map_frame
 from ..parameters.values import NodeParameters
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
-from ..recordings import RecordedMessage, type_name
+from ..recordings import RecordedMessage
 from ..recordings.attachments import (
     MAP_CHANGES_FILE,
     MAP_FILE,
@@ -23,70 +20,61 @@ from ..recordings.attachments import (
     STRATEGY_FILE,
     map_changes_file,
     roads_file,
+    strategy_file,
 )
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
-from .conversions import fields_of
 from .current_map import ReceivedMessage
-from .inputs import Trip
 from .plan_cache import CachedPlan
+from .trip import Trip
 
 # They differ from the request's if the plan is the first one of its trip.
 _OF_PLAN = ('network.refine', 'network.target_nodes')
 
 
 @dataclass(frozen=True, eq=False)
-class ServiceCall:
-    """A service call: the service's type and full name, and the request."""
-
-    kind: Any
-    name: str
-    request: Any
-
-
-@dataclass(frozen=True, eq=False)
 class Answer:
-    """The answer to a request for a path, and its times; the ``departure`` if it is one."""
+    """The answer to a request for a path, and how long it took; the ``departure`` if it is one."""
 
     path: Path
     remarks: str
-    begin_ns: int
-    end_ns: int
+    took_ns: int
     departure: Departure | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """One convoy's departure; times are nanoseconds of the node's clock.
+    """One convoy's departure, or a ``diversion`` of it, which has the route of the rest.
 
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
-    map and a nearby trip. ``published`` is the path, and ``markers`` and the ``report`` are those
-    published with it. ``worth`` is what it is worth on that map. ``remarks`` are on the start,
-    which may have been ``joined`` to the plan, on a ``diversion`` of the departure, which takes the
-    route of the rest, and on recordings that failed.
+    map and a nearby trip, to which the start may have been ``joined``. The route is drawn from the
+    ``entropy_source`` and driven between ``ends`` [m]. ``published`` is the path, and ``markers``
+    and the ``report`` are those published with it. ``worth`` is what the departure is worth on the
+    newest map. ``remarks`` are for who made the ``call``.
     """
 
     id: str
     number: int
-    call: ServiceCall
+    call: RecordedCall
     trip: Trip
-    parameters: NodeParameters
     held: CachedPlan
     joined: bool
     ends: Ends
     entropy_source: list[int]
     route: Route
-    path: Path
     published: RecordedMessage
     markers: tuple[RecordedMessage, ...]
-    begin_ns: int
-    end_ns: int
     worth: Assessment
     tight_turns: int
     remarks: str = ''
     diversion: Diversion | None = None
     report: RecordedMessage | None = None
+
+    @property
+    def parameters(self) -> NodeParameters:
+        """The node's parameters at the time of the request."""
+        return self.trip.parameters
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
@@ -95,11 +83,11 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     Inputs get the time of the request. All others get one between request and answer: markers may
     be older, and the clock may have been set back since.
     """
-    asked, begin = departure.trip.request, departure.begin_ns
+    asked, call = departure.trip.request, departure.call
     planned_on = departure.held.trip.map.received
-    inputs = [_received(each, begin)
+    inputs = [_received(each, call.request_ns)
               for each in (planned_on, asked.start, asked.goal, asked.via) if each]
-    published = [replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
+    published = [replace(each, stamp_ns=min(max(call.request_ns, each.stamp_ns), call.response_ns))
                  for each in (*departure.markers, departure.report, departure.published) if each]
     return [*inputs, *published]
 
@@ -111,37 +99,35 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
         'map': planned.map.received, 'start': trip.request.start, 'goal': trip.request.goal,
         'via': trip.request.via, 'path': departure.published,
     }
-    call = RecordedCall(departure.call.name, type_name(departure.call.kind), departure.begin_ns,
-                        departure.end_ns, fields_of(departure.call.request), departure.remarks)
     return Metadata(
         departure.id, departure.number, trip.map.frame,
         {**departure.parameters.values,
-         **{name: departure.held.parameters.values[name] for name in _OF_PLAN}},
+         **{name: departure.held.task.parameters.values[name] for name in _OF_PLAN}},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
         departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),
-        call, departure.diversion, previous,
+        replace(departure.call, remarks=departure.remarks), departure.diversion, previous,
     )
 
 
-def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:
-    """Return the attached files: the strategy, and changes of the map since the plan, if any."""
-    files = {STRATEGY_FILE: strategy}
-    if roads := departure.held.plan.options.network.roads:
-        files[ROADS_FILE] = roads_file(in_map_frame(roads, departure.held.parameters.occupancy.crs))
-    if (risk_map := departure.held.plan.risk_map) is not None:  # of a plan from a file
-        files[MAP_FILE] = _map_bytes(risk_map)
-    newest, planned_on = departure.trip.map, departure.held.trip.map
-    if newest is not planned_on and (
-        changes := map_changes_file(planned_on.values, newest.values)
-    ):
-        files[MAP_CHANGES_FILE] = changes
+def plan_files(held: CachedPlan) -> dict[str, bytes]:
+    """Return the attached files that all departures on a plan share."""
+    plan = held.plan
+    files = {STRATEGY_FILE: strategy_file(plan.strategy)}
+    if roads := plan.options.network.roads:
+        files[ROADS_FILE] = roads_file(in_map_frame(roads, held.task.parameters.occupancy.crs))
+    if plan.risk_map is not None:  # of a plan from a file
+        files[MAP_FILE] = npz_bytes(plan.risk_map)
     return files
 
 
-@lru_cache(2)
-def _map_bytes(risk_map: RiskMap) -> bytes:
-    return npz_bytes(risk_map)
+def map_changes(departure: Departure) -> dict[str, bytes]:
+    """Return the attached file of the map's changes since the plan, if there are any."""
+    newest, planned_on = departure.trip.map, departure.held.trip.map
+    if newest is planned_on:
+        return {}
+    changes = map_changes_file(planned_on.values, newest.values)
+    return {MAP_CHANGES_FILE: changes} if changes else {}
 
 
 def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's status as a diagnostics message: stable keys, and never a route or a seed."""
+"""The node's status, published on /diagnostics: stable keys, and never a route or a seed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from threading import RLock
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -17,24 +19,35 @@ from ..planning.plan import Plan
 from ..worker.solve_errors import SolveCancelled
 from .departure_record import Departure
 from .error_codes import OK_CODE, code_of
+from .topics import Publishers
 
 
 class Problem(NamedTuple):
-    """An error: its code (``error_codes.code_of``), a message, and the level."""
+    """What is wrong: a code (``error_codes``; '' for a warning), a message, and the level."""
 
     code: str
     message: str
     level: bytes
+
+    @classmethod
+    def of(cls, wrong: Exception | str) -> Problem:
+        """Return the problem that an error or a warning is."""
+        if isinstance(wrong, str):
+            return cls('', wrong, DiagnosticStatus.WARN)
+        # A solve that was cancelled on request has not failed.
+        cancelled = isinstance(wrong, SolveCancelled)
+        return cls(code_of(wrong), str(wrong) or type(wrong).__name__,
+                   DiagnosticStatus.WARN if cancelled else DiagnosticStatus.ERROR)
 
 
 @dataclass(frozen=True)
 class Status:
     """The node's status.
 
-    ``problems`` are by what they concern: 'request', 'map' or 'recording'; ``warnings`` are texts
-    on 'parameters' or 'alpha_map'. ``assessment`` is of the displayed plan on the current map, and
-    ``stale`` says why that plan is stale, if it is. The ``last_answer`` to a request may have been
-    the rest of the path of the ``last`` departure.
+    ``problems`` are by what they concern: errors of 'request', 'map' or 'recording', and warnings
+    of 'parameters', 'alpha_map', 'costmap' or 'risk'. ``assessment`` is of the displayed plan on
+    the current map, and ``stale`` says why that plan is stale, if it is. The ``last_answer`` to a
+    request may have been the rest of the path of the ``last`` departure.
     """
 
     lifecycle: str = 'active'
@@ -42,7 +55,6 @@ class Status:
     solving: bool = False
     refining: bool = False
     problems: Mapping[str, Problem] = field(default_factory=dict)
-    warnings: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
     assessment: Assessment | None = None
     stale: str = ''
@@ -59,18 +71,96 @@ class Status:
             return 'solving'
         return 'waiting' if self.missing else 'ready'
 
-    def with_problem(self, concern: str, error: Exception) -> Status:
-        """Return the status with ``error`` as the problem of ``concern``."""
-        # A solve that was cancelled on request has not failed.
-        cancelled = isinstance(error, SolveCancelled)
-        level = DiagnosticStatus.WARN if cancelled else DiagnosticStatus.ERROR
-        problem = Problem(code_of(error), str(error) or type(error).__name__, level)
-        return replace(self, problems={**self.problems, concern: problem})
+    def noting(self, concern: str, wrong: Exception | str | None) -> Status:
+        """Return the status with an error or a warning as the problem of ``concern``, or none."""
+        others = {key: value for key, value in self.problems.items() if key != concern}
+        return replace(self, problems={**others, concern: Problem.of(wrong)} if wrong else others)
 
-    def without_problem(self, concern: str) -> Status:
-        """Return the status without a problem of ``concern``."""
-        rest = {key: value for key, value in self.problems.items() if key != concern}
-        return replace(self, problems=rest)
+
+class Reporter:
+    """Keeps the status of the node called ``name``, and publishes it on change; thread-safe.
+
+    ``activity`` returns whether a solve runs or waits, and whether a plan is being refined. A
+    request's error is reported for ``error_hold()`` [s], everything else as long as it lasts.
+    """
+
+    def __init__(self, name: str, publishers: Publishers,
+                 activity: Callable[[], tuple[bool, bool]],
+                 error_hold: Callable[[], float]) -> None:
+        self._name, self._publishers = name, publishers
+        self._activity, self._error_hold = activity, error_hold
+        self._failed_at = 0.0
+        self._status = Status(lifecycle='unconfigured')
+        self._lock = RLock()  # also while publishing, which keeps the reports in order
+
+    def report(self) -> None:
+        """Publish the present status."""
+        with self._lock:
+            if time.monotonic() - self._failed_at > self._error_hold():
+                self._status = self._status.noting('request', None)
+            self._status = self._active(self._status)
+            message = status_to_ros(self._status, self._name, self._publishers.clock.now().to_msg())
+            self._publishers.publish('/diagnostics', message)
+
+    def set(self, **fields: Any) -> None:
+        """Set fields of the status; without any, publish it if a solve has begun or ended."""
+        self._change(lambda status: replace(status, **fields))
+
+    def unconfigured(self, lifecycle: str) -> None:
+        """Clear everything except the warning about parameters."""
+        self._change(lambda status: Status(
+            lifecycle, recording=status.recording,
+            problems={key: each for key, each in status.problems.items() if key == 'parameters'}))
+
+    def note(self, concern: str, wrong: Exception | str | None) -> None:
+        """Set the error or the warning of what ``Status.problems`` names; None and '' clear it."""
+        with self._lock:
+            if wrong and concern == 'request':
+                self._failed_at = time.monotonic()
+            self._change(lambda status: status.noting(concern, wrong))
+
+    def recording(self, enabled: bool, error: Exception | None = None) -> None:
+        """Report whether departures are recorded, and the error of the last recording."""
+        state = 'failed' if error else 'on' if enabled else 'off'
+        self._change(lambda status: replace(status, recording=state).noting('recording', error))
+
+    def departing(self, departure: Departure) -> Departure:
+        """Return a departure that is about to leave, with its report and what this remarks.
+
+        The report is not published. With ``recording.required`` it says that the recording is done.
+        """
+        with self._lock:
+            status = self._left(departure)
+            if departure.parameters.recording.required:
+                status = replace(status, recording='on').noting('recording', None)
+            message = status_to_ros(status, self._name, self._publishers.clock.now().to_msg())
+            report = self._publishers.as_recorded('/diagnostics', message)
+        trouble = status.problems.get('recording')
+        remarks = '; '.join(filter(None, (departure.remarks, trouble and trouble.message)))
+        return replace(departure, report=report, remarks=remarks)
+
+    def departed(self, departure: Departure) -> None:
+        """Publish the report of a departure that leaves, made by ``departing``."""
+        assert departure.report is not None
+        with self._lock:
+            self._status = self._left(departure)
+            self._publishers.publish('/diagnostics', departure.report.data)
+
+    def _left(self, departure: Departure) -> Status:
+        return replace(self._status.noting('request', None), last=departure,
+                       last_answer='diverted' if departure.diversion else 'new')
+
+    def _change(self, change: Callable[[Status], Status]) -> None:
+        """Change the status, and publish it if it differs."""
+        with self._lock:
+            before = self._status
+            self._status = self._active(change(before))
+            if self._status != before:
+                self.report()
+
+    def _active(self, status: Status) -> Status:
+        solving, refining = self._activity()
+        return replace(status, solving=solving, refining=refining)
 
 
 def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
@@ -102,22 +192,20 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
 
 
 def _summary(status: Status) -> tuple[bytes, str, str]:
-    """Return (level, code, message): all problems first, that of the last request before others."""
-    concerns = ('request', 'map', 'recording')
-    problems = [status.problems[each] for each in concerns if each in status.problems]
-    texts = [problem.message for problem in problems]
-    levels = [problem.level for problem in problems]
+    """Return (level, code, message): errors first, that of the last request before others."""
+    found = [status.problems[each] for each in ('request', 'map', 'recording')
+             if each in status.problems]
+    code = found[0].code if found else OK_CODE
     if warnings := _warnings(status):
-        levels.append(DiagnosticStatus.WARN)
-        waits = status.lifecycle == 'active' and not status.missing
-        texts += [*([status.state] if waits and not texts else []), *warnings]
-    return (max(levels, default=DiagnosticStatus.OK), problems[0].code if problems else OK_CODE,
-            '; '.join(dict.fromkeys(texts)) or status.state)
+        ready = status.lifecycle == 'active' and not status.missing and not found
+        found += map(Problem.of, [*([status.state] if ready else []), *warnings])
+    return (max((each.level for each in found), default=DiagnosticStatus.OK), code,
+            '; '.join(dict.fromkeys(each.message for each in found)) or status.state)
 
 
 def _warnings(status: Status) -> list[str]:
     """Return everything that is worth a warning; about plans only while the node is active."""
-    found = list(status.warnings.values())
+    found = [each.message for each in status.problems.values() if not each.code]
     if status.lifecycle == 'active':
         waiting = f'waiting for {", ".join(status.missing)}' if status.missing else ''
         length = status.assessment.concern if status.assessment else ''
@@ -128,10 +216,9 @@ def _warnings(status: Status) -> list[str]:
 
 def _departure_warnings(last: Departure | None) -> list[str]:
     """Return what is worse about the last departure than about its plan."""
-    found: list[str] = []
     if last is None:
-        return found
-    planned, turns = last.held.plan.strategy.value, last.tight_turns
+        return []
+    planned, turns, found = last.held.plan.strategy.value, last.tight_turns, []
     if last.worth.value > planned * (1.0 + last.parameters.planning.max_gap):
         found.append(f'the last departure has a value of {last.worth.value:.4g}, its plan had '
                      f'{planned:.4g} when it was solved (strategy.max_gap)')

@@ -12,8 +12,7 @@ from rclpy.context import Context
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
-from ..errors import AmbushPlannerError
-from ..worker.solve_errors import for_the_log, forget_frames, unexpected
+from ..worker.solve_errors import for_the_log, known
 
 _Result = TypeVar('_Result')
 
@@ -37,16 +36,17 @@ class ErrorBoundary:
         """Return (result, None) or (None, error)."""
         try:
             return action(), None
-        except AmbushPlannerError as error:
-            known: AmbushPlannerError = error
-        except Exception as error:
-            known = unexpected(error)
-            forget_frames(error)
-        forget_frames(known)
+        except Exception as raised:
+            error = known(raised)
         if self._context.ok():
-            self._log(what, known)
-            self._report(concern, known)
-        return None, known
+            text, key = f'{what}: {for_the_log(error)}', (what, type(error))
+            with self._lock:
+                count = self._latest.get(key, (0, ''))[0] + 1
+                self._latest[key] = count, text
+            if count == 1:
+                self._logger.error(text)
+            self._report(concern, error)
+        return None, error
 
     def log_repeated(self) -> None:
         """Log how many errors have not been logged."""
@@ -55,14 +55,6 @@ class ErrorBoundary:
         for count, text in latest.values():
             if count > 1:
                 self._logger.error(f'{text} (and {count - 1} more like this)')
-
-    def _log(self, what: str, error: AmbushPlannerError) -> None:
-        text, key = f'{what}: {for_the_log(error)}', (what, type(error))
-        with self._lock:
-            count = self._latest.get(key, (0, ''))[0] + 1
-            self._latest[key] = count, text
-        if count == 1:
-            self._logger.error(text)
 
 
 def protect_services(node: Node) -> None:

@@ -5,72 +5,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any, NoReturn
+from dataclasses import replace
+from typing import NoReturn
 
+import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import OccupancyGrid, Path
 from std_msgs.msg import Header
 
 from ..errors import InvalidPose, InvalidRiskMap
-from ..maps.ros_messages import pose_from_ros, position_from_ros
+from ..maps.ros_messages import path_from_ros, pose_from_ros, position_from_ros
 from ..parameters.values import RobotOptions
+from ..planning.clear_ground import ClearGround
 from ..recordings import type_name
-from ..recordings.plain_messages import grid_values
-from ..recordings.plan_file import SavedPlan
-from .conversions import occupancy_to_ros, pose_to_ros
-from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
+from .conversions import pose_to_ros
+from .current_map import CurrentMap, ReceivedMessage, map_from
 from .error_codes import FrameMismatch, NoGoal, NoMap, NoStart
 from .parameter_changes import NodeSettings
-from .topics import LATCHED, LATEST
+from .topics import LATEST
 from .transforms import FrameTransforms
+from .trip import Trip, TripRequest
 
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.
 MAX_STOPS = 50
-
-
-@dataclass(frozen=True, eq=False)
-class TripRequest:
-    """A start, a goal and stops, each in any frame.
-
-    Without a start, the route begins at the robot's pose at departure. A blocked goal may be moved
-    by ``goal_tolerance`` [m].
-    """
-
-    start: ReceivedMessage | None
-    goal: ReceivedMessage
-    goal_tolerance: float = 0.0
-    via: ReceivedMessage | None = None
-
-    def leads_to(self, other: TripRequest) -> bool:
-        """Whether two requests have the same goal and stops."""
-        one, two = self.goal.message, other.goal.message
-        stops = [each.via.message.poses if each.via else [] for each in (self, other)]
-        return (one.header.frame_id == two.header.frame_id and one.pose == two.pose
-                and stops[0] == stops[1])
-
-
-@dataclass(frozen=True, eq=False)
-class Trip:
-    """A request located on a map; poses and positions [m] are in the map's frame.
-
-    The ``request`` has a start: that of the robot, if none was given. ``robot`` is the frame in
-    which the start was given, if that is not the map's: the start moves.
-    """
-
-    map: CurrentMap
-    request: TripRequest
-    start_pose: PoseStamped
-    goal_pose: PoseStamped
-    start_xy: tuple[float, float]
-    goal_xy: tuple[float, float]
-    stops_xy: tuple[tuple[float, float], ...] = ()
-    robot: str = ''
-
-    @property
-    def moves(self) -> bool:
-        """Whether the start is the place of a robot."""
-        return self.robot != ''
 
 
 class Inputs:
@@ -85,27 +42,25 @@ class Inputs:
     ----------
     start, goal, via
         Where later departures begin and lead, and their stops in order; None: not given.
-    settings
-        The node's parameters.
-    with_costmap
-        Whether a costmap is waited for, too.
+    map_names
+        The topics of the maps that are waited for: alpha_map, and costmap if that is wanted.
+    map
+        The current map, with the obstacles of the costmap if that is wanted.
     asked_directly
         Whether a request brought its own start and goal; missing topics are then not reported.
     """
 
     def __init__(self, transforms: FrameTransforms, full_name: Callable[[str], str],
                  settings: NodeSettings) -> None:
-        self._transforms, self._full_name = transforms, full_name
-        self.settings = settings
-        self.with_costmap = bool(settings.current.values['map.costmap'])
-        self._arrived: dict[str, CurrentMap | None] = {'alpha_map': None}
-        if self.with_costmap:
-            self._arrived['costmap'] = None
+        self._transforms, self._full_name, self._settings = transforms, full_name, settings
+        wanted = settings.current.values['map.costmap']
+        self.map_names = ('alpha_map', 'costmap') if wanted else ('alpha_map',)
+        self._arrived: dict[str, CurrentMap | None] = dict.fromkeys(self.map_names)
         self.start: ReceivedMessage | None = None
         self.goal: ReceivedMessage | None = None
         self.via: ReceivedMessage | None = None
         self.asked_directly = False
-        self._map: CurrentMap | None = None
+        self.map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
     def accept_map(self, topic: str, received: ReceivedMessage) -> None:
@@ -116,7 +71,7 @@ class Inputs:
         """
         if not isinstance(received.message, OccupancyGrid):
             present = self._arrived[topic] or self._no_map()
-            self._arrived[topic] = updated_map(present, received.message)
+            self._arrived[topic] = present.updated(received.message)
             return
         try:
             self._arrived[topic] = map_from(received)
@@ -134,39 +89,56 @@ class Inputs:
         if new is None or None in self._arrived.values():
             return None
         if costmap is not None:
-            values, header = self.settings.current, Header(frame_id=costmap.frame)
+            values, header = self._settings.current, Header(frame_id=costmap.frame)
             origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
             there = self._transforms.to_frame(origin, 'the costmap', new.frame,
                                               values.robot.max_age)
             costmap = replace(costmap, origin=pose_from_ros(there.pose))
-            new = joined_map(new, costmap, values.occupancy.unknown_alpha is None)
-        if self._map is None or not self._map.same_map(new):
-            self._map = new
+            new = new.with_costmap(costmap, values.occupancy.unknown_alpha is None)
+        if self.map is None or not self.map.same_map(new):
+            self.map = new
         self._refused = None
-        return self._map
+        return self.map
 
-    def missing(self, robot: RobotOptions) -> tuple[str, ...]:
+    def missing(self) -> tuple[str, ...]:
         """Return the full names of the topics of the inputs that have not arrived."""
-        poses = {'start_pose': self.start or robot.frame, 'goal_pose': self.goal}
+        poses = {'start_pose': self.start or self._settings.current.robot.frame,
+                 'goal_pose': self.goal}
         inputs = {**self._arrived, **({} if self.asked_directly else poses)}
         return tuple(self._full_name(name) for name, given in inputs.items() if not given)
 
-    def latest(self, robot: RobotOptions) -> TripRequest:
+    def latest(self) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
-        Raises NoMap, NoStart or NoGoal if an input has not arrived.
+        Raises NoMap, NoStart or NoGoal if an input has not arrived, and InvalidOption while
+        parameters contradict each other.
         """
         self.current_map()
-        if self.start is None and not robot.frame:
+        if self.start is None and not self._settings.current.robot.frame:
             raise NoStart(f'no start yet: publish one on {self._full_name("start_pose")} or '
                           f'{self._full_name("initialpose")}, or set robot_base_frame')
         if self.goal is None:
             raise NoGoal(f'no goal yet: publish one on {self._full_name("goal_pose")}')
-        return TripRequest(self.start, self.goal, via=self.via)
+        return TripRequest(self._settings.agreeing(), self.start, self.goal, via=self.via)
+
+    def given(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
+              stops: PoseArray) -> TripRequest:
+        """Return the trip of a request with its own poses, as if they had arrived on the topics.
+
+        Raises NoMap, and InvalidOption while parameters contradict each other.
+        """
+        self.asked_directly = True
+        self.current_map()
+        received = [
+            ReceivedMessage(self._full_name(topic), type_name(message), message, LATEST)
+            for topic, message in (('start_pose', start), ('goal_pose', goal), ('via_poses', stops))
+        ]
+        via = received[2] if stops.poses else None
+        return TripRequest(self._settings.agreeing(), received[0], received[1], tolerance, via)
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises NoMap if no map has arrived."""
-        return self._map or self._no_map()
+        return self.map or self._no_map()
 
     def _no_map(self) -> NoReturn:
         if self._arrived['alpha_map'] is not None:
@@ -175,53 +147,65 @@ class Inputs:
         why = f'; the last one was refused: {self._refused}' if self._refused else ''
         raise NoMap(f'no risk map yet: publish one on {self._full_name("alpha_map")}{why}')
 
-    def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
+    def locate(self, request: TripRequest) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
 
         Raises NoMap if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
         transformed into the map's frame or is not a valid pose.
         """
-        present = self.current_map()
-        start, start_pose = self._located_start(request.start, robot, present.frame)
-        goal_pose = self._transforms.to_frame(
-            request.goal.message, 'goal', present.frame, robot.max_age
-        )
-        given = request.start.message.header.frame_id if request.start else ''
-        frame = given or robot.frame
+        present, robot, start = self.current_map(), request.parameters.robot, request.start
+
+        def on_map(pose: PoseStamped, name: str) -> PoseStamped:
+            return self._transforms.to_frame(pose, name, present.frame, robot.max_age)
+
+        frame = start.message.header.frame_id if start else ''
+        if start is None or (robot.frame and not frame):
+            start_pose, frame = on_map(robot_pose(robot), 'start'), robot.frame
+            start = ReceivedMessage(self._full_name('start_pose'), type_name(start_pose),
+                                    start_pose, LATEST)
+        else:
+            start_pose = on_map(start.message, 'start')
+        goal_pose = on_map(request.goal.message, 'goal')
+        via = request.via.message if request.via else PoseArray()
+        if len(via.poses) > MAX_STOPS:
+            raise InvalidPose(
+                f'via_poses: {len(via.poses)} stops, but at most {MAX_STOPS} are allowed')
+        stops = {f'stop {number}': PoseStamped(header=via.header, pose=pose)
+                 for number, pose in enumerate(via.poses, start=1)}
         return Trip(present, replace(request, start=start), start_pose, goal_pose,
                     position_from_ros(start_pose, 'start'), position_from_ros(goal_pose, 'goal'),
-                    self._located_stops(request.via, present.frame, robot.max_age),
+                    tuple(position_from_ros(on_map(stop, name), name)
+                          for name, stop in stops.items()),
                     '' if frame == present.frame else frame)
 
-    def robot_place(self, robot: RobotOptions) -> tuple[float, float] | None:
-        """Return where the robot is on the current map [m]; None if that is not known."""
-        pose, frame = robot_pose(robot), self.current_map().frame
+    def robot_place(self, robot: RobotOptions, frame: str) -> tuple[float, float] | None:
+        """Return where the robot is in a frame [m]; None if that is not known."""
+        pose = robot_pose(robot)
         with suppress(FrameMismatch):
             return pose and position_from_ros(
                 self._transforms.to_frame(pose, 'start', frame, robot.max_age), 'start')
         return None
 
-    def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
-                       frame: str) -> tuple[ReceivedMessage, PoseStamped]:
-        """Return the start to record, and its pose in the map's frame."""
-        if start is not None and (start.message.header.frame_id or not robot.frame):
-            return start, self._transforms.to_frame(start.message, 'start', frame, robot.max_age)
-        pose = self._transforms.to_frame(robot_pose(robot), 'start', frame, robot.max_age)
-        return ReceivedMessage(self._full_name('start_pose'), type_name(pose), pose, LATEST), pose
+    def invalid_poses(self, path: Path) -> list[int] | None:
+        """Return which poses of a path, from the robot on, the newest map does not let it reach.
 
-    def _located_stops(self, via: ReceivedMessage | None, frame: str,
-                       max_age: float) -> tuple[tuple[float, float], ...]:
-        """Return the positions of the stops [m] in the map's frame."""
-        if via is None:
-            return ()
-        if len(via.message.poses) > MAX_STOPS:
-            raise InvalidPose(
-                f'via_poses: {len(via.message.poses)} stops, but at most {MAX_STOPS} are allowed'
-            )
-        stops = {f'stop {number}': PoseStamped(header=via.message.header, pose=pose)
-                 for number, pose in enumerate(via.message.poses, start=1)}
-        return tuple(position_from_ros(self._transforms.to_frame(given, name, frame, max_age), name)
-                     for name, given in stops.items())
+        None if the path has no poses: Nav2's trees ask so before their first path. Raises NoMap,
+        FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        """
+        if not path.poses:
+            return None
+        newest, parameters = self.current_map(), self._settings.current
+        if path.header.frame_id != newest.frame:
+            raise FrameMismatch(f'the path is in the frame {path.header.frame_id[:80]!r}, the map '
+                                f'in {newest.frame!r}')
+        points = path_from_ros(path)[:, :2]
+        place = self.robot_place(parameters.robot, newest.frame)
+        first = int(np.hypot(*(points - place).T).argmin()) if place else 0
+        rest = points[first:]
+        ground = ClearGround(newest, parameters.occupancy, parameters.planning.network)
+        if len(rest) == 1:
+            return [] if ground.segments(rest, rest).all() else [first]
+        return (np.flatnonzero(~ground.drivable_steps(rest)) + first + 1).tolist()
 
 
 def robot_pose(robot: RobotOptions) -> PoseStamped | None:
@@ -229,23 +213,3 @@ def robot_pose(robot: RobotOptions) -> PoseStamped | None:
     if not robot.frame:
         return None
     return PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))
-
-
-def inputs_of(saved: SavedPlan,
-              resolve: Callable[[str], str]) -> tuple[ReceivedMessage, TripRequest]:
-    """The messages from which a plan could have been made; ``resolve`` gives a topic's name."""
-    plan, header = saved.plan, Header(frame_id=saved.frame)
-    assert plan.risk_map is not None
-    risk_map, network = plan.risk_map, plan.network
-    values = grid_values(risk_map, saved.parameters.occupancy)
-
-    def received(topic: str, message: Any) -> ReceivedMessage:
-        return ReceivedMessage(resolve(topic), type_name(message), message, LATCHED)
-
-    start, goal = (PoseStamped(header=header, pose=pose_to_ros(*network.points[node].tolist()))
-                   for node in (network.source, network.target))
-    stops = PoseArray(header=header, poses=[pose_to_ros(*xy) for xy in plan.stops_xy])
-    grid = occupancy_to_ros(values, risk_map.resolution, risk_map.origin, header)
-    via = received('via_poses', stops) if plan.stops_xy else None
-    return received('alpha_map', grid), TripRequest(
-        received('start_pose', start), received('goal_pose', goal), via=via)

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from threading import Event, Thread
-from typing import Any
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 
 from ..worker.solve_errors import for_the_log, unexpected
 
@@ -19,16 +16,17 @@ _SPIN_PERIOD = 0.25
 
 
 class Listener:
-    """Receives messages in a thread, as tf2_ros does; ``start`` it when all is subscribed to.
+    """Has a thread for the callbacks of a ``node`` of its own; ``start`` it when that has them all.
 
-    Large or frequent messages then do not keep the planner's executor from answering. Its node,
-    ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's context and enclave.
-    The thread ends with ``close`` or with the context.
+    Large or frequent messages then do not keep the planner's executor from answering, as with
+    tf2_ros. The node, ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's
+    context and enclave. Resolve names by the planner's node. The thread ends with ``close`` or with
+    the context.
     """
 
     def __init__(self, node: Node, purpose: str) -> None:
         self._planner, self._purpose = node, purpose
-        self._node = Node(
+        self.node = Node(
             f'_{node.get_name()}_{purpose}', context=node.context, namespace=node.get_namespace(),
             # Command line arguments belong to the planner's node, which resolves the names.
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
@@ -37,23 +35,9 @@ class Listener:
                                  Parameter('use_sim_time', value=False)],
         )
         self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         self._closed = Event()
-        self._thread = Thread(target=self._spin, name=self._node.get_name(), daemon=True)
-
-    def subscribe(self, kind: type, topic: str, receive: Callable[[Any], None], qos: QoSProfile,
-                  raw: bool = False) -> None:
-        """Subscribe to a topic by the name that the planner's node gives it."""
-        name = self._planner.resolve_topic_name(topic)
-        self._node.create_subscription(kind, name, receive, qos, raw=raw)
-
-    def serve(self, kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """Serve by the name that the planner's node gives it."""
-        self._node.create_service(kind, self._planner.resolve_service_name(name), answer)
-
-    def every(self, seconds: float, act: Callable[[], object]) -> None:
-        """Act regularly."""
-        self._node.create_timer(seconds, act)
+        self._thread = Thread(target=self._spin, name=self.node.get_name(), daemon=True)
 
     def start(self) -> None:
         """Begin to receive."""
@@ -67,7 +51,7 @@ class Listener:
             if self._thread.is_alive():
                 self._thread.join()
             self._executor.shutdown()
-            self._node.destroy_node()
+            self.node.destroy_node()
 
     def _spin(self) -> None:
         while self._executor.context.ok() and not self._closed.is_set():

@@ -25,6 +25,7 @@ _MIN_SHOWN = 1e-4
 _HEIGHT, _MAX_HEIGHT = 0.005, 50.0
 _LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambush_sites': 1,
            'stops': 1}
+_DISCS = ('ambush_sites', 'stops')
 # Colours from rare to certain: the convoy in blues, the ambusher in oranges. Discs are not opaque,
 # so that the path below them is visible.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
@@ -39,10 +40,9 @@ def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
     """
     network, p = strategy.network, strategy.shown_probability
     shown = np.flatnonzero(p >= _MIN_SHOWN)
-    marker = _marker('edge_probabilities', Marker.LINE_LIST, header, network)
-    marker.scale.x = 0.12 * _edge_length(network)
     colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
-    return marker_array(marker, network.points[network.edges[shown].ravel()], colours)
+    return _marker('edge_probabilities', header, network, 0.12,
+                   network.points[network.edges[shown].ravel()], colours)
 
 
 def mean_direction(strategy: Strategy, header: Header) -> bytes:
@@ -51,52 +51,39 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
     The length shows how certain the direction is, the colour how often the node is visited.
     """
     network, x = strategy.network, strategy.game.visits(strategy.shown_probability)
-    length, direction = _edge_length(network), strategy.mean_direction()
+    direction = strategy.mean_direction()
     shown = np.flatnonzero((x >= _MIN_SHOWN) & (np.hypot(*direction.T) > 1e-6))
-    marker = _marker('mean_direction', Marker.LINE_LIST, header, network)
-    marker.scale.x = 0.06 * length
-    arrows = _arrows(network.points[shown], 0.8 * length * direction[shown])
-    return marker_array(marker, arrows, _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
+    arrows = _arrows(network.points[shown], 0.8 * _edge_length(network) * direction[shown])
+    return _marker('mean_direction', header, network, 0.06, arrows,
+                   _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
 
 
 def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     """Return a list of flat discs at the ambush sites, coloured by their probability.
 
-    Discs have the ambush radius, if it is not 0. If no ambush causes a loss, the list is empty and
-    deletes an earlier one.
+    Discs have the ambush radius, if it is not 0. If no ambush causes a loss, the list is empty.
     """
     network, q = strategy.network, strategy.ambush_at_places
     often = float(q.max())
     shown = np.flatnonzero((q >= _MIN_SHOWN * often) & (strategy.value > 0.0))
-    length = _edge_length(network)
-    diameter = 2.0 * strategy.game.reach or 0.6 * length
-    marker = _marker('ambush_sites', Marker.SPHERE_LIST, header, network)
-    marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
-    if not shown.size:
-        marker.action = Marker.DELETE
-    points = network.points[network.representatives[shown]]
-    return marker_array(marker, points, _colours(_AMBUSHER, q[shown] / often))
+    diameter = 2.0 * strategy.game.reach / _edge_length(network) or 0.6
+    return _marker('ambush_sites', header, network, diameter,
+                   network.points[network.representatives[shown]],
+                   _colours(_AMBUSHER, q[shown] / often))
 
 
 def stops(strategy: Strategy, header: Header) -> bytes:
-    """Return a list of flat discs at the stops; without stops it deletes an earlier one."""
+    """Return a list of flat discs at the stops."""
     network = strategy.network
-    marker = _marker('stops', Marker.SPHERE_LIST, header, network)
-    size = _edge_length(network)
-    marker.scale = Vector3(x=size, y=size, z=0.1 * size)
-    marker.color = ColorRGBA(r=0.0, g=0.2, b=1.0, a=0.9)
-    if not network.stops.size:
-        marker.action = Marker.DELETE
-    return marker_array(marker, network.points[network.stops], _ONE_COLOUR)
+    return _marker('stops', header, network, 1.0, network.points[network.stops],
+                   colour=ColorRGBA(r=0.0, g=0.2, b=1.0, a=0.9))
 
 
 def network_lines(strategy: Strategy, header: Header) -> bytes:
     """Return a grey line list of all edges, with opposite edges drawn once."""
     network = strategy.network
-    marker = _marker('network', Marker.LINE_LIST, header, network)
-    marker.scale.x = 0.03 * _edge_length(network)
-    marker.color = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4)
-    return marker_array(marker, network.points[_pairs(network).ravel()], _ONE_COLOUR)
+    return _marker('network', header, network, 0.03, network.points[_pairs(network).ravel()],
+                   colour=ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4))
 
 
 # What draws the marker of each topic, by its name below the node's.
@@ -104,12 +91,24 @@ MARKERS = {'network': network_lines, 'edge_probabilities': edge_probabilities,
            'mean_direction': mean_direction, 'ambush_sites': ambush_sites, 'stops': stops}
 
 
-def _marker(namespace: str, kind: int, header: Header, network: Network) -> Marker:
-    marker = Marker(header=header, ns=namespace, id=0, type=kind, action=Marker.ADD)
+def _marker(namespace: str, header: Header, network: Network, size: float, points: FloatArray,
+            colours: npt.NDArray[np.float32] = _ONE_COLOUR,
+            colour: ColorRGBA | None = None) -> bytes:
+    """Return lines of a width, or discs of a diameter, in edge lengths.
+
+    Without points it deletes an earlier marker.
+    """
+    length, extent = _edge_length(network), float(np.ptp(network.points, axis=0).max())
+    width = float(size * length)
+    discs, scale = namespace in _DISCS, Vector3(x=width)
+    if discs:
+        scale.y, scale.z = width, 0.1 * length
+    marker = Marker(header=header, ns=namespace, scale=scale, color=colour or ColorRGBA(),
+                    type=Marker.SPHERE_LIST if discs else Marker.LINE_LIST,
+                    action=Marker.ADD if len(points) else Marker.DELETE)
     marker.pose.orientation.w = 1.0
-    extent = float(np.ptp(network.points, axis=0).max())
     marker.pose.position.z = _LAYERS[namespace] * min(_HEIGHT * extent, _MAX_HEIGHT)
-    return marker
+    return marker_array(marker, points, colours)
 
 
 def _edge_length(network: Network) -> float:

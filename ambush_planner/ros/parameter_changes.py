@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -42,36 +41,18 @@ class NodeSettings:
     """
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:
+        self._node, self._changed = node, changed
         node.declare_parameters(
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
         )
         _warn_of_unknown(node)
         self.saved = _saved_plan(node)
-        more = other_options(self.saved) if self.saved else {}
-        roads = self.saved.plan.options.network.roads if self.saved else None
-
-        def read() -> NodeParameters:
-            with telling_warnings(node.get_logger().warning):
-                return parameters_from({**_values(node), **more}, roads)
-
-        self.current = read()
+        self.current = self._read()
         self.contradiction: InvalidOption | None = None
         self.active = False
-
-        def update(_: list[Parameter]) -> None:
-            try:
-                self.current, self.contradiction = read(), None
-            except InvalidOption as error:
-                self.contradiction = error
-            changed()
-
-        def check(changes: list[Parameter]) -> SetParametersResult:
-            locked = self.active and self.current.values['parameters.locked']
-            return _check(node, changes, locked)
-
         node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
-        node.add_on_set_parameters_callback(check)
-        node.add_post_set_parameters_callback(update)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._update)
 
     def agreeing(self) -> NodeParameters:
         """Return the values; raises InvalidOption while they contradict each other."""
@@ -80,6 +61,38 @@ class NodeSettings:
                 f'parameters contradict each other: {self.contradiction}'
             ) from self.contradiction
         return self.current
+
+    def _read(self) -> NodeParameters:
+        values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
+        roads = None
+        if self.saved is not None:
+            values |= other_options(self.saved)
+            roads = self.saved.plan.options.network.roads
+        with telling_warnings(self._node.get_logger().warning):
+            return parameters_from(values, roads)
+
+    def _check(self, changes: list[Parameter]) -> SetParametersResult:
+        """Check whether changes are possible together; unless locked, those of others are."""
+        locked = self.active and self.current.values['parameters.locked']
+        for change in changes:
+            if locked and change.value != self._node.get_parameter(change.name).value:
+                return SetParametersResult(
+                    successful=False, reason=f'{change.name} is read-only while the node is '
+                    'active: parameters.locked is true')
+        ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
+        try:
+            with telling_warnings(self._node.get_logger().warning):
+                check_possible(ours)
+        except InvalidOption as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _update(self, _: list[Parameter]) -> None:
+        try:
+            self.current, self.contradiction = self._read(), None
+        except InvalidOption as error:
+            self.contradiction = error
+        self._changed()
 
 
 def _saved_plan(node: Node) -> SavedPlan | None:
@@ -102,33 +115,12 @@ def _warn_of_unknown(node: Node) -> None:
         )
 
 
-def _values(node: Node) -> dict[str, Any]:
-    return {name: node.get_parameter(name).value for name in PARAMETERS}
-
-
 def _infinity_as_number(change: Parameter) -> Parameter:
     """Return the change with the number that ``ros2 param load`` sends as the string inf."""
     declared = PARAMETERS.get(change.name)
     if declared and isinstance(declared.default, float) and change.value == 'inf':
         return Parameter(change.name, value=math.inf)
     return change
-
-
-def _check(node: Node, changes: list[Parameter], locked: bool) -> SetParametersResult:
-    """Check whether ``changes`` are possible together; unless locked, those of others are."""
-    ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
-    for change in changes:
-        name = change.name
-        if locked and change.value != node.get_parameter(name).value:
-            return SetParametersResult(
-                successful=False, reason=f'{name} is read-only while the node is active: '
-                'parameters.locked is true')
-    try:
-        with telling_warnings(node.get_logger().warning):
-            check_possible(ours)
-    except InvalidOption as error:
-        return SetParametersResult(successful=False, reason=str(error))
-    return SetParametersResult(successful=True)
 
 
 def _descriptor(declaration: Declaration) -> ParameterDescriptor:

@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan file as the node's start: its options as parameters."""
+"""A plan file as the node's start: its options as parameters, its map and trip as inputs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseArray, PoseStamped
+from std_msgs.msg import Header
 
 from ..errors import InvalidOption
 from ..maps.occupancy import risk_from_occupancy
 from ..parameters.table import PARAMETERS
-from ..recordings import UnreadableRecording
+from ..parameters.values import NodeParameters
+from ..recordings import UnreadableRecording, type_name
 from ..recordings.plain_messages import grid_values
 from ..recordings.plan_file import SavedPlan, read_plan
+from .conversions import occupancy_to_ros, pose_to_ros
+from .current_map import ReceivedMessage
+from .topics import LATCHED
+from .trip import TripRequest
 
 # Parameters that the plan sets begin with one of these, or are one; the node keeps the others.
 _SET = ('map.', 'network.', 'game.', 'strategy.', 'route.', 'trip.order')
@@ -50,3 +58,23 @@ def other_options(saved: SavedPlan) -> dict[str, Any]:
     """The options of a plan that are no parameters of the node."""
     return {name: value for name, value in saved.parameters.values.items()
             if name not in PARAMETERS}
+
+
+def inputs_of(saved: SavedPlan, parameters: NodeParameters,
+              resolve: Callable[[str], str]) -> tuple[ReceivedMessage, TripRequest]:
+    """The messages from which a plan could have been made; ``resolve`` gives a topic's name."""
+    plan, header = saved.plan, Header(frame_id=saved.frame)
+    assert plan.risk_map is not None
+    risk_map, network = plan.risk_map, plan.network
+    values = grid_values(risk_map, saved.parameters.occupancy)
+
+    def received(topic: str, message: Any) -> ReceivedMessage:
+        return ReceivedMessage(resolve(topic), type_name(message), message, LATCHED)
+
+    start, goal = (PoseStamped(header=header, pose=pose_to_ros(*network.points[node].tolist()))
+                   for node in (network.source, network.target))
+    stops = PoseArray(header=header, poses=[pose_to_ros(*xy) for xy in plan.stops_xy])
+    grid = occupancy_to_ros(values, risk_map.resolution, risk_map.origin, header)
+    via = received('via_poses', stops) if plan.stops_xy else None
+    return received('alpha_map', grid), TripRequest(
+        parameters, received('start_pose', start), received('goal_pose', goal), via=via)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -29,13 +29,15 @@ from ..game.value.face_flows import HAS_HIGHSPY
 from ..recordings.versions import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
+from .conversions import installed_type
+from .diagnostics import Reporter
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
-from .inputs import Inputs, inputs_of
+from .inputs import Inputs
 from .parameter_changes import NodeSettings
+from .plan_from_file import inputs_of
 from .recordings import Recordings
-from .reporter import Reporter
 from .requests import Requests
 from .shared_memory import hide_segments
 from .subscriptions import Subscriptions
@@ -50,8 +52,6 @@ _LAST_ANSWERS_TIME = 0.5  # for which the node stays to send its last answers [s
 _LAST_RECORDINGS_TIME = 0.5  # for which it then stays to write its last recordings [s]
 _HELP_EPILOG = """topics, services, actions and parameters: docs/ros_interface.md, or
   ros2 node info /ambush_planner; ros2 param describe /ambush_planner NAME"""
-
-_Part = TypeVar('_Part')
 
 
 class PlannerNode(LifecycleNode):
@@ -68,64 +68,56 @@ class PlannerNode(LifecycleNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
+        # What is to be done at a cleanup, and at the end.
         self._configured, self._closing = ExitStack(), ExitStack()
-        self._closing.callback(super().destroy_node)
         with ExitStack() as on_error:
             on_error.enter_context(self._closing)
+            self._closing.callback(super().destroy_node)
             self._build()
             if self._settings.current.values['autostart']:
-                self._autostart()
+                for transition in (self.trigger_configure, self.trigger_activate):
+                    if transition() != TransitionCallbackReturn.SUCCESS:
+                        raise self._transition_error or RuntimeError('the node failed to start')
             on_error.pop_all()
 
     def _build(self) -> None:
         """Make the parts that exist in every state."""
         hide_segments()
         protect_services(self)
-        self._dispatcher: Dispatcher | None = None
+        self._parts: _Parts | None = None
         self._recordings: list[Recordings] = []  # those of earlier configurations may still write
-        self._inputs: Inputs | None = None
-        self._topic_subscriptions: Subscriptions | None = None
         self._transition_error: Exception | None = None
         self._settings = NodeSettings(self, self._parameters_changed)
         self._bond = Bond(self)
-        if self._settings.current.seed >= 0:
-            self.get_logger().warning(
-                'the parameter seed is set: every run draws the same sequence of routes, which '
-                'can be predicted; use it for tests and replay only'
-            )
-        self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
-                                  Publishers(self, STATUS_TOPICS), self.get_clock(),
-                                  self._activity,
-                                  lambda: self._settings.current.error_hold)
-        self._error_boundary = ErrorBoundary(
-            self.context, self.get_logger(), self._reporter.failed
-        )
-        self._closing.callback(self._error_boundary.log_repeated)
-        self._reporter.recording(self._settings.current.recording.enabled)
+        current, logger = self._settings.current, self.get_logger()
+        if current.seed >= 0:
+            logger.warning('the parameter seed is set: every run draws the same sequence of '
+                           'routes, which can be predicted; use it for tests and replay only')
         if not HAS_HIGHSPY:
-            self.get_logger().info('plans are solved sooner with the Python package highspy: '
-                                   'pip install highspy')
+            logger.info('plans are solved sooner with the Python package highspy: '
+                        'pip install highspy')
+        self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
+                                  Publishers(self, STATUS_TOPICS), self._activity,
+                                  lambda: self._settings.current.error_hold)
+        self._reporter.recording(current.recording.enabled)
+        self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
+        self._closing.callback(self._error_boundary.log_repeated)
         self._requests = Requests(self, self._error_boundary,
-                                  lambda: _configured(self._dispatcher),
-                                  lambda: _configured(self._inputs), self._settings)
+                                  lambda: self._configured_parts().dispatcher,
+                                  lambda: self._configured_parts().inputs)
         self._closing.callback(self._requests.close)
-        for name in ACTIONS:
-            action = ComputePath(self, self._error_boundary, self._requests, self._settings,
-                                 name)
-            self._closing.callback(action.close)
+        for name, kind in ACTIONS.items():
+            if action := installed_type('nav2_msgs.action', kind):
+                serving = ComputePath(self, self._error_boundary, self._requests, self._settings,
+                                      name, action)
+                self._closing.callback(serving.close)
         self._closing.callback(self._wait_for_recordings)
         self._closing.callback(lambda: self._configured.close())
         # A steady clock: diagnostics go on while simulated time is paused.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(
-            _REPORT_PERIOD, clock=steady,
+            _REPORT_PERIOD, clock=Clock(clock_type=ClockType.STEADY_TIME),
             callback=lambda: self._error_boundary.attempt('diagnostics', 'request', self._report),
         )
-
-    def _autostart(self) -> None:
-        for transition in (self.trigger_configure, self.trigger_activate):
-            if transition() != TransitionCallbackReturn.SUCCESS:
-                raise self._transition_error or RuntimeError('the node failed to start')
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Listen, and get ready to plan."""
@@ -151,7 +143,7 @@ class PlannerNode(LifecycleNode):
         """Be unconfigured after a transition that failed, whose error stays reported."""
         error, result = self._transition_error, self._changed('error', self._unconfigure)
         if error is not None:
-            self._reporter.failed('request', error)
+            self._reporter.note('request', error)
         return result
 
     def _changed(self, name: str, change: Callable[[], None],
@@ -164,8 +156,42 @@ class PlannerNode(LifecycleNode):
         _, self._transition_error = self._error_boundary.attempt(name, 'request', change)
         return failed if self._transition_error else TransitionCallbackReturn.SUCCESS
 
+    def _configure(self) -> None:
+        with ExitStack() as made:
+            publishers = Publishers(self, PLAN_TOPICS)
+            made.callback(publishers.close)
+            transforms = FrameTransforms(self)
+            made.callback(transforms.close)
+            inputs = Inputs(transforms, self.resolve_topic_name, self._settings)
+            recordings = Recordings(self._settings.current.recording, self._reporter,
+                                    self.get_logger())
+            made.callback(recordings.finish)
+            self._recordings = [recordings, *(each for each in self._recordings if each.alive)]
+            dispatcher = Dispatcher(self._settings, inputs, publishers, recordings,
+                                    self._reporter, self.get_logger())
+            made.callback(dispatcher.close)
+            if (saved := self._settings.saved) is not None:  # before newer maps arrive
+                dispatcher.adopt(saved, *inputs_of(saved, self._settings.current,
+                                                   self.resolve_topic_name))
+            subscriptions = Subscriptions(self, inputs, self._settings, self._error_boundary,
+                                          self._reporter, dispatcher)
+            made.callback(subscriptions.close)
+            self._configured = made.pop_all()
+        self._parts = _Parts(inputs, dispatcher, subscriptions)
+        self._reporter.set(lifecycle='inactive')
+        self._report_missing()
+
+    def _configured_parts(self) -> _Parts:
+        if self._parts is None:
+            raise NotActive(
+                'the node is not configured: configure and activate it first (ros2 lifecycle '
+                'set); after a cleanup, publish start and goal again (a latched map arrives by '
+                'itself)'
+            )
+        return self._parts
+
     def _set_active(self, active: bool) -> None:
-        dispatcher = _configured(self._dispatcher)
+        dispatcher = self._configured_parts().dispatcher
         if active:
             dispatcher.resume()
         else:
@@ -180,53 +206,21 @@ class PlannerNode(LifecycleNode):
         try:
             self._configured.close()
         finally:
+            self._parts = None
             self._reporter.unconfigured(state)
 
-    def _configure(self) -> None:
-        with ExitStack() as made:
-            made.callback(self._unset_parts)
-            publishers = Publishers(self, PLAN_TOPICS)
-            made.callback(publishers.close)
-            transforms = FrameTransforms(self)
-            made.callback(transforms.close)
-            self._inputs = Inputs(transforms, self.resolve_topic_name, self._settings)
-            recordings = Recordings(self._settings.current.recording, self._reporter,
-                                    self.get_logger())
-            made.callback(recordings.finish)
-            self._recordings = [recordings, *(each for each in self._recordings if each.alive)]
-            self._dispatcher = Dispatcher(self._settings, self._inputs, publishers, recordings,
-                                          self._reporter, self.get_clock(), self.get_logger())
-            made.callback(self._dispatcher.close)
-            self._topic_subscriptions = Subscriptions(
-                self, self._inputs, self._error_boundary, self._pose_accepted, self._map_accepted,
-                self._reporter.warn,
-            )
-            made.callback(self._topic_subscriptions.close)
-            if (saved := self._settings.saved) is not None:
-                self._dispatcher.adopt(saved, *inputs_of(saved, self.resolve_topic_name))
-            self._configured = made.pop_all()
-        self._reporter.set(lifecycle='inactive')
-        self._report_missing()
-
-    def _unset_parts(self) -> None:
-        self._dispatcher = self._inputs = self._topic_subscriptions = None
-
-    def _activity(self) -> tuple[bool, bool]:
-        return self._dispatcher.activity if self._dispatcher else (False, False)
-
-    def stop_solving(self, executor: Executor | None = None) -> None:
+    def stop_solving(self, executor: Executor) -> None:
         """Cancel all solves and refuse waiting requests; action goals by spinning ``executor``.
 
         The executor spins for a moment: the answer to a goal takes several tasks, and answers are
         lost if DDS announces first that the node has gone.
         """
-        if self._dispatcher is not None:
-            self._dispatcher.stop_solving()
-        if executor is not None:
-            end = time.monotonic() + _LAST_ANSWERS_TIME
-            with suppress(ExternalShutdownException):
-                while time.monotonic() < end:
-                    executor.spin_once(timeout_sec=0.05)
+        if self._parts is not None:
+            self._parts.dispatcher.stop_solving()
+        end = time.monotonic() + _LAST_ANSWERS_TIME
+        with suppress(ExternalShutdownException):
+            while time.monotonic() < end:
+                executor.spin_once(timeout_sec=0.05)
 
     def destroy_node(self) -> None:
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
@@ -251,42 +245,31 @@ class PlannerNode(LifecycleNode):
         )
 
     def _parameters_changed(self) -> None:
-        self._reporter.warn('parameters', self._contradiction())
+        self._reporter.note('parameters', self._contradiction())
         self._report_missing()
+
+    def _activity(self) -> tuple[bool, bool]:
+        return self._parts.dispatcher.activity if self._parts else (False, False)
 
     def _report_missing(self) -> None:
-        if self._inputs is not None:
-            self._reporter.set(missing=self._inputs.missing(self._settings.current.robot))
-
-    def _pose_accepted(self) -> None:
-        self._report_missing()
-        _configured(self._dispatcher).prepare()
-
-    def _map_accepted(self, is_new: bool) -> None:
-        self._reporter.succeeded('map')
-        self._report_missing()
-        if is_new:
-            _configured(self._dispatcher).map_changed()
+        if self._parts is not None:
+            self._reporter.set(missing=self._parts.inputs.missing())
 
     def _report(self) -> None:
-        listening = self._topic_subscriptions
-        self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
-        self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
         self._error_boundary.log_repeated()
-        self._report_missing()
-        if self._dispatcher is not None:
-            self._dispatcher.follow()
+        if self._parts is not None:
+            self._parts.subscriptions.check()
+            self._parts.dispatcher.follow()
+            self._report_missing()  # requests may have brought start and goal
         self._reporter.report()
 
 
-def _configured(part: _Part | None) -> _Part:
-    """Return a part of a configured node; raises NotActive without one."""
-    if part is None:
-        raise NotActive(
-            'the node is not configured: configure and activate it first (ros2 lifecycle set); '
-            'after a cleanup, publish start and goal again (a latched map arrives by itself)'
-        )
-    return part
+class _Parts(NamedTuple):
+    """The parts of a configured node that others ask."""
+
+    inputs: Inputs
+    dispatcher: Dispatcher
+    subscriptions: Subscriptions
 
 
 def check_arguments(arguments: list[str] | None) -> None:
@@ -314,6 +297,12 @@ def noted_signals() -> list[int]:
     return came
 
 
+def _ignore_signals() -> None:
+    """Python restores the default handlers at its end, and a second Ctrl-C would kill it then."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
@@ -324,38 +313,31 @@ def main(args: list[str] | None = None) -> int:
         for option, value in ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 2**18)):
             ctypes.CDLL(None).mallopt(option, value)
     came = noted_signals()
-    executor, node = None, None
     try:
-        try:
-            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:  # a missing parameter file, for instance
-            raise InvalidOption(str(error)) from error
-        node = PlannerNode()
-        names = [node.resolve_topic_name(name) for name in ('alpha_map', 'start_pose', 'goal_pose')]
-        node.get_logger().info(
-            f'version {software_versions()["ambush_planner"]}: publish {", ".join(names)}; each '
-            f'call of {node.resolve_service_name("~/new_route")} is then a departure'
-        )
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while rclpy.ok() and not came:
-            executor.spin_once(timeout_sec=_SPIN_PERIOD)
+        with ExitStack() as ending:
+            ending.callback(_ignore_signals)
+            ending.callback(rclpy.try_shutdown)
+            try:
+                rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            except RuntimeError as error:  # a missing parameter file, for instance
+                raise InvalidOption(str(error)) from error
+            node = PlannerNode()
+            ending.callback(node.destroy_node)
+            executor = SingleThreadedExecutor()
+            ending.callback(executor.shutdown)
+            ending.callback(node.stop_solving, executor)
+            executor.add_node(node)
+            names = map(node.resolve_topic_name, ('alpha_map', 'start_pose', 'goal_pose'))
+            node.get_logger().info(
+                f'version {software_versions()["ambush_planner"]}: publish {", ".join(names)}; '
+                f'each call of {node.resolve_service_name("~/new_route")} is then a departure')
+            while rclpy.ok() and not came:
+                executor.spin_once(timeout_sec=_SPIN_PERIOD)
     except ExternalShutdownException:
         pass
     except (InvalidOption, ParameterException) as error:
         print(f'{NODE_NAME}: cannot start: {error}', file=sys.stderr)
         return 1
-    finally:
-        if node is not None:
-            node.stop_solving(executor)
-        if executor is not None:
-            executor.shutdown()
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-        # Python restores the default handlers at its end, and a second Ctrl-C would kill it then.
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
     return 0
 
 

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Condition, Thread
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -18,11 +18,10 @@ from ..errors import AmbushPlannerError
 from ..parameters.values import RecordingOptions
 from ..planning.plan import Plan
 from ..recordings import Recorder, RecordingFailed
-from ..recordings.attachments import strategy_file
 from ..recordings.recorder import prepare
-from ..worker.solve_errors import for_the_log, forget_frames, unexpected
-from .departure_record import Departure, attachments, metadata_of, recorded_messages
-from .reporter import Reporter
+from ..worker.solve_errors import for_the_log, known
+from .departure_record import Departure, map_changes, metadata_of, plan_files, recorded_messages
+from .diagnostics import Reporter
 
 # Maximum number of departures that wait for the disk: few enough to be written at shutdown.
 _MAX_WAITING = 4
@@ -30,13 +29,12 @@ _MAX_WAITING = 4
 _MAX_WAIT = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Queued:
+class _Queued(NamedTuple):
     """A departure that waits for the disk, how it leaves, and the future of its leaving."""
 
     departure: Departure
     leave: Callable[[], None]
-    left: Future[None] = field(default_factory=Future)
+    left: Future[None]
 
 
 class Recordings:
@@ -49,7 +47,7 @@ class Recordings:
                  logger: RcutilsLogger) -> None:
         self._options, self._reporter, self._logger = options, reporter, logger
         self._recorder = Recorder(Path(options.directory), options.compression, options.required)
-        self._strategies: WeakKeyDictionary[Plan, bytes] = WeakKeyDictionary()
+        self._plan_files: WeakKeyDictionary[Plan, dict[str, bytes]] = WeakKeyDictionary()
         self._unwritten: deque[_Queued] = deque()  # the first one is being written
         self._condition = Condition()
         # True after a departure timed out on the disk, until the next write.
@@ -75,9 +73,9 @@ class Recordings:
         recording failed. What has not left has no file. Without ``record`` only a required one is
         recorded.
         """
-        queued = _Queued(departure, leave)
+        queued = _Queued(departure, leave, Future())
         if not self._options.required:
-            self._leave(queued)
+            _leave(queued)
             if not (self._options.enabled and record) or queued.left.exception():
                 return queued.left
         with self._condition:
@@ -85,7 +83,7 @@ class Recordings:
                 self._unwritten.append(queued)
                 self._condition.notify_all()
                 return queued.left
-        self._finish(queued, RecordingFailed(
+        self._failed(queued, RecordingFailed(
             Path(self._options.directory),
             f'the disk does not respond, and {_MAX_WAITING} departures wait for it; departure '
             f'{departure.number} is not recorded',
@@ -139,33 +137,30 @@ class Recordings:
                 self._condition.notify_all()
 
     def _write(self, queued: _Queued) -> None:
+        """Record a departure; a required recording stays only if the departure then leaves."""
+        held = queued.departure.held
         try:
-            path, name = self._record(queued.departure)
+            if held.plan not in self._plan_files:
+                self._plan_files[held.plan] = plan_files(held)
+            metadata = metadata_of(queued.departure, self._previous)
+            path = self._recorder.record_departure(
+                recorded_messages(queued.departure), metadata.entries(),
+                {**self._plan_files[held.plan], **map_changes(queued.departure)})
         except Exception as error:  # the thread must live to write the next one
-            self._finish(queued, error if isinstance(error, AmbushPlannerError)
-                         else unexpected(error))
+            self._failed(queued, known(error))
             return
-        self._finish(queued, None)
+        self._report(None)
         if self._options.required:
-            self._leave(queued)
+            _leave(queued)
             if queued.left.exception():
                 with suppress(RecordingFailed):  # a file more than departures, at worst
                     self._recorder.remove(path)
                 return
-        self._previous = name
+        self._previous = metadata.recording_id
 
-    def _leave(self, queued: _Queued) -> None:
-        try:
-            queued.leave()
-        except Exception as error:
-            queued.left.set_exception(error)
-        else:
-            queued.left.set_result(None)
-
-    def _finish(self, queued: _Queued, error: AmbushPlannerError | None) -> None:
-        forget_frames(error)
+    def _failed(self, queued: _Queued, error: AmbushPlannerError) -> None:
         self._report(error)
-        if error is not None and self._options.required:
+        if self._options.required:
             queued.left.set_exception(error)
 
     def _report(self, error: AmbushPlannerError | None) -> None:
@@ -174,13 +169,11 @@ class Recordings:
                 self._logger.error(f'recording: {for_the_log(error)}')
             self._reporter.recording(True, error)
 
-    def _record(self, departure: Departure) -> tuple[Path, str]:
-        """Write a departure; return its file and recording_id."""
-        plan = departure.held.plan
-        if plan not in self._strategies:
-            self._strategies[plan] = strategy_file(plan.strategy)
-        metadata = metadata_of(departure, self._previous)
-        path = self._recorder.record_departure(
-            recorded_messages(departure), metadata.entries(),
-            attachments(departure, self._strategies[plan]))
-        return path, metadata.recording_id
+
+def _leave(queued: _Queued) -> None:
+    try:
+        queued.leave()
+    except Exception as error:
+        queued.left.set_exception(error)
+    else:
+        queued.left.set_result(None)

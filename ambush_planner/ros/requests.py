@@ -19,16 +19,16 @@ from std_srvs.srv import Trigger
 from ..errors import InvalidOption
 from ..planning.plan import Plan
 from ..recordings import type_name
+from ..recordings.metadata import RecordedCall
 from ..worker.serial_executor import completed, started
-from .conversions import installed_type
-from .current_map import ReceivedMessage
-from .departure_record import Answer, ServiceCall
+from .conversions import fields_of, installed_type
+from .departure_record import Answer
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
-from .inputs import Inputs, TripRequest
+from .inputs import Inputs
 from .listener import Listener
-from .parameter_changes import NodeSettings
-from .topics import LATEST, REQUESTS
+from .topics import REQUESTS
+from .trip import TripRequest
 
 _Result = TypeVar('_Result')
 
@@ -41,51 +41,44 @@ class Requests:
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary,
-                 dispatcher: Callable[[], Dispatcher], inputs: Callable[[], Inputs],
-                 settings: NodeSettings) -> None:
-        self._node, self._error_boundary, self._settings = node, error_boundary, settings
+                 dispatcher: Callable[[], Dispatcher], inputs: Callable[[], Inputs]) -> None:
+        self._node, self._error_boundary = node, error_boundary
         self._dispatcher, self._inputs = dispatcher, inputs
         planning = MutuallyExclusiveCallbackGroup()
         self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
                     planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
                     lambda answer: GetPlan.Response(plan=answer.path), planning)
-        self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(self._latest_trip()),
+        self._serve(Trigger, '~/replan',
+                    lambda _: self._dispatcher().replan(self._inputs().latest()),
                     _replan_response, planning)
         self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
                     _cancel_response, MutuallyExclusiveCallbackGroup())
-
-        self._looks: Listener | None = None
-        if valid := installed_type('nav2_msgs.srv', 'IsPathValid'):
-            # In a thread of its own: rclpy takes 0.3 s to read a path of 20 000 poses.
-            self._looks = Listener(node, 'looks')
-            self._looks.serve(valid, '~/is_path_valid', partial(self._look, valid.Response))
-            self._looks.start()
+        # A thread of its own looks along paths: rclpy takes 0.3 s to read one of 20 000 poses.
+        self.looks: Listener | None = None
+        if kind := installed_type('nav2_msgs.srv', 'IsPathValid'):
+            self.looks = Listener(node, 'looks')
+            self.looks.node.create_service(kind, node.resolve_service_name('~/is_path_valid'),
+                                           partial(self._look, kind.Response))
+            self.looks.start()
 
     def close(self) -> None:
         """End the thread that looks along paths."""
-        if self._looks is not None:
-            self._looks.close()
+        if self.looks is not None:
+            self.looks.close()
 
     def _look(self, kind: Any, request: Any, _: Any) -> Any:
-        found, _ = self._error_boundary.attempt(
-            'is_path_valid', 'request', lambda: (self._dispatcher().invalid_poses(request.path),))
-        return kind() if found is None else validity(kind, *found)
+        invalid, error = self._error_boundary.attempt(
+            'is_path_valid', 'request', lambda: self._inputs().invalid_poses(request.path))
+        return kind() if error else validity(kind, invalid)
 
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
                    client: str = '') -> Future[Answer]:
         """Ask for a path between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
-        self._inputs().asked_directly = True
-        self._inputs().current_map()
-        start, goal, via = (
-            # As if they had arrived on the topics.
-            ReceivedMessage(self._node.resolve_topic_name(topic), type_name(pose), pose, LATEST)
-            for topic, pose in (('start_pose', request.start), ('goal_pose', request.goal),
-                                ('via_poses', stops or PoseArray()))
-        )
-        trip = TripRequest(start, goal, request.tolerance, via if stops else None)
+        trip = self._inputs().given(request.start, request.goal, request.tolerance,
+                                    stops or PoseArray())
         return self._depart(GetPlan, '~/get_plan', request, trip, client)
 
     def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
@@ -117,15 +110,14 @@ class Requests:
         )
 
     def _start_new_route(self, request: Trigger.Request) -> Future[Answer]:
-        return self._depart(Trigger, '~/new_route', request, self._latest_trip(), 'topics')
+        return self._depart(Trigger, '~/new_route', request, self._inputs().latest(), 'topics')
 
     def _depart(self, kind: Any, service: str, request: Any, trip: TripRequest,
                 client: str) -> Future[Answer]:
-        call = ServiceCall(kind, self._node.resolve_service_name(service), request)
-        return self._dispatcher().depart(call, trip, client)
-
-    def _latest_trip(self) -> TripRequest:
-        return self._inputs().latest(self._settings.current.robot)
+        now = self._node.get_clock().now().nanoseconds
+        call = RecordedCall(self._node.resolve_service_name(service), type_name(kind), now, now,
+                            fields_of(request))
+        return self._dispatcher().depart(call, trip, client, draws=kind is Trigger)
 
     def _new_route_response(self, answer: Answer) -> Trigger.Response:
         path = self._node.resolve_topic_name('path')

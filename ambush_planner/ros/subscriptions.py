@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 
 from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -21,10 +19,13 @@ from ..maps.occupancy import NO_RISK, carries_risk
 from ..recordings import type_name
 from .conversions import installed_type
 from .current_map import CurrentMap, ReceivedMessage
+from .diagnostics import Reporter
+from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, UnreadableMessage
 from .inputs import Inputs
 from .listener import Listener
+from .parameter_changes import NodeSettings
 from .topics import LATCHED, LATEST, UPDATES
 
 # Age from which a costmap counts as stopped, and how often its place is looked up again [s].
@@ -34,76 +35,47 @@ _STOPPED, _JOIN_PERIOD = 5.0, 1.0
 class Subscriptions:
     """The subscriptions of ``node``.
 
-    ``pose_accepted`` is called after each start, goal and array of stops; ``map_accepted`` after
-    each map and each update of one, with whether the map that is used is another one, in the thread
-    that receives maps: nothing else waits for them. ``warn`` sets a warning by what it concerns.
+    Maps are received in a thread of their own: nothing else waits for them.
     """
 
-    def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
-                 pose_accepted: Callable[[], None], map_accepted: Callable[[bool], None],
-                 warn: Callable[[str, str], None]) -> None:
-        self._node, self._inputs, self._error_boundary = node, inputs, error_boundary
-        self._warn = warn
+    def __init__(self, node: Node, inputs: Inputs, settings: NodeSettings,
+                 error_boundary: ErrorBoundary, reporter: Reporter,
+                 dispatcher: Dispatcher) -> None:
+        self._node, self._inputs, self._settings = node, inputs, settings
+        self._error_boundary, self._reporter = error_boundary, reporter
+        self._dispatcher = dispatcher
         self._subscriptions: list[Subscription] = []
         self._maps = Listener(node, 'map')
-        self._arrived: dict[str, float] = {}
-        self._map_topic = node.resolve_topic_name('alpha_map')
-        self._used_map: CurrentMap | None = None
-
-        def accept_map(topic: str, received: ReceivedMessage) -> None:
-            self._arrived[topic] = time.monotonic()
-            inputs.accept_map(topic, received)
-            use_maps()
-
-        def use_maps() -> None:
-            map_accepted(self._is_new(inputs.join_maps()))
-
-        def join_again() -> None:
-            with suppress(FrameMismatch):  # reported since the costmap came
-                use_maps()
-
-        def accept(role: str, received: ReceivedMessage | None) -> None:
-            setattr(inputs, role, received)
-            pose_accepted()
-
+        self._costmap_at: float | None = None  # when the last one came [s]
         update_type = installed_type('map_msgs.msg', 'OccupancyGridUpdate')
-        for topic in ('alpha_map', *(('costmap',) if inputs.with_costmap else ())):
-            use = partial(accept_map, topic)
-            self._subscribe(OccupancyGrid, topic, LATCHED, use)
+        for name in inputs.map_names:
+            self._listen_for_map(name, OccupancyGrid, name, LATCHED)
             if update_type is not None:
-                self._subscribe(update_type, f'{topic}_updates', UPDATES, use)
-        if inputs.with_costmap:  # its transform may come later, or change
-            self._maps.every(_JOIN_PERIOD,
-                             lambda: error_boundary.attempt('costmap', 'map', join_again))
-        self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
-        self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
-        self._subscribe(
-            PoseArray, 'via_poses', LATEST,
-            lambda received: accept('via', received if received.message.poses else None),
-        )
-        self._subscribe(PoseWithCovarianceStamped, 'initialpose', LATEST,
-                        lambda received: accept('start', _without_covariance(received)))
+                self._listen_for_map(name, update_type, f'{name}_updates', UPDATES)
+        if 'costmap' in inputs.map_names:  # its transform may come later, or change
+            self._maps.node.create_timer(
+                _JOIN_PERIOD, lambda: error_boundary.attempt('costmap', 'map', self._join_again))
+        self._listen_for_pose('start', PoseStamped, 'start_pose')
+        self._listen_for_pose('start', PoseWithCovarianceStamped, 'initialpose',
+                              _without_covariance)
+        self._listen_for_pose('goal', PoseStamped, 'goal_pose')
+        self._listen_for_pose('via', PoseArray, 'via_poses',
+                              lambda received: received if received.message.poses else None)
         self._maps.start()
 
-    def volatile_map_warning(self) -> str:
-        """Return a warning if a map is published without the durability asked for, else ''."""
+    def check(self) -> None:
+        """Warn of maps that do not arrive; to be called about once a second."""
+        topic = self._node.resolve_topic_name('alpha_map')
         volatile = sorted({f'{each.node_namespace.rstrip("/")}/{each.node_name}'
-                           for each in self._node.get_publishers_info_by_topic(self._map_topic)
+                           for each in self._node.get_publishers_info_by_topic(topic)
                            if each.qos_profile.durability == DurabilityPolicy.VOLATILE})
-        if not volatile:
-            return ''
-        return (
-            f'{", ".join(volatile)[:200]} publishes {self._map_topic} with volatile durability, '
-            'so no map arrives from there: publish it transient local'
-        )
-
-    def costmap_warning(self) -> str:
-        """Return a warning if a costmap no longer comes, else ''."""
-        age = time.monotonic() - self._arrived.get('costmap', math.inf)
-        if age <= _STOPPED:
-            return ''
-        return (f'the costmap is {age:.0f} s old, so newer obstacles are missing; check that '
-                f'{self._node.resolve_topic_name("costmap")} is still published')
+        self._reporter.note('alpha_map', '' if not volatile else (
+            f'{", ".join(volatile)[:200]} publishes {topic} with volatile durability, so no map '
+            'arrives from there: publish it transient local'))
+        age = 0.0 if self._costmap_at is None else time.monotonic() - self._costmap_at
+        self._reporter.note('costmap', '' if age <= _STOPPED else (
+            f'the costmap is {age:.0f} s old, so newer obstacles are missing; check that '
+            f'{self._node.resolve_topic_name("costmap")} is still published'))
 
     def close(self) -> None:
         """Destroy the subscriptions, and wait until no map is being read."""
@@ -111,37 +83,62 @@ class Subscriptions:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _is_new(self, new: CurrentMap | None) -> bool:
-        """Whether a map is another one; log it, and warn of one without risk while it is used."""
-        before, self._used_map = self._used_map, new
-        if new is None or new is before:
-            return False
-        flat = not carries_risk(new.values, self._inputs.settings.current.occupancy)
-        self._warn('risk', NO_RISK if flat else '')
-        height, width = new.values.shape
-        logger = self._node.get_logger()
-        if before is None or not new.same_ground(before):  # else a costmap, every second
-            logger.info(f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the '
-                        f'frame {new.frame[:80]!r}')
-        return True
+    def _listen_for_map(self, name: str, kind: type, topic: str, qos: QoSProfile) -> None:
+        def accept(received: ReceivedMessage) -> None:
+            if name == 'costmap':
+                self._costmap_at = time.monotonic()
+            self._inputs.accept_map(name, received)
+            self._use_maps()
 
-    def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
-                   use: Callable[[ReceivedMessage], None]) -> None:
+        self._listen(self._maps.node, kind, topic, qos, 'map', accept)
+
+    def _listen_for_pose(self, role: str, kind: type, topic: str,
+                         read: Callable[[ReceivedMessage], ReceivedMessage | None] | None = None,
+                         ) -> None:
+        def accept(received: ReceivedMessage) -> None:
+            setattr(self._inputs, role, read(received) if read else received)
+            self._reporter.set(missing=self._inputs.missing())
+            self._dispatcher.prepare()
+
+        self._subscriptions.append(
+            self._listen(self._node, kind, topic, LATEST, 'request', accept))
+
+    def _listen(self, node: Node, kind: type, topic: str, qos: QoSProfile, concern: str,
+                accept: Callable[[ReceivedMessage], None]) -> Subscription:
+        """Subscribe by a node to raw messages; errors are reported with what they concern.
+
+        Raw: unreadable bytes would end the executor, and recordings keep the bytes that arrived.
+        """
         name = self._node.resolve_topic_name(topic)
-        is_map = topic.startswith(('alpha_map', 'costmap'))
-        concern = 'map' if is_map else 'request'
 
         def receive(data: bytes) -> None:
             self._error_boundary.attempt(name, concern,
-                                         lambda: use(_deserialised(kind, name, data, qos)))
+                                         lambda: accept(_deserialised(kind, name, data, qos)))
 
-        # Raw: unreadable bytes would end the executor, and recordings keep the bytes that arrived.
-        if is_map:
-            self._maps.subscribe(kind, topic, receive, qos, raw=True)
-        else:
-            self._subscriptions.append(
-                self._node.create_subscription(kind, topic, receive, qos, raw=True)
-            )
+        own = node is self._node  # which resolves names itself
+        return node.create_subscription(kind, topic if own else name, receive, qos, raw=True)
+
+    def _join_again(self) -> None:
+        with suppress(FrameMismatch):  # reported since the costmap came
+            self._use_maps()
+
+    def _use_maps(self) -> None:
+        before, new = self._inputs.map, self._inputs.join_maps()
+        self._reporter.note('map', None)
+        self._reporter.set(missing=self._inputs.missing())
+        if new is not None and new is not before:
+            self._announce(new, before)
+            self._dispatcher.map_changed()
+
+    def _announce(self, new: CurrentMap, before: CurrentMap | None) -> None:
+        """Warn of a map without risk while it is used; log one of another size, place or frame."""
+        flat = not carries_risk(new.values, self._settings.current.occupancy)
+        self._reporter.note('risk', NO_RISK if flat else '')
+        if before is None or not new.same_ground(before):  # else a costmap, every second
+            height, width = new.values.shape
+            self._node.get_logger().info(
+                f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
+                f'{new.frame[:80]!r}')
 
 
 def _deserialised(kind: type, topic: str, data: bytes, qos: QoSProfile) -> ReceivedMessage:

@@ -38,10 +38,13 @@ STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
 
 
 class Publishers:
-    """Publishes on ``topics``, and returns each message as a recording keeps it."""
+    """Publishes on ``topics``, and returns each message as a recording keeps it.
+
+    ``clock`` is the node's.
+    """
 
     def __init__(self, node: Node, topics: Topics) -> None:
-        self._node, self._topics = node, topics
+        self._node, self._topics, self.clock = node, topics, node.get_clock()
         self._publishers = {topic: node.create_publisher(kind, topic, qos)
                             for topic, (kind, qos) in topics.items()}
 
@@ -55,9 +58,8 @@ class Publishers:
         """Return a message as a recording keeps it (by default under its topic), unpublished."""
         data = message if isinstance(message, bytes) else serialize_message(message)
         kind, qos = self._topics[topic]
-        stamp = self._node.get_clock().now().nanoseconds
         name = name or self._publishers[topic].topic_name
-        return RecordedMessage(name, type_name(kind), data, qos, stamp)
+        return RecordedMessage(name, type_name(kind), data, qos, self.clock.now().nanoseconds)
 
     def close(self) -> None:
         """Destroy the publishers, so that late subscribers get no latched message."""

@@ -49,7 +49,8 @@ class FrameTransforms:
         if tf_message := installed_type('tf2_msgs.msg', 'TFMessage'):
             self._listener = Listener(node, 'tf')
             for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
-                self._listener.subscribe(tf_message, topic, partial(self._receive, static), qos)
+                self._listener.node.create_subscription(
+                    tf_message, node.resolve_topic_name(topic), partial(self._receive, static), qos)
             self._listener.start()
 
     def close(self) -> None:
@@ -74,10 +75,8 @@ class FrameTransforms:
         if given and given == frame:
             return pose
         shown = given if len(given) <= _MAX_SHOWN else f'{given[:_MAX_SHOWN]}...'
-        problem = (
-            f"{name} is given in the frame {shown!r}, the map in {frame!r}; give it in the map's "
-            'frame'
-        )
+        problem = (f"{name} is given in the frame {shown!r}, the map in {frame!r}; give it in the "
+                   "map's frame")
         if not given:
             raise FrameMismatch(f'{problem}: its header.frame_id is empty')
         if self._listener is None:
@@ -91,18 +90,15 @@ class FrameTransforms:
             raise FrameMismatch(
                 f'{problem}, or publish the transform between the two on /tf: {error}'
             ) from error
-        age, ahead = (0.0 if stamp is None else (now - stamp) / 1e9
-                      for stamp in (found.stamp_ns, found.newest_ns))
-        if age > max_age:
-            problem, check = f'{age:.3g} s old', 'is still published'
-        elif -ahead > max_age:  # localisation post-dates map -> odom, but only by about a second
-            problem, check = f'stamped {-ahead:.3g} s ahead of now', 'is published'
-        else:
+        age, ahead = (0.0 if stamp is None else sign * (now - stamp) / 1e9
+                      for sign, stamp in ((1, found.stamp_ns), (-1, found.newest_ns)))
+        if max(age, ahead) <= max_age:  # localisation post-dates map -> odom by about a second
             return _transformed(pose, found, frame)
+        fault = f'{age:.3g} s old' if age > max_age else f'stamped {ahead:.3g} s ahead of now'
         raise FrameMismatch(
-            f'{name}: the transform from {shown!r} to {frame!r} is {problem}, more than '
-            f'transform.max_age, {max_age:g} s; check that /tf {check}, with stamps of this '
-            "node's clock"
+            f'{name}: the transform from {shown!r} to {frame!r} is {fault}, more than '
+            f'transform.max_age, {max_age:g} s; check that /tf is still published, with stamps of '
+            "this node's clock"
         )
 
     def _receive(self, static: bool, message: Any) -> None:

@@ -65,6 +65,11 @@ class SerialExecutor:
             if future is not None:
                 fail(self._closed_error())
 
+    def submit_after(self, awaited: Future[_Result], work: Callable[[Future[_Result]], None],
+                     future: Future[Any] | None = None) -> None:
+        """Queue work, as ``submit`` does, once another future is done, which it is given."""
+        awaited.add_done_callback(lambda done: self.submit(lambda: work(done), future))
+
     def finish(self) -> None:
         """Wait until all work submitted so far is done."""
         self._thread.submit(lambda: None).result()

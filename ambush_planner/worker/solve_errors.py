@@ -39,17 +39,23 @@ def no_plan_in(seconds: float) -> TimeLimit:
     )
 
 
+def known(error: Exception) -> AmbushPlannerError:
+    """Return an error without its frames, which would keep maps and messages alive.
+
+    An error that is not the planner's is replaced by an Unexpected one.
+    """
+    result = error if isinstance(error, AmbushPlannerError) else unexpected(error)
+    each: BaseException | None = error
+    while each is not None:
+        each.__traceback__ = None
+        each = each.__cause__ or each.__context__
+    return result
+
+
 def unexpected(error: Exception) -> Unexpected:
     """Replace an unknown error by its traceback: its message may reveal routes."""
     frames = ''.join(traceback.format_tb(error.__traceback__))
     return Unexpected(f'internal error ({type(error).__name__}); the log says where', frames)
-
-
-def forget_frames(error: BaseException | None) -> None:
-    """Drop the tracebacks of an error: their frames would keep maps and messages alive."""
-    while error is not None:
-        error.__traceback__ = None
-        error = error.__cause__ or error.__context__
 
 
 def for_the_log(error: Exception) -> str:

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan, PlanRequest
 from .process import WorkerParent, WorkerProcess
-from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames, unexpected
+from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known
 
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
@@ -65,17 +65,23 @@ class SolveQueue(Generic[_Key, _Result]):
         self._thread.start()
 
     @property
-    def unfinished(self) -> int:
-        """The number of solves that run or wait."""
+    def activity(self) -> tuple[bool, bool]:
+        """Whether solves run or wait: of normal, and of low priority."""
         with self._condition:
-            return (self._running is not None) + len(self._waiting)
+            low = {each.low_priority for each in self._unfinished}
+            return False in low, True in low
 
     @property
     def keys(self) -> list[_Key]:
         """The keys of the solves that can be shared, the running one first."""
         with self._condition:
-            here = (self._running, self._finished, *self._waiting.values())
-            return [each.key for each in here if each is not None and not each.cancelled]
+            finished = [self._finished] if self._finished else []
+            return [each.key for each in (*self._unfinished, *finished) if not each.cancelled]
+
+    @property
+    def _unfinished(self) -> list[_Solve[_Key, _Result]]:
+        running = [self._running] if self._running else []
+        return [*running, *self._waiting.values()]
 
     def submit(self, key: _Key, request: PlanRequest, finish: Callable[[Plan], _Result],
                size: int, background: bool = False,
@@ -124,8 +130,7 @@ class SolveQueue(Generic[_Key, _Result]):
     def withdraw(self, outcome: Future[_Result]) -> None:
         """A caller no longer waits for ``outcome``: end its solve if nobody else does."""
         with self._condition:
-            here = [each for each in (self._running, *self._waiting.values())
-                    if each is not None and each.outcome is outcome]
+            here = [each for each in self._unfinished if each.outcome is outcome]
             for solve in here:
                 solve.waiters -= 1
             ended = [solve for solve in here if not solve.waiters and not solve.persistent]
@@ -224,14 +229,10 @@ class SolveQueue(Generic[_Key, _Result]):
             if solve.cancelled or solve.preempted:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request, solve.low_priority))
-        except AmbushPlannerError as known:
-            error = known
-        except Exception as unknown:  # such as MemoryError; callers wait for an outcome
-            error = unexpected(unknown)
-            forget_frames(unknown)
-            if self._worker is not None:
+        except Exception as raised:  # also MemoryError: callers wait for an outcome
+            error = known(raised)
+            if error is not raised and self._worker is not None:
                 self._worker.kill()
-        forget_frames(error)
         with self._condition:
             self._running = None
             if solve.preempted and result is None and not solve.cancelled:

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plans and maps that the node no longer needs are freed at once.
+
+Objects that refer to each other are freed by the next full garbage collection only, of which there
+may be one a minute; a plan takes megabytes.
+"""
+
+import gc
+from weakref import ref
+
+import pytest
+from robots import ROBOT
+from ros_harness import pose, risk_grid, stage, wait_until
+from test_one_draw_a_trip import FLAT, Drive, diverted
+
+from ambush_planner.ros import plan_cache
+
+
+@pytest.fixture
+def no_collection():
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def test_a_plan_that_gives_way_to_others_is_freed(monkeypatch, no_collection):
+    monkeypatch.setattr(plan_cache, '_MAX_PLANS', 1)
+    with stage() as running:
+        client, plans = running.give(risk_grid(FLAT)), []
+        for y in range(2, 6):
+            assert client.get_plan(pose(1.5, 5.5), pose(8.5, y)).poses
+            plans.append(ref(running.planner._parts.dispatcher._plans._plans[-1].plan))
+        wait_until(lambda: all(each() is None for each in plans[:-1]), 'the plans being freed')
+
+
+def test_the_maps_of_earlier_diversions_are_freed(no_collection):
+    with stage(parameters={**ROBOT, 'replan.tolerance': 1e9}) as running:
+        drive = Drive(running)
+        trips = running.planner._parts.dispatcher._departures.trips
+        drive.begin()
+        rest, maps = drive.ask('continued'), []
+        for paths in (2, 3, 4):
+            rest = diverted(drive, rest, 0.2, paths)
+            maps.append(ref(trips._trips[0].departure.trip.map))
+        wait_until(lambda: maps[0]() is None, 'the map being freed')
+        assert maps[-1]() is not None
