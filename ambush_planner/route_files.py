@@ -45,13 +45,17 @@ _STRAIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot."""
+    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot.
+
+    Without ``labels``, they are named by their numbers and slots.
+    """
 
     strategy: Strategy
     risk_map: RiskMap
     paths: Sequence[FloatArray]
     times: Sequence[datetime]
     slots: Sequence[str] = field(default=(), kw_only=True)
+    labels: Sequence[str] = field(default=(), kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -65,10 +69,10 @@ class Drawn:
         return line_table(self.columns, self.paths, self.risk_map.crs)
 
     @property
-    def names(self) -> list[str]:
-        """The departures by number, with their slots."""
+    def names(self) -> Sequence[str]:
+        """The name of each path."""
         slots = [f', {slot}' for slot in self.slots] or [''] * len(self.paths)
-        return [f'Departure {k}{slot}' for k, slot in enumerate(slots, start=1)]
+        return self.labels or [f'Departure {k}{slot}' for k, slot in enumerate(slots, start=1)]
 
     @cached_property
     def tables(self) -> Mapping[str, Any]:

@@ -32,6 +32,11 @@ def count(number: int, what: str) -> str:
     return f'{number} {what}{"s" * (number != 1)}'
 
 
+def ends(stops: int) -> str:
+    """Return the names of the places around which the area is secured."""
+    return 'start, stops and goal' if stops else 'start and goal'
+
+
 def travel(value: float, unit: str) -> str:
     """Return a length, or a time if the unit of budgets is 's'."""
     return distance(value) if unit == 'm' else duration(value)

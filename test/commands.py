@@ -50,7 +50,8 @@ def heard(act, *arguments, **options):
 
 def documented_keys(tool):
     """The keys of the JSON object that a command's help promises."""
-    documented = re.search(r'--json: (\{.*?\})\n(?!")', tool.EPILOG, re.DOTALL)[1]
+    text = getattr(tool, 'DETAILS', tool.EPILOG)
+    documented = re.search(r'--json: (\{.*?\})\n(?!")', text, re.DOTALL)[1]
     inner = re.sub(r'[\[{][^\[\]{}]*[\]}]', '', re.sub(r'\{[^{}]*\}', '', documented[1:-1]))
     return set(re.findall(r'"(\w+)"', inner))
 

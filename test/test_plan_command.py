@@ -322,7 +322,7 @@ def test_a_file_that_exists_is_named_when_it_is_overwritten(plain, tmp_path):
     files = [tmp_path / name for name in ('r.csv', 'r.geojson')]
     files[0].write_text('precious')
     done = run_here(plan, plain, *ENDS, '-o', *files)
-    named = [file for file in files if f'{file} is overwritten' in done.err]
+    named = [file for file in files if f'{file} will be overwritten' in done.err]
     assert done.code == 0 and named == files[:1]
 
 

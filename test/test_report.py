@@ -22,7 +22,8 @@ from ros_harness import stage
 from scipy.spatial import cKDTree
 from test_driven_certificate import dense
 
-from ambush_planner.commands import console, report, report_words
+from ambush_planner import words
+from ambush_planner.commands import report, report_words
 from ambush_planner.game.informant import worst_informant
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
@@ -130,7 +131,7 @@ def test_the_numbers_are_those_of_the_strategy(made):
     (40061.0, '40.1 km'), (1234567.0, '1230 km'),
 ])
 def test_lengths_have_three_digits_and_no_exponent(metres, said):
-    assert console.distance(metres) == said
+    assert words.distance(metres) == said
 
 
 def test_departures_link_their_recordings_and_hold_neither_routes_nor_seeds(made):

@@ -7,16 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from .. import figures
 from ..colours import AMBUSHER
-from ..figures import (
-    WIDTH,
-    draw_map,
-    draw_segments,
-    ground_legend,
-    probability_bar,
-    probability_scale,
-    risk_bar,
-)
 from ..maps.risk_map import RiskMap
 from ..recordings.audit import Audit
 
@@ -24,19 +16,20 @@ from ..recordings.audit import Audit
 def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     """Published and recorded frequencies on the map, and the losses caused by an observer."""
     wide = risk_map.size[0] > 1.6 * risk_map.size[1]
-    figure = Figure((WIDTH, 9.6 if wide else 8.0), layout='constrained')
+    figure = Figure((figures.WIDTH, 9.6 if wide else 8.0), layout='constrained')
     panels = figure.subplot_mosaic('a;b;c' if wide else 'ab;cc',
                                    height_ratios=(3, 3, 2.4) if wide else (5, 3))
     published, recorded, observer = panels['a'], panels['b'], panels['c']
-    scale = probability_scale(result.expected / result.departures)
+    scale = figures.probability_scale(result.expected / result.departures)
     for axes, passages, title in (
         (published, result.expected, 'Published probability'),
         (recorded, result.passages, f'Share of {result.departures} departures'),
     ):
-        risk = draw_map(axes, risk_map, title)
-        edges = draw_segments(axes, result.segments, passages / result.departures, scale)
-    probability_bar(figure, edges, published, 'share of departures that pass', location='bottom')
-    risk_bar(figure, risk, recorded, location='bottom')
+        risk = figures.draw_map(axes, risk_map, title)
+        edges = figures.draw_segments(axes, result.segments, passages / result.departures, scale)
+    figures.probability_bar(figure, edges, published, 'share of departures that pass',
+                            location='bottom')
+    figures.risk_bar(figure, risk, recorded, location='bottom')
     count = np.arange(1, len(result.observer_losses) + 1)
     observer.axhline(result.value, color='grey', label='published value')
     observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,
@@ -47,5 +40,5 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
     observer.xaxis.set_major_locator(MaxNLocator(integer=True))
     observer.legend()
-    ground_legend(figure, risk_map)
+    figures.ground_legend(figure, risk_map)
     return figure

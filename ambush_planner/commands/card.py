@@ -11,9 +11,9 @@ from ..recordings import read_departure
 from ..recordings.durable_files import write_all_durably
 from ..recordings.plan_file import read_plan
 from ..route_files import PLAN
+from ..words import distance
 from . import cli
 from .card_page import Card, add_speed, card_of, card_page
-from .console import distance
 from .inputs import add_crs, crs_text
 
 EPILOG = """\

@@ -27,8 +27,8 @@ from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..planning.plan import path_lengths
 from ..routes.legs import bearings, distances_along, secured_stretches, way_points
+from ..words import distance, duration, ends, rounded
 from .cli import Console, number, resource
-from .console import distance, duration, rounded
 
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
@@ -166,9 +166,8 @@ def _notes(card: Card) -> list[str]:
                      f' ({card.time(first)} to {card.time(last)}{unit})' if card.speed else '')
                  for first, last in secured_stretches(card.path, card.places,
                                                       card.secured_distance)]
-    names = 'start, stops and goal' if len(card.places) > 2 else 'start and goal'
-    secured = (f'Secured area (circles), {distance(card.secured_distance)} around {names}: '
-            f'{"; ".join(stretches)}.'
+    secured = (f'Secured area (circles), {distance(card.secured_distance)} around '
+               f'{ends(len(card.places) - 2)}: {"; ".join(stretches)}.'
             if card.secured_distance > 0.0 else 'No area on the way is secured.')
     north, systems = (
         ('true north; a compass differs by the local declination',

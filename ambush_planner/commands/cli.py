@@ -35,8 +35,8 @@ from ..errors import (
     telling_warnings,
 )
 from ..maps.coordinates import InvalidCoordinates
+from ..words import count as count
 from .console import Console as Console
-from .console import count as count
 from .console import place as place
 
 if TYPE_CHECKING:
@@ -109,16 +109,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def new_parser(command: str, description: str, epilog: str, common: Sequence[str] = (),
-               brief: str = '', usage: str = '') -> argparse.ArgumentParser:
+               details: str = '', usage: str = '') -> argparse.ArgumentParser:
     """Return a parser with the options that all commands have.
 
     Help ends with ``epilog`` and the exit codes. If there are ``common`` options, ``--help`` shows
-    only these, ``usage``, and ``brief`` instead of the epilog; ``--help-all`` shows everything.
+    only these, and ``usage``; ``--help-all`` shows all, and ``details`` after the epilog.
     """
     parser = _parser(f'ambush {command}', description, epilog + EXIT_CODES)
     if common:
         parser.common, parser.usage = ('-h', '--help-all', *common), usage
-        parser.brief = brief + EXIT_CODES
+        parser.complete = epilog + details + EXIT_CODES
         parser.add_argument('--help-all', action=_HelpAll, help='show all options')
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
     parser.add_argument('-q', '--quiet', action='store_true', help='print errors only')
@@ -258,20 +258,18 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, and whose help has the ``common`` options only."""
 
     common: Sequence[str] = ()
-    brief = ''
+    complete = ''
 
     def format_help(self) -> str:
         if not self.common:
             return super().format_help()
-        texts, epilog = [each.help for each in self._actions], self.epilog
+        texts = [each.help for each in self._actions]
         for each in self._actions:
             if each.option_strings and not set(each.option_strings) & set(self.common):
                 each.help = argparse.SUPPRESS
-        self.epilog = self.brief
         try:
             return super().format_help()
         finally:
-            self.epilog = epilog
             for each, text in zip(self._actions, texts, strict=True):
                 each.help = text
 
@@ -309,7 +307,8 @@ class _HelpAll(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        parser.common, parser.usage = (), None  # type: ignore[attr-defined]
+        assert isinstance(parser, _Parser)
+        parser.common, parser.usage, parser.epilog = (), None, parser.complete
         parser.print_help()
         parser.exit()
 

@@ -14,18 +14,9 @@ from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
-from .. import words
 from ..errors import shown
-from ..words import count as count
-from ..words import distance as distance
-from ..words import duration as duration
-from ..words import percent as percent
-from ..words import rounded as rounded
-
-if TYPE_CHECKING:
-    from ..game.strategy import Strategy
 
 WIDTH = 99  # columns of wrapped text
 _Item = TypeVar('_Item')
@@ -155,8 +146,3 @@ def place(path: Path) -> str:
 def when(stamp_ns: int) -> str:
     """Return a time as date and second, UTC."""
     return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M:%S UTC}'
-
-
-def travel(strategy: Strategy, value: float) -> str:
-    """A length, or a time if budgets are of time."""
-    return words.travel(value, strategy.network.travel_unit)

@@ -7,28 +7,17 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 
+from ..recordings import plan_departures
 from ..recordings.durable_files import write_all_durably
-from ..recordings.plan_departures import (
-    DrawnDeparture,
-    Earlier,
-    departure_bytes,
-    departures_folder,
-    draw_departure,
-    earlier_departures,
-    file_name,
-    last_id,
-    locked,
-    names_in,
-)
 from ..recordings.plan_file import SavedPlan, read_plan
 from ..route_files import Drawn, content_of
+from ..words import distance
 from . import cli
 from .card_page import add_speed, card_of, card_page
-from .console import distance, when
+from .console import when
 
 SUFFIXES = ('.html', '.gpx', '.kml')
 DESCRIPTION = """\
@@ -47,18 +36,6 @@ If a file cannot be written, nothing is, and nothing has been drawn.
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
 "recording"}]}
 """
-
-
-@dataclass(frozen=True, eq=False)
-class _OneDrawn(Drawn):
-    """The route of one departure, named by its day."""
-
-    name: str
-
-    @property
-    def names(self) -> list[str]:
-        """The name of the only route."""
-        return [self.name]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -103,20 +80,20 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if first < today:
         console.warn(f"{first} has passed: today is {today} by this computer's clock")
     dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
-    folder = departures_folder(arguments.plan)
+    folder = plan_departures.departures_folder(arguments.plan)
     if arguments.dry_run:
         return _finish(arguments, console, saved, folder, dates, {})
-    with locked(folder):
+    with plan_departures.locked(folder):
         replaced = _replaced(arguments, console, folder, dates)
         return _finish(arguments, console, saved, folder, dates, replaced)
 
 
 def _replaced(arguments: argparse.Namespace, console: cli.Console, folder: Path,
-              dates: list[str]) -> dict[str, Earlier]:
+              dates: list[str]) -> dict[str, plan_departures.Earlier]:
     """The departures by date that were drawn before, but not driven; raises UsageError."""
     _check_clock(folder, arguments.date)
     slot = arguments.slot
-    again = [each for each in earlier_departures(folder, dates)
+    again = [each for each in plan_departures.earlier_departures(folder, dates)
              if not (slot and each.slot) or slot == each.slot]
     if not again:
         return {}
@@ -126,7 +103,7 @@ def _replaced(arguments: argparse.Namespace, console: cli.Console, folder: Path,
 
 def _check_clock(folder: Path, named: date | None) -> None:
     """Raise UsageError if the clock is behind the last departure, unless the day is named."""
-    if (names := names_in(folder)) and not named:
+    if (names := plan_departures.names_in(folder)) and not named:
         last = max(path.stat().st_mtime_ns for _, _, path in names)
         if last > time.time_ns():
             raise cli.UsageError(f'the clock says {when(time.time_ns())}, but the last departure '
@@ -134,7 +111,7 @@ def _check_clock(folder: Path, named: date | None) -> None:
                                  'with --date')
 
 
-def _asked(again: list[Earlier], console: cli.Console) -> str:
+def _asked(again: list[plan_departures.Earlier], console: cli.Console) -> str:
     first = again[-1]
     question = (f'A departure for {first.date}{first.slot and f", {first.slot}"} was drawn at '
                 f'{when(first.stamp_ns)}. Was it driven?')
@@ -148,24 +125,24 @@ def _asked(again: list[Earlier], console: cli.Console) -> str:
 
 
 def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan, folder: Path,
-            dates: list[str], replaced: dict[str, Earlier]) -> cli.Exit:
+            dates: list[str], replaced: dict[str, plan_departures.Earlier]) -> cli.Exit:
     """Draw, write everything or nothing, and tell."""
-    names = [] if arguments.dry_run else names_in(folder)
+    names = [] if arguments.dry_run else plan_departures.names_in(folder)
     number = max((each for each, *_ in names), default=0)
     files: dict[Path, bytes] = {}
-    rows, last = [], last_id(folder) if names else ''
+    rows, last = [], plan_departures.last_id(folder) if names else ''
     for k, day in enumerate(dates, start=1):
-        drawn = draw_departure(saved, arguments.slot or '')
+        drawn = plan_departures.draw_departure(saved, arguments.slot or '')
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
                'route': None if drawn.few_route is None else drawn.few_route + 1,
                'length': drawn.length, 'recording': None}
         for path, data in _outputs(arguments, console, saved, drawn, day):
             files[path] = data
         if not arguments.dry_run:
-            path = folder / file_name(number + k, day)
+            path = folder / plan_departures.file_name(number + k, day)
             before = replaced.get(day)
-            last, files[path] = departure_bytes(saved, drawn, number + k, day, time.time_ns(), last,
-                                                before.id if before else '')
+            last, files[path] = plan_departures.departure_bytes(
+                saved, drawn, number + k, day, time.time_ns(), last, before.id if before else '')
             row['recording'] = cli.place(path)
         rows.append(row)
     try:
@@ -174,7 +151,9 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         console.say('Nothing was written, so nothing was drawn.')
         raise
     if arguments.days is None:
-        _tell(rows[0], console)
+        when_leaving = ', '.join(filter(None, (dates[0], drawn.slot)))
+        route = f'route {rows[0]["route"]}, ' if rows[0]['route'] else ''
+        console.line(f'{when_leaving}: {route}{distance(drawn.length)}')
     if files:
         console.secret(files)
     if arguments.dry_run:
@@ -183,14 +162,8 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     return cli.Exit.HOLDS
 
 
-def _tell(row: dict[str, object], console: cli.Console) -> None:
-    slot = f', {row["slot"]}' if row['slot'] else ''
-    route = f'route {row["route"]}, ' if row['route'] else ''
-    console.line(f'{row["date"]}{slot}: {route}{distance(float(str(row["length"])))}')
-
-
 def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
-             drawn: DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
+             drawn: plan_departures.DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
     """The files that were asked for, with the day in their names if there are several days."""
     plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
     assert plan.risk_map is not None
@@ -202,8 +175,8 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
-            yield path, content_of(path, _OneDrawn(plan.strategy, plan.risk_map, [drawn.poses],
-                                                   times, name))
+            yield path, content_of(path, Drawn(plan.strategy, plan.risk_map, [drawn.poses], times,
+                                               labels=[name]))
 
 
 main = cli.command(parser, _work)

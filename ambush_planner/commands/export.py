@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 
 from ..route_files import Drawn, write_routes
 from . import cli
-from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
+from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .inputs import add_crs, crs_text
 from .report_words import leaving
 
@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    check_outputs(options.output)
+    check_outputs(options.output, console)
     departures, unreadable = cli.read_all(options.recordings, console)
     for error in unreadable:
         console.error(error)
@@ -45,7 +45,6 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         each.metadata.day for each in departures) else ()
     drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times,
                   slots=slots)
-    tell_overwritten(options.output, console)
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

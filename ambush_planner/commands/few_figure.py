@@ -10,19 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from .. import figures
 from ..colours import AMBUSHER, ROUTES
-from ..figures import (
-    HALO,
-    ROUTE_WIDTH,
-    SECURED_DASHES,
-    WIDTH,
-    badge_places,
-    draw_ground,
-    draw_stripes,
-    ground_key,
-    number_badge,
-    risk_bar,
-)
 from ..planning.few_routes import FewRoutes
 from .few_files import FewDrawn
 
@@ -30,6 +19,8 @@ from .few_files import FewDrawn
 MAX_PANELS = 6
 # Maximum number of routes in the legend.
 MAX_KEYS = 20
+_WORST: dict[str, Any] = {'marker': 'o', 'markersize': 9, 'color': AMBUSHER,
+                          'markeredgecolor': 'white', 'linestyle': 'none'}
 # Line styles, one after another when all colours have been used.
 _STYLES = ('solid', 'dashed', 'dotted', 'dashdot')
 
@@ -40,46 +31,45 @@ def few_figure(drawn: FewDrawn) -> Figure:
     rows, (width, height) = -(-panels // 3), drawn.risk_map.size
     shape = min(max(height / width, 0.2), 1.5)
     tall, head = rows * (0.4 + 2.1 * shape), 2.4 + 3.6 * shape  # inches
-    figure = Figure(figsize=(WIDTH, head + tall), layout='constrained')
+    figure = Figure(figsize=(figures.WIDTH, head + tall), layout='constrained')
     top, below = (figure.subfigures(2, 1, height_ratios=(head, tall)) if rows
                   else (figure.subfigures(), None))
     grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
     overview = top.add_subplot(grid[:, 0])
     title = f'Mean loss {drawn.few.value:#.3g}'
-    risk_bar(top, draw_ground(overview, drawn.strategy, drawn.risk_map, title), overview,
-             location='bottom', shrink=0.6, aspect=30)
+    risk = figures.draw_ground(overview, drawn.strategy, drawn.risk_map, title)
+    figures.risk_bar(top, risk, overview, location='bottom', shrink=0.6, aspect=30)
     _key(drawn, top.add_subplot(grid[0, 1]))
     _curve(top.add_subplot(grid[1, 1]), drawn.few)
     paths = [path[:, :2] for path in drawn.paths]
-    draw_stripes(overview, paths, [_style(k) for k in range(len(paths))])
-    for k, place in enumerate(badge_places(paths, drawn.few.worst_xy)):
-        number_badge(overview, k + 1, place, _style(k)['color'])
-    overview.plot(*drawn.few.worst_xy, marker='o', markersize=9, color=AMBUSHER,
-                  markeredgecolor='white', zorder=9)
+    figures.draw_stripes(overview, paths, [_style(k) for k in range(len(paths))])
+    for k, place in enumerate(figures.badge_places(paths, drawn.few.worst_xy)):
+        figures.number_badge(overview, k + 1, place, _style(k)['color'])
+    overview.plot(*drawn.few.worst_xy, zorder=9, **_WORST)
     for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
         if k < panels:
-            draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k], small=True)
-            draw_stripes(axes, [paths[k]], [_style(k)])
+            figures.draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k], small=True)
+            figures.draw_stripes(axes, [paths[k]], [_style(k)])
         else:
             axes.set_axis_off()
     return figure
 
 
 def _style(k: int) -> dict[str, Any]:
-    return {'color': ROUTES[k % len(ROUTES)], 'path_effects': HALO,
+    return {'color': ROUTES[k % len(ROUTES)], 'path_effects': figures.HALO,
             'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
 
 
 def _key(drawn: FewDrawn, axes: Axes) -> None:
-    lines = [Line2D([], [], linewidth=ROUTE_WIDTH, **_style(k), label=name.removeprefix('Route '))
+    lines = [Line2D([], [], linewidth=figures.ROUTE_WIDTH, **_style(k),
+                    label=name.removeprefix('Route '))
              for k, name in enumerate(drawn.names[:MAX_KEYS])]
-    worst = Line2D([], [], linestyle='none', marker='o', markersize=9, color=AMBUSHER,
-                   markeredgecolor='white', label='worst ambush')
-    secured = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES,
-                  label='secured area')
-    axes.legend(handles=[*lines, worst, secured, *ground_key(drawn.risk_map)], frameon=False,
-                title='route and share', loc='upper left', alignment='left',
-                ncols=1 + len(lines) // 11, labelspacing=0.3,
+    worst = Line2D([], [], label='worst ambush', **_WORST)
+    secured = Line2D([], [], color='black', linewidth=1.2, linestyle=figures.SECURED_DASHES,
+                     label='secured area')
+    handles = [*lines, worst, secured, *figures.ground_key(drawn.risk_map)]
+    axes.legend(handles=handles, frameon=False, title='route and share', loc='upper left',
+                alignment='left', ncols=1 + len(lines) // 11, labelspacing=0.3,
                 fontsize='medium' if len(lines) < 11 else 'small')
     axes.set_axis_off()
 
@@ -92,7 +82,7 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     axes.annotate(f'all {few.candidates} paths', (0.0, few.lower_bound),
                   xycoords=('axes fraction', 'data'), xytext=(3, 3 if low else -3),
                   textcoords='offset points', va='bottom' if low else 'top', color='0.35',
-                  fontsize='small', path_effects=HALO)
+                  fontsize='small', path_effects=figures.HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')

@@ -13,8 +13,8 @@ from ..planning.plan import Plan, path_lengths
 from ..planning.random_draws import RandomDraw, random_draws
 from ..planning.route_layers import strategy_tables
 from ..route_files import Drawn
+from ..words import percent, travel
 from .cli import Console
-from .console import percent, travel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ class FewDrawn(Drawn):
                 'length': path_lengths(self.paths)}
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> Sequence[str]:
         """Numbers and shares."""
         return [f'Route {k}, {percent(share)}' for k, share in enumerate(self.few.shares, start=1)]
 
@@ -73,7 +73,7 @@ def _as_text(plan: Plan, few: FewRoutes, draws: Sequence[RandomDraw]) -> str:
     """A table of the routes, and of what stands for them; its last row has the values."""
     columns = [['route', *map(str, range(1, len(few.paths) + 1)), 'value'],
                ['share', *map(percent, few.shares), f'{few.value:.4g}'],
-               ['length', *(travel(plan.strategy, cost) for cost in few.costs), '']]
+               ['length', *(travel(cost, plan.network.travel_unit) for cost in few.costs), '']]
     columns += [[draw.name, *draw.ranges, f'{draw.value:.4g}'] for draw in draws]
     width = [max(map(len, column)) for column in columns]
     lines = ['  '.join(text.rjust(size) for text, size in zip(row, width, strict=True))

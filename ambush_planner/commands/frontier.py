@@ -13,25 +13,24 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ..colours import AMBUSHER
-from ..figures import HALO, PROBABILITY, WIDTH, as_png
+from ..figures import HALO, PROBABILITY, WIDTH
 from ..maps.risk_map_file import read_risk_map
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
-from ..recordings.durable_files import write_all_durably
 from . import cli
-from .geo_files import add_outputs, check_outputs, tell_overwritten
+from .geo_files import add_outputs, check_outputs, write_table
 from .inputs import options_from, places_on, planner_parser
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
-BRIEF = """\
+EPILOG = """\
 The table (.csv) has value, length, exposure and entropy for each budget, the picture (.png) the
 same as curves.
 """
-EPILOG = """\
+DETAILS = """\
 Solves a strategy for each of --detours, all with --slack, and for each of --slacks, all with
 --detour.
-The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
+Columns of the table are value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
-finding. The picture (.png) shows the same as curves.
+finding.
 --json: {"verdict", "files", "rows": [{...}]}
 """
 
@@ -39,9 +38,9 @@ finding. The picture (.png) shows the same as curves.
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
-        'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.', EPILOG,
-        BRIEF, '--start POSITION --goal POSITION [options] -o FILE ...', ('--detours', '--slacks'),
-        stops=False)
+        'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.',
+        EPILOG, DETAILS, '--start POSITION --goal POSITION [options] -o FILE ...',
+        ('--detours', '--slacks'), stops=False)
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
     made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
                       help="length budgets, as multiples of the shortest route's length "
@@ -53,14 +52,13 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
-    check_outputs(arguments.output)
+    check_outputs(arguments.output, console)
     risk_map = read_risk_map(arguments.map, options.map)
     (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)
     rows = trip_frontier(risk_map, (x, y), (to_x, to_y), options.planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
-    tell_overwritten(arguments.output, console)
     write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     console.line(_as_text(rows))
     files = [cli.place(path) for path in arguments.output]
@@ -72,9 +70,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detour: float,
                    risk_slack: float) -> None:
     """Write tables (.csv) and pictures (.png) with mode 0600."""
-    write_all_durably({
-        path: cli.as_csv(COLUMNS, map(asdict, rows)) if path.suffix == '.csv' else
-        as_png(frontier_figure(rows, max_detour, risk_slack)) for path in paths})
+    write_table(paths, COLUMNS, [asdict(row) for row in rows],
+                lambda: frontier_figure(rows, max_detour, risk_slack))
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:

@@ -4,11 +4,16 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from ..recordings.durable_files import write_all_durably
 from ..route_files import NEEDS, PLAN, SUFFIXES, Drawn
-from .cli import Console, count, file_of, place, require
+from .cli import Console, as_csv, count, file_of, place, require
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMATS_HELP = """\
 FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
@@ -20,26 +25,27 @@ map's coordinates (WKT); .png is a picture. Routes are secret: files have mode 0
 
 
 def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the routes',
-                suffixes: Sequence[str] = SUFFIXES, tell: bool = True) -> None:
-    """Add the argument ``--output``, a list of files with one of the suffixes each.
-
-    The help lists the suffixes if ``tell``.
-    """
+                suffixes: Sequence[str] = SUFFIXES) -> None:
+    """Add the argument ``--output``, a list of files with one of the suffixes each."""
     parser.add_argument('-o', '--output', type=file_of(*suffixes), nargs='+', required=True,
-                        metavar='FILE',
-                        help=what + (': ' + ', '.join(suffixes)) * tell)
+                        metavar='FILE', help=f'{what}: {", ".join(suffixes)}')
 
 
-def check_outputs(paths: Sequence[Path]) -> None:
-    """Raise MissingPackages if a format needs some."""
+def check_outputs(paths: Sequence[Path], console: Console) -> None:
+    """Raise MissingPackages if a format needs some; name the files that will be overwritten."""
     require(sorted({name for path in paths for name in NEEDS.get(path.suffix.lower(), ())}))
-
-
-def tell_overwritten(paths: Iterable[Path], console: Console) -> None:
-    """Name the files that are about to be overwritten."""
     for path in paths:
         if path.exists():
-            console.say(f'{place(path)} is overwritten.')
+            console.say(f'{place(path)} will be overwritten.')
+
+
+def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Mapping[str, Any]],
+                figure: Callable[[], Figure]) -> None:
+    """Write a table to .csv files, and its picture to .png files, with mode 0600."""
+    from ..figures import as_png
+
+    write_all_durably({path: as_csv(columns, rows) if path.suffix.lower() == '.csv' else
+                       as_png(figure()) for path in paths})
 
 
 def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:

@@ -11,42 +11,31 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from .. import figures
 from ..colours import AMBUSHER
-from ..figures import (
-    BADGE,
-    WIDTH,
-    as_png,
-    draw_strategy,
-    free_spots,
-    marks_of,
-    number_badge,
-)
 from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..maps.vector_file import InvalidFeatures, attribute, features_on
 from ..planning.holding import Held, Holding, places_to_hold
-from ..recordings.durable_files import write_all_durably
 from . import cli
-from .geo_files import add_outputs, check_outputs, tell_overwritten
+from .geo_files import add_outputs, check_outputs, write_table
 from .inputs import Position, options_from, places_on, planner_parser
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
 NAME_WIDTH = 12  # characters in a line below the curve
-BRIEF = """\
+EPILOG = """\
 PLACES has points with a name: a CSV file with name, and x, y or lat, lon, or a vector file.
 The table (.csv) has a row for each place, the picture (.png) the places on the map.
 """
-EPILOG = """\
+DETAILS = """\
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
-PLACES has points with a name: a CSV file with the columns name, and x, y (world positions [m]) or
-lat, lon [degrees], or a GeoPackage, GeoJSON or other vector file.
-The table (.csv) has a row for each place: value and lower_bound if it and those before it are held,
-and others, below which no other candidate can bring the value instead. The picture (.png) has
-the places on the map, with the strategy if all are held, and the value as a curve.
+In a row of the table, value and lower_bound are those if this place and those before it are held;
+no other candidate can bring the value below others instead. The picture also has the strategy if
+all are held, and the value as a curve.
 --json: {"verdict", "files", "value", "lower_bound", "places": [{...}]}
 """
 
@@ -54,7 +43,7 @@ the places on the map, with the strategy if all are held, and the value as a cur
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
-        'hold', 'Find the places whose holding lowers the value most.', EPILOG, BRIEF,
+        'hold', 'Find the places whose holding lowers the value most.', EPILOG, DETAILS,
         '--start POSITION --goal POSITION --radius METRES [options] -o FILE ...',
         ('-k', '--radius', '--candidates'))
     made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
@@ -70,7 +59,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
     risk_map = read_risk_map(arguments.map, options.map)
-    check_outputs(arguments.output)
+    check_outputs(arguments.output, console)
     start, goal, stops = places_on(arguments, risk_map)
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
     with console.waiting('solving games'):
@@ -79,13 +68,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             stops=stops, candidates=given)
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
-    contents = {path: cli.as_csv(columns, rows) if path.suffix.lower() == '.csv' else
-                as_png(hold_figure(found, arguments.radius, risk_map))
-                for path in arguments.output}
-    tell_overwritten(arguments.output, console)
-    write_all_durably(contents)
+    write_table(arguments.output, columns, rows,
+                lambda: hold_figure(found, arguments.radius, risk_map))
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
-    console.result['files'] = console.secret(contents)
+    console.result['files'] = console.secret(arguments.output)
     sound = all(within_slack(step.strategy, options.planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
@@ -101,21 +87,18 @@ def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
             'candidates': step.candidates, 'solved': step.solved}
 
 
-def _others(count: int) -> str:
-    return 'the other candidate stays' if count == 1 else f'the other {count} candidates stay'
-
-
-def _tell(found: Holding, rows: list[dict[str, Any]], count: int, like: Position,
+def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Position,
           risk_map: RiskMap, console: cli.Console) -> None:
     before = found.before
     console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
     for row in rows:
         at = row['name'] or like.like((row['x'], row['y']), risk_map)
-        others = '' if row['others'] is None else (
-            f'; {_others(row["candidates"] - 1)} above {row["others"]:.4g}')
+        count = row['candidates'] - 1
+        stay = 'the other candidate stays' if count == 1 else f'the other {count} candidates stay'
+        others = '' if row['others'] is None else f'; {stay} above {row["others"]:.4g}'
         console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
                      f'{row["lower_bound"]:.4g}{others}')
-    if len(rows) < count:
+    if len(rows) < wanted:
         console.say('No further place: the value is 0, or no candidate remains.')
     held = found.strategies[-1].game.options.held_places
     places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
@@ -125,18 +108,19 @@ def _tell(found: Holding, rows: list[dict[str, Any]], count: int, like: Position
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    figure = Figure(figsize=(WIDTH, 8.4), layout='compressed')
+    figure = Figure(figsize=(figures.WIDTH, 8.4), layout='compressed')
     overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
-    draw_strategy(overview, found.strategies[-1], risk_map)
+    figures.draw_strategy(overview, found.strategies[-1], risk_map)
     held = f'{cli.count(len(found.steps), "place")} held (green)'
     overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
                      linespacing=1.4)
     for step in found.steps:
         overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
     points = np.array([step.xy for step in found.steps]).reshape(-1, 2)
-    apart = BADGE * float(np.ptp(overview.get_xlim()))
-    for number, spot in enumerate(free_spots(points, marks_of(found.strategies[-1]), apart), 1):
-        number_badge(overview, number, points[number - 1], HELD, spot)
+    apart = figures.BADGE * float(np.ptp(overview.get_xlim()))
+    spots = figures.free_spots(points, figures.marks_of(found.strategies[-1]), apart)
+    for k, spot in enumerate(spots):
+        figures.number_badge(overview, k + 1, points[k], HELD, spot)
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
                label='lower bound', **style)

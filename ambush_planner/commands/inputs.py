@@ -7,7 +7,6 @@ import argparse
 import dataclasses
 import math
 import re
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -30,27 +29,22 @@ from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions
 from ..network.trip_graph import position_errors
 from ..planning.options import DriveOptions, PlanningOptions
-from ..planning.plan import Plan
-from ..planning.trip import plan_trip
-from .cli import Console, new_parser
+from .cli import new_parser
 
 # Options of all commands that plan which their short help shows.
 COMMON = ('-o', '--start', '--goal', '--via', '--reach', '--held', '--detour', '--slack', '--crs',
           '--set')
-BRIEF = """\
+HELP = """\
 MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
 A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
 """
-HELP = """\
-MAP is a YAML file for map_server, as ambush risk writes it, a GeoTIFF of the same values, -1..100,
-or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution [m] and, if they are
-known, origin (x, y, yaw) and crs, the coordinate system.
-A position is X Y, world coordinates [m], LAT,LON [degrees], negative in the south and west, or an
-MGRS reference.
+DETAILS = """
+A GeoTIFF has the values of map_server, -1..100; an npz file has alpha and obstacles (H, W), row 0
+the lowest, resolution [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate
+system. LAT and LON are negative in the south and west.
 The options of --set are named like the node's parameters (map., network., game., strategy.,
 route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
 that strategy.time_limit is 60 s.
-
 """
 # Time limit of each solve [s], as the node's.
 TIME_LIMIT = 60.0
@@ -169,15 +163,15 @@ def _parts(text: str) -> Sequence[str | float]:
     return [part for part in text.split(',') if part]
 
 
-def planner_parser(command: str, description: str, epilog: str, brief: str, usage: str,
+def planner_parser(command: str, description: str, epilog: str, details: str, usage: str,
                    common: Sequence[str] = (), stops: bool = True,
                    hidden: str = '') -> argparse.ArgumentParser:
     """Return the parser of a command that plans: with a map, places, options, ``--crs``.
 
-    ``epilog``, ``brief`` and ``usage`` are as in ``new_parser``; ``common`` are the command's own
-    options in its short help, which omits the option ``hidden``.
+    ``epilog``, ``details`` and ``usage`` are as in ``new_parser``; ``common`` are the command's own
+    options in its short help. Help omits the option ``hidden``.
     """
-    parser = new_parser(command, description, HELP + epilog, (*COMMON, *common), BRIEF + brief,
+    parser = new_parser(command, description, HELP + epilog, (*COMMON, *common), DETAILS + details,
                         f'ambush {command} MAP {usage}')
     parser.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     _add_places(parser, stops)
@@ -348,17 +342,6 @@ def _similar(name: str, names: Iterable[str]) -> str:
     near = near or ([OTHER_NAMES[name]] if name in OTHER_NAMES
                     else get_close_matches(name, names, 1))
     return f'did you mean {near[0]}?' if near else f'choose from {", ".join(sorted(names))}'
-
-
-def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,
-            console: Console, **more: Any) -> Plan:
-    """The plan between the places that were given; ``more`` as ``plan_trip`` takes it."""
-    start, goal, stops = places_on(arguments, risk_map)
-    limit = options.strategy.time_limit
-    what = f'solving the game, at most {limit:g} s (strategy.time_limit)'
-    with console.waiting(what) as progress, warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # the concerns tell more
-        return plan_trip(risk_map, start, goal, options, stops=stops, progress=progress, **more)
 
 
 def _value(name: str, text: str, kind: type) -> Any:

@@ -23,22 +23,22 @@ from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
 from ..recordings.durable_files import write_all_durably
+from ..words import distance, percent
 from . import cli
-from .console import distance, percent
 from .inputs import options_from, places_on, planner_parser
 from .judge_figure import MIN_SHARE, judge_figure
 
-BRIEF = """\
+EPILOG = """\
 TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, or recordings. Trips
 are found between start and goal; their mean length is the budget of the optimal strategy.
 """
-EPILOG = """\
-TRACKS are recordings (.mcap, or a folder), or files:
+DETAILS = """\
+Of TRACKS are read, if they are no recordings (.mcap, or a folder):
   .gpx    tracks, or routes if there are none
   .csv    columns x and y [m] or lat and lon [degrees], optional track and time (ISO 8601 or [s])
   others  lines of a GeoPackage, GeoJSON or other vector file; FILE|layername=NAME names a layer
 A trip leads from the last approach to the start to the first approach to the goal after it. The
-mean length of all trips is the length budget of the optimal strategy. The picture has mode 0600.
+picture has mode 0600.
 --json: {"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval",
 "shares": [{"track", "share"}], "driven": {...}, "reweighted": {...}, "optimal": {...}}
 """
@@ -48,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
         'judge', 'Judge trips that were driven: what would an ambusher cause who has watched them?',
-        EPILOG, BRIEF, 'TRACKS ... --start POSITION --goal POSITION [options] -o PICTURE.png',
+        EPILOG, DETAILS, 'TRACKS ... --start POSITION --goal POSITION [options] -o PICTURE.png',
         stops=False, hidden='detour')  # the tracks set the length budget
     made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
     made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,

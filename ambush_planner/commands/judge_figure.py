@@ -15,7 +15,7 @@ from ..arrays import BoolArray, FloatArray
 from ..colours import AMBUSHER
 from ..maps.risk_map import RiskMap
 from ..planning.habits import Habits
-from .console import distance
+from ..words import distance
 
 # Minimum share of trips and edges that are shown.
 MIN_SHARE = 0.001

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import warnings
 from dataclasses import asdict, replace
 from itertools import pairwise
 
@@ -18,14 +19,14 @@ from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
 from ..planning.slots import mix_slots
-from ..planning.trip import ORDERS
+from ..planning.trip import ORDERS, plan_trip
 from ..recordings.plan_file import DaySlots, saved_plan
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
+from ..words import distance, duration, percent
 from . import cli
-from .console import distance, duration, percent
 from .few_files import FewDrawn, tell_few
-from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs, tell_overwritten
-from .inputs import Position, options_from, planned, planner_parser
+from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
+from .inputs import Position, options_from, places_on, planner_parser
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
@@ -33,12 +34,12 @@ Plan on a map. Save the plan and draw from it each day, or draw routes for a qui
 
   ambush plan map.tif --start 36.55,-84.38 --goal 36.70,-84.12 --reach 500 -o week.plan
   ambush plan map.yaml --start 4 20 --goal 56 20 --reach 2 -n 20 -o routes.csv routes.png"""
-BRIEF = """\
+EPILOG = """\
 FILE.plan saves the plan, for ambush draw; .gpx .kml .gpkg .geojson .csv and .png
 have the routes that -n draws. All are secret, and only you can read them.
 """
-EPILOG = f"""\
-FILE.plan has all that departures are drawn from; ambush draw, card and the node read it.
+DETAILS = f"""\
+The node and ambush card read FILE.plan, too.
 {FORMATS_HELP}
 With --routes, the files have a layer or track for each route, with its number and share, and .png
 shows each. The table on the console has the faces of one or two dice (a first and a second one) and
@@ -54,11 +55,10 @@ or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = planner_parser('plan', DESCRIPTION, EPILOG, BRIEF,
+    made = planner_parser('plan', DESCRIPTION, EPILOG, DETAILS,
                           '--start POSITION --goal POSITION [options] -o FILE ...',
                           ('-n', '--routes', '--roads', '--slots', '-v'))
-    add_outputs(made, 'files to write, such as week.plan or routes.gpx', (PLAN, *SUFFIXES),
-                tell=False)
+    add_outputs(made, 'files to write', (PLAN, *SUFFIXES))
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
@@ -97,13 +97,19 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
-    check_outputs(arguments.output)
+    check_outputs(arguments.output, console)
     options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
     risk_map = (_of_terrain(arguments, options.map, console) if arguments.terrain
                 else read_risk_map(arguments.map, options.map))
     rng = np.random.default_rng(arguments.seed)
-    plan = planned(arguments, risk_map, options.planning, console, order=arguments.order,
-                   routes=arguments.routes, equal=arguments.equal, rng=rng)
+    start, goal, stops = places_on(arguments, risk_map)
+    limit = options.strategy.time_limit
+    what = f'solving the game, at most {limit:g} s (strategy.time_limit)'
+    with console.waiting(what) as progress, warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # the concerns tell more
+        plan = plan_trip(risk_map, start, goal, options.planning, stops=stops, progress=progress,
+                         order=arguments.order, routes=arguments.routes, equal=arguments.equal,
+                         rng=rng)
     day = None
     if slots:
         mixture = mix_slots([plan.value] * len(slots), [plan.lower_bound] * len(slots),
@@ -122,7 +128,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day and few is None:
         chosen = day.mixture.draw(len(drawn.paths), rng)
         drawn = replace(drawn, slots=[slots[k] for k in chosen])
-    tell_overwritten(arguments.output, console)
     write_routes(arguments.output, drawn,
                  saved_plan(plan, options.map, arguments.order, day,
                             None if arguments.terrain else arguments.map)

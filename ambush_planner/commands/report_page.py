@@ -21,9 +21,9 @@ from urllib.parse import quote
 from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
 from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
+from ..words import distance, ends, percent, rounded
 from . import report_words as words
 from .cli import count, resource
-from .console import distance, percent, rounded
 
 # The colours of the page by their names in CSS and in the script.
 COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
@@ -128,7 +128,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
         least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
         likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
         waits='' if strategy.value > 0.0 else 'hidden',
-        secured=distance(data['secured']), ends=words.ends(strategy),
+        secured=distance(data['secured']), ends=ends(len(strategy.network.stops)),
         holds='' if data['secured'] > 0.0 else 'hidden',
         informs='hidden' if section.informant is None else '',
         north='; N is true north' if data['degrees'] else '',

@@ -13,7 +13,8 @@ from ..planning.evaluation import evaluate
 from ..planning.plan import path_lengths
 from ..recordings import RecordedDeparture
 from ..recordings.report_data import Section
-from .console import distance, percent, rounded, travel, when
+from ..words import distance, ends, percent, rounded, travel
+from .console import when
 
 PLANNERS = {
     'stochastic': 'these random routes',
@@ -38,7 +39,8 @@ def _guarantee(section: Section) -> str:
     strategy, (value, _) = section.strategy, section.bounds
     anywhere = strategy.game.options.widened > 0.0
     where = 'Wherever' if anywhere else 'At whichever node of the network'
-    outside = f', except on the secured area around {ends(strategy)}' if secured(section) else ''
+    outside = (f', except on the secured area around {ends(len(strategy.network.stops))}'
+               if secured(section) else '')
     timed = section.slots is not None
     when_known = (' He can wait at one time of departure only; if he knows the time, it is at most '
                   f'{rounded(strategy.value)}.') * timed
@@ -65,8 +67,9 @@ def _informant(section: Section) -> list[str]:
 
 def _optimality(section: Section) -> str:
     strategy, (value, bound) = section.strategy, section.bounds
+    unit = strategy.network.travel_unit
     length = ('' if strategy.length_budget == math.inf else
-              f' with a mean length of at most {travel(strategy, strategy.length_budget)}')
+              f' with a mean length of at most {travel(strategy.length_budget, unit)}')
     gap = (value - bound) / value if value > 0.0 else 0.0
     near = f'within {percent(gap)} of ' if gap > OPTIMAL else ''
     return (f'No other probabilities on this network{length} can promise less than '
@@ -96,7 +99,7 @@ def secured(section: Section) -> str:
     if asked is not None and round(asked - radius) > 0:
         margin = f' ({distance(asked)}, less how far start and goal may move)'
     return (f'A secured area is assumed: nobody can wait within {distance(radius)} of '
-            f'{ends(section.strategy)}{margin}.')
+            f'{ends(len(section.strategy.network.stops))}{margin}.')
 
 
 def tiles(section: Section) -> list[tuple[str, str]]:
@@ -127,8 +130,8 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
     head = ('the convoy drives', 'mean along the network', 'hit by the ambusher on the map',
             'hit once the habit is known', 'mean loss once it is known')
     return [head, *(
-        (PLANNERS[name], travel(strategy, row.expected_length), percent(row.p_first),
-         percent(row.p_repeated), rounded(row.v_repeated))
+        (PLANNERS[name], travel(row.expected_length, strategy.network.travel_unit),
+         percent(row.p_first), percent(row.p_repeated), rounded(row.v_repeated))
         for name, row in evaluate(strategy).items()
     )]
 
@@ -136,15 +139,15 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
 def quantities(section: Section) -> list[tuple[str, str]]:
     """Further measures of the strategy by name."""
     strategy, (value, bound) = section.strategy, section.bounds
-    network, budget = strategy.network, strategy.length_budget
+    network, budget, unit = strategy.network, strategy.length_budget, strategy.network.travel_unit
     waits = strategy.ambush_at_places
     sites = int((waits > NEGLIGIBLE * waits.max()).sum()) if strategy.value > 0.0 else 0
     return [
         ('mean loss, at most (value)', rounded(value, 4)),
         ('no planner can promise less than', rounded(bound, 4)),
-        ('mean along the network', travel(strategy, strategy.expected_length)),
-        ('shortest route along it', travel(strategy, strategy.shortest_length)),
-        ('limit of that mean', travel(strategy, budget) if math.isfinite(budget) else 'none'),
+        ('mean along the network', travel(strategy.expected_length, unit)),
+        ('shortest route along it', travel(strategy.shortest_length, unit)),
+        ('limit of that mean', travel(budget, unit) if math.isfinite(budget) else 'none'),
         ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
         ('network', f'{len(network.points):,} nodes, {len(network.edges):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
@@ -185,11 +188,6 @@ def settings(section: Section) -> list[tuple[str, str, str]]:
         default = str(PARAMETERS[name].default) or 'empty' if name in PARAMETERS else value
         rows.append((name, value, default if default != value else ''))
     return sorted(rows, key=lambda row: not row[2])
-
-
-def ends(strategy: Strategy) -> str:
-    """The ends, around which the area is secured."""
-    return 'start, stops and goal' if len(strategy.network.stops) else 'start and goal'
 
 
 def _routes(strategy: Strategy) -> str:

@@ -8,22 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import CenteredNorm
-from matplotlib.figure import Figure
 
-from ..colours import ROUTES
-from ..figures import WIDTH, as_png, draw_cells, draw_map, frame, ground_legend, risk_bar
+from ..figures import as_png
 from ..maps import TerrainMap
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
-from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
+from ..maps.risk_layers import risk_from_layers
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
 from .inputs import add_crs, crs_text
+from .risk_figure import layers_figure, terrain_figure
 from .terrain import add_terrain, terrain_of, terrain_options_in
-from .terrain_figure import terrain_figure
 
 DESCRIPTION = """\
 Make a risk map from an elevation model, or from layers of risk.
@@ -32,13 +28,13 @@ Make a risk map from an elevation model, or from layers of risk.
   ambush risk layers.yaml -o map.yaml"""
 COMMON = ('-o', '--roads', '--resolution', '--weapon-range', '--slope-limit', '--crs')
 USAGE = 'ambush risk DEM_OR_LAYERS [options] -o MAP.yaml'
-BRIEF = """\
+EPILOG = """\
 A DEM is a GeoTIFF of heights, or an npz file. LAYERS.yaml has a line for each layer of risk, such
 as terrain, villages, roads and incidents; docs/risk_layers.md explains them.
 It writes MAP.yaml and MAP.pgm for map_server, a picture, MAP.png, and, if the coordinate system is
 known, a GeoTIFF, MAP.tif, with its style for QGIS; of layers also MAP.npz with the exact losses.
 """
-EPILOG = """\
+DETAILS = """\
 DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
 unknown, and resolution [m] (or dx and dy [m]). --roads takes the same kinds of files (npz: roads);
 cells other than 0 are roads. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
@@ -55,20 +51,17 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-It writes MAP.yaml and MAP.pgm for map_server, MAP.png with a picture of each layer and of the
-result, and, if the coordinate system is known, a GeoTIFF, MAP.tif, with MAP.qml, its style for
-QGIS; of layers also MAP.npz with the exact losses. The second band of a GeoTIFF from an elevation
-model has the heights: pictures show the relief then.
+MAP.png has a picture of each layer and of the result. The second band of a GeoTIFF from an
+elevation model has the heights: pictures show the relief then.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """
 # Losses of the values 0 and 100 in MAP.yaml unless the map exceeds them: the node's defaults.
 LEAST, MOST = 1.0, 10.0
-_COLUMNS = 2
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('risk', DESCRIPTION, EPILOG, COMMON, BRIEF, USAGE)
+    made = cli.new_parser('risk', DESCRIPTION, EPILOG, COMMON, DETAILS, USAGE)
     made.add_argument('source', type=Path, metavar='DEM_OR_LAYERS',
                       help='the elevation model (.tif, .npz), or the layers (.yaml)')
     made.add_argument('-o', '--output', type=cli.file_of('.yaml', '.yml'), required=True,
@@ -99,6 +92,8 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
+    if not grid.crs:
+        console.warn('the coordinate system is unknown, so there is no GeoTIFF; name it with --crs')
     picture = as_png(terrain_figure(elevation, ground))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture,
                      ground.heights)
@@ -112,7 +107,7 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     scale = f'map.alpha_min={least:.6g} map.alpha_max={most:.6g}'
     output = arguments.output
     files = _written(output, grid, f'Risk map from layers; its losses: {scale}',
-                     as_png(layers_figure(joined)))
+                     as_png(layers_figure(joined.risk_map, joined.layers)))
     files.insert(2, output.with_suffix('.npz'))
     files[2].write_bytes(npz_bytes(joined.risk_map))
     for remark in joined.remarks:
@@ -151,39 +146,6 @@ def occupancy_of(risk_map: RiskMap) -> tuple[OccupancyMap, float, float]:
     values = np.where(risk_map.obstacles, 100, values).astype(np.int8)
     return (OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs), least,
             float(most))
-
-
-def layers_figure(joined: LayeredRisk) -> Figure:
-    """Draw each layer, and the sum in the last panel."""
-    count = len(joined.layers) + 1
-    rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
-    width, height = joined.risk_map.size
-    size = (0.5 * WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
-    figure = Figure(size, layout='compressed')
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, layer in zip(panels, joined.layers, strict=False):
-        _draw(figure, axes, joined.risk_map, layer)
-    last = panels[count - 1]
-    risk_bar(figure, draw_map(last, joined.risk_map, 'Risk map'), last, shrink=0.7)
-    for axes in panels[count:]:
-        axes.set_visible(False)
-    ground_legend(figure, joined.risk_map)
-    return figure
-
-
-def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
-    frame(axes, risk_map, layer.title)
-    less = layer.values.min() < 0.0
-    image = draw_cells(axes, risk_map, np.ma.masked_invalid(layer.values.astype(float)),
-                       cmap='PuOr_r' if less else 'magma_r', norm=CenteredNorm() if less else None)
-    if layer.values.dtype != bool:
-        figure.colorbar(image, ax=axes, shrink=0.7)
-    if layer.shapes is not None:
-        parts = {'column': 'part', 'cmap': 'tab10', 'legend': True,
-                 'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}
-        style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
-        layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
-        axes.set(xlabel='', ylabel='')
 
 
 def _summary(ground: TerrainMap) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from ..game.game import Game
 from ..game.slack import Reason
 from ..game.strategy import ALL_ROUTES, within_slack
-from ..words import distance
+from ..words import distance, ends
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
 from .refinement import LEAST_FALL
@@ -60,7 +60,7 @@ def _secured(plan: Plan) -> str:
 
 
 def _ends(plan: Plan) -> str:
-    return 'start, stops and goal' if len(plan.network.stops) else 'start and goal'
+    return ends(len(plan.network.stops))
 
 
 def assumptions(plan: Plan) -> list[str]:

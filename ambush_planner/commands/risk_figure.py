@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of ``ambush risk``: each layer, and the risk map that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import CenteredNorm
+from matplotlib.figure import Figure
+
+from .. import figures
+from ..arrays import BoolArray
+from ..colours import ROUTES
+from ..maps import Elevation, TerrainMap
+from ..maps.occupancy import OccupancyOptions
+from ..maps.risk_layers import Layer
+from ..maps.risk_map import RiskMap
+
+_COLUMNS = 2
+
+
+def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
+    """Height, slope, depth, exposure and approach, and the risk map with roads."""
+    layers = [Layer(title, np.asarray(values, dtype=np.float64)) for title, values in (
+        ('Height [m]', elevation.heights),
+        ('Slope, rise over run', ground.slope),
+        ('Depth below the ground in range [m]', ground.depth),
+        ('Share of ground in range that sees you', ground.exposure),
+        ('Mean distance to hidden ground [m]', ground.approach),
+    )]
+    return layers_figure(ground.risk_map(elevation.corner, OccupancyOptions(crs=elevation.crs)),
+                         layers, ('cividis', *['magma_r'] * 3, 'magma'), ground.roads)
+
+
+def layers_figure(risk_map: RiskMap, layers: Sequence[Layer], colours: Sequence[str] | None = None,
+                  roads: BoolArray | None = None) -> Figure:
+    """A panel for each layer, in its colour map if there are ``colours``, then map and roads."""
+    count = len(layers) + 1
+    rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
+    width, height = risk_map.size
+    size = (0.5 * figures.WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
+    figure = Figure(size, layout='compressed')
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for k, (axes, layer) in enumerate(zip(panels, layers, strict=False)):
+        _draw(figure, axes, risk_map, layer, colours[k] if colours else None)
+    last = panels[count - 1]
+    figures.risk_bar(figure, figures.draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
+    if roads is not None and roads.any():
+        figures.draw_cells(last, risk_map, np.ma.masked_equal(roads, False), cmap='winter',
+                           alpha=0.8)
+    for axes in panels[count:]:
+        axes.set_visible(False)
+    figures.ground_legend(figure, risk_map)
+    return figure
+
+
+def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer,
+          colours: str | None) -> None:
+    figures.frame(axes, risk_map, layer.title)
+    values = np.ma.masked_invalid(layer.values.astype(float))
+    less = not colours and values.min() < 0.0
+    style: dict[str, Any] = {'cmap': colours or ('PuOr_r' if less else 'magma_r'),
+                             'norm': CenteredNorm() if less else None}
+    image = figures.draw_cells(axes, risk_map, values, **style)
+    if layer.values.dtype != bool:
+        figure.colorbar(image, ax=axes, shrink=0.7)
+    if layer.shapes is not None:
+        parts = {'column': 'part', 'cmap': 'tab10', 'legend': True,
+                 'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}
+        style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
+        layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
+        axes.set(xlabel='', ylabel='')
