@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,13 +93,12 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
-    if not grid.crs:
-        console.warn('the coordinate system is unknown, so there is no GeoTIFF; name it with --crs')
     picture = as_png(terrain_figure(elevation, ground))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture,
                      ground.heights)
     console.line(_summary(ground))
-    return _told(files, LEAST, MOST, [], console)
+    unknown = 'the coordinate system is unknown, so there is no GeoTIFF: add --crs if you know it'
+    return _told(files, LEAST, MOST, [] if grid.crs else [unknown], console)
 
 
 def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
@@ -110,11 +110,9 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                      as_png(layers_figure(joined.risk_map, joined.layers)))
     files.insert(2, output.with_suffix('.npz'))
     files[2].write_bytes(npz_bytes(joined.risk_map))
-    for remark in joined.remarks:
-        console.item(remark, indent=0)
     if (least, most) != (LEAST, MOST):
         console.line(f'losses go beyond {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
-    return _told(files, least, most, list(joined.remarks), console)
+    return _told(files, least, most, joined.remarks, console)
 
 
 def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes,
@@ -129,10 +127,12 @@ def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes,
     return files
 
 
-def _told(files: list[Path], least: float, most: float, remarks: list[str],
+def _told(files: list[Path], least: float, most: float, remarks: Sequence[str],
           console: cli.Console) -> cli.Exit:
+    for remark in remarks:
+        console.item(remark, indent=0)
     console.result = {'files': [cli.place(path) for path in files], 'alpha_min': least,
-                      'alpha_max': most, 'remarks': remarks}
+                      'alpha_max': most, 'remarks': list(remarks)}
     console.line(', '.join(console.result['files']))
     return cli.Exit.HOLDS
 
