@@ -117,9 +117,10 @@ def new_parser(command: str, description: str, epilog: str, common: Sequence[str
     """
     parser = _parser(f'ambush {command}', description, epilog + EXIT_CODES)
     if common:
-        parser.common, parser.usage = ('-h', '--help-all', *common), usage
-        parser.complete = epilog + details + EXIT_CODES
-        parser.add_argument('--help-all', action=_HelpAll, help='show all options')
+        parser.usage = usage
+        parser.formatter_class = partial(_Formatter, shown=('-h', '--help-all', *common))
+        parser.add_argument('--help-all', action=_HelpAll, const=epilog + details + EXIT_CODES,
+                            help='show all options')
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
     parser.add_argument('-q', '--quiet', action='store_true', help='print errors only')
     return parser
@@ -255,23 +256,7 @@ def resource(name: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, and whose help has the ``common`` options only."""
-
-    common: Sequence[str] = ()
-    complete = ''
-
-    def format_help(self) -> str:
-        if not self.common:
-            return super().format_help()
-        texts = [each.help for each in self._actions]
-        for each in self._actions:
-            if each.option_strings and not set(each.option_strings) & set(self.common):
-                each.help = argparse.SUPPRESS
-        try:
-            return super().format_help()
-        finally:
-            for each, text in zip(self._actions, texts, strict=True):
-                each.help = text
+    """A parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
         unknown, _, given = message.partition('unrecognized arguments: ')
@@ -283,10 +268,16 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """Help with each argument of an option named once."""
+    """Help with each argument of an option named once, and with the options ``shown`` or all."""
 
-    def __init__(self, prog: str) -> None:
+    def __init__(self, prog: str, shown: Sequence[str] = ()) -> None:
         super().__init__(prog, max_help_position=26)
+        self._shown = shown
+
+    def add_argument(self, action: argparse.Action) -> None:
+        names = action.option_strings
+        if not self._shown or not names or set(names) & set(self._shown):
+            super().add_argument(action)
 
     def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
         text = super()._format_args(action, default_metavar)
@@ -301,14 +292,13 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 class _HelpAll(argparse.Action):
-    """Show all options and exit."""
+    """Show all options, with another epilog, and exit."""
 
-    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
-        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=help)
+    def __init__(self, option_strings: Sequence[str], dest: str, const: str, help: str) -> None:
+        super().__init__(option_strings, dest, 0, const, argparse.SUPPRESS, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        assert isinstance(parser, _Parser)
-        parser.common, parser.usage, parser.epilog = (), None, parser.complete
+        parser.usage, parser.epilog, parser.formatter_class = None, self.const, _Formatter
         parser.print_help()
         parser.exit()
 

@@ -19,8 +19,6 @@ from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_layers import Layer
 from ..maps.risk_map import RiskMap
 
-_COLUMNS = 2
-
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Height, slope, depth, exposure and approach, and the risk map with roads."""
@@ -39,7 +37,7 @@ def layers_figure(risk_map: RiskMap, layers: Sequence[Layer], colours: Sequence[
                   roads: BoolArray | None = None) -> Figure:
     """A panel for each layer, in its colour map if there are ``colours``, then map and roads."""
     count = len(layers) + 1
-    rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
+    rows, columns = -(-count // 2), min(count, 2)
     width, height = risk_map.size
     size = (0.5 * figures.WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
     figure = Figure(size, layout='compressed')
