@@ -112,6 +112,20 @@ def test_a_background_solve_that_is_cancelled_is_reported(running, monkeypatch):
     client.diagnostics(stale='no')
 
 
+def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(
+        running, monkeypatch):
+    client, go_on, solve = running.client, Event(), WorkerProcess.solve
+    monkeypatch.setattr(
+        WorkerProcess, 'solve', lambda *given: (go_on.wait(TIMEOUT), solve(*given))[1])
+    update(client, 10, 0, WALL)
+    client.diagnostics(stale='yes', state='solving')
+    update(client, 10, 0, FLAT[:14, :1])
+    client.diagnostics(stale='no', state='solving')
+    go_on.set()
+    client.last('edge_probabilities', 2)
+    client.diagnostics(stale='no', state='ready')
+
+
 def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
     client = running.client
     running.planner.set_parameters([Parameter('diagnostics.error_hold', value=0.0)])

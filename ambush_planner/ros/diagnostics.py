@@ -113,7 +113,7 @@ class Reporter:
             problems={key: each for key, each in status.problems.items() if key == 'parameters'}))
 
     def note(self, concern: str, wrong: Exception | str | None) -> None:
-        """Set the error or the warning of what ``Status.problems`` names; None and '' clear it."""
+        """Set the error or warning of a concern of ``Status.problems``; None and '' clear it."""
         with self._lock:
             if wrong and concern == 'request':
                 self._failed_at = time.monotonic()

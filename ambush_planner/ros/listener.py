@@ -16,12 +16,11 @@ _SPIN_PERIOD = 0.25
 
 
 class Listener:
-    """Has a thread for the callbacks of a ``node`` of its own; ``start`` it when that has them all.
+    """Runs the callbacks of a ``node`` of its own in a thread; ``start`` it once they are all set.
 
-    Large or frequent messages then do not keep the planner's executor from answering, as with
-    tf2_ros. The node, ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's
-    context and enclave. Resolve names by the planner's node. The thread ends with ``close`` or with
-    the context.
+    Large or frequent messages then do not keep the planner's executor from answering. The node,
+    ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's context and enclave;
+    resolve its names by the planner's node. The thread ends with ``close`` or with the context.
     """
 
     def __init__(self, node: Node, purpose: str) -> None:
