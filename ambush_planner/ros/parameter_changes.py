@@ -100,8 +100,10 @@ def _saved_plan(node: Node) -> SavedPlan | None:
     if not (path := node.get_parameter('plan').value):
         return None
     saved = read_plan_for_node(path)
-    node.set_parameters([Parameter(name, value=value)
-                         for name, value in planned_parameters(saved).items()])
+    for name, value in planned_parameters(saved).items():
+        result = node.set_parameters([Parameter(name, value=value)])[0]
+        if not result.successful:
+            raise InvalidOption(f'plan {path}: {result.reason}')
     return saved
 
 
