@@ -62,6 +62,7 @@ class Inputs:
         self.asked_directly = False
         self.map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
+        self._joined: tuple[object, ...] = ()  # what the current map was joined from
 
     def accept_map(self, topic: str, received: ReceivedMessage) -> None:
         """Take a map, or a map_msgs/OccupancyGridUpdate of one, for ``join_maps``.
@@ -88,16 +89,19 @@ class Inputs:
         new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
         if new is None or None in self._arrived.values():
             return None
+        self._refused = None
         if costmap is not None:
             values, header = self._settings.current, Header(frame_id=costmap.frame)
             origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
-            there = self._transforms.to_frame(origin, 'the costmap', new.frame,
-                                              values.robot.max_age)
-            costmap = replace(costmap, origin=pose_from_ros(there.pose))
-            new = new.with_costmap(costmap, values.occupancy.unknown_alpha is None)
+            there = pose_from_ros(self._transforms.to_frame(
+                origin, 'the costmap', new.frame, values.robot.max_age).pose)
+            joined = new, costmap, there, values.occupancy.unknown_alpha is None
+            if self.map is not None and joined == self._joined:
+                return self.map
+            self._joined = joined
+            new = new.with_costmap(replace(costmap, origin=there), joined[-1])
         if self.map is None or not self.map.same_map(new):
             self.map = new
-        self._refused = None
         return self.map
 
     def missing(self) -> tuple[str, ...]:
