@@ -138,6 +138,25 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
         assert len(client.received['path']) == 1 == len(list(tmp_path.rglob('*.mcap')))
 
 
+def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(actions, tmp_path, monkeypatch):
+    with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
+        drive = Drive(running)
+        goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
+        drive.robot.is_at(1.5, 5.5)
+        drive.client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
+        with slow_disk(monkeypatch) as (go_on, asked):
+            first = goals.send(start=None)
+            wait_until(asked.is_set, 'a recording')
+            second = goals.send(start=None, goal=pose(8.5, 2.0))
+            wait_until(lambda: len(running.planner._recordings[0]._unwritten) == 2, 'the other')
+            go_on.set()
+        for goal in (first, second):
+            assert goals.result(goal)[0] == GoalStatus.STATUS_SUCCEEDED
+        drive.departures(2)
+        assert len(drive.client.received['path']) == 2 == len(list(tmp_path.rglob('*.mcap')))
+
+
 def test_a_departure_whose_required_recording_fails_is_not_under_way(tmp_path, monkeypatch):
     with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
         drive, client = Drive(running), running.client

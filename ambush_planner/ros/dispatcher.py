@@ -113,6 +113,7 @@ class Dispatcher:
     def follow(self) -> None:
         """Note how far robots have come on their paths; to be called about once a second."""
         def watch() -> None:
+            self._waiting = [each for each in self._waiting if not each.answer.done()]
             self._departures.trips.watch()
             self._retry()
 
@@ -168,11 +169,10 @@ class Dispatcher:
 
     def _begin(self, pending: Pending) -> None:
         """Refuse the client's waiting requests for other goals, and try to answer."""
-        self._waiting = [each for each in self._waiting if not each.answer.done()]
         for older in self._waiting:
-            same = pending.trip_request.leads_to(older.trip_request)
-            if pending.client == older.client != '' and not same:
-                with suppress(InvalidStateError):  # it has been cancelled
+            if (pending.client == older.client != '' and not older.answer.running()  # not drawn yet
+                    and not pending.trip_request.leads_to(older.trip_request)):
+                with suppress(InvalidStateError):  # it has been answered or cancelled
                     older.answer.set_exception(SolveCancelled(
                         'a newer request for another goal has replaced this one'
                     ))
