@@ -107,8 +107,8 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}), previous=previous,
         plan=recorded_plan(saved),
         day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces))
-    return said.departure_id, encode(list(roles.values()), said.entries(), attachments_of(saved),
-                                     'zstd')
+    return said.departure_id, encode(list(roles.values()), said.entries(),
+                                     attachments_of(plan, plan.risk_map.crs), 'zstd')
 
 
 def departures_folder(plan_file: Path) -> Path:

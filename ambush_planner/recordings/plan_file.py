@@ -142,7 +142,7 @@ def plan_bytes(saved: SavedPlan) -> bytes:
     said = PlanMetadata(KIND, saved.frame, dict(saved.parameters.values),
                         dict(software_versions()), {'map': message.topic}, recorded_trip(plan),
                         recorded_plan(saved))
-    return encode([message], asdict(said), attachments_of(saved), 'zstd')
+    return encode([message], asdict(said), attachments_of(plan, plan.risk_map.crs), 'zstd')
 
 
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
@@ -161,13 +161,13 @@ def recorded_trip(plan: Plan) -> RecordedTrip:
     return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy)
 
 
-def attachments_of(saved: SavedPlan) -> dict[str, bytes]:
-    """The attached files of a plan, and of each departure drawn from it."""
-    plan = saved.plan
-    assert plan.risk_map is not None
-    files = {STRATEGY_FILE: strategy_file(plan.strategy), MAP_FILE: npz_bytes(plan.risk_map)}
-    if roads := _roads(plan):
-        files[ROADS_FILE] = roads_file(roads)
+def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
+    """The attached files of a plan, and of each departure drawn from it, on a map in ``crs``."""
+    files = {STRATEGY_FILE: strategy_file(plan.strategy)}
+    if plan.risk_map is not None:
+        files[MAP_FILE] = npz_bytes(plan.risk_map)
+    if roads := plan.options.network.roads:
+        files[ROADS_FILE] = roads_file(in_map_frame(roads, crs))
     if plan.few:
         files[FEW_FILE] = few_file(plan.few)
     return files

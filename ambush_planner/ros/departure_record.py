@@ -7,21 +7,11 @@ from dataclasses import dataclass, replace
 
 from nav_msgs.msg import Path
 
-from ..maps.risk_map_file import npz_bytes
-from ..network.road_network import in_map_frame
 from ..parameters.values import NodeParameters
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
 from ..recordings import RecordedMessage
-from ..recordings.attachments import (
-    MAP_CHANGES_FILE,
-    MAP_FILE,
-    ROADS_FILE,
-    STRATEGY_FILE,
-    map_changes_file,
-    roads_file,
-    strategy_file,
-)
+from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
@@ -108,17 +98,6 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
         departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),
         replace(departure.call, remarks=departure.remarks), departure.diversion, previous,
     )
-
-
-def plan_files(held: CachedPlan) -> dict[str, bytes]:
-    """Return the attached files that all departures on a plan share."""
-    plan = held.plan
-    files = {STRATEGY_FILE: strategy_file(plan.strategy)}
-    if roads := plan.options.network.roads:
-        files[ROADS_FILE] = roads_file(in_map_frame(roads, held.task.parameters.occupancy.crs))
-    if plan.risk_map is not None:  # of a plan from a file
-        files[MAP_FILE] = npz_bytes(plan.risk_map)
-    return files
 
 
 def map_changes(departure: Departure) -> dict[str, bytes]:

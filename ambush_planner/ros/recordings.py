@@ -18,9 +18,10 @@ from ..errors import AmbushPlannerError
 from ..parameters.values import RecordingOptions
 from ..planning.plan import Plan
 from ..recordings import Recorder, RecordingFailed
+from ..recordings.plan_file import attachments_of
 from ..recordings.recorder import prepare
 from ..worker.solve_errors import for_the_log, known
-from .departure_record import Departure, map_changes, metadata_of, plan_files, recorded_messages
+from .departure_record import Departure, map_changes, metadata_of, recorded_messages
 from .diagnostics import Reporter
 
 # Maximum number of departures that wait for the disk: few enough to be written at shutdown.
@@ -141,7 +142,8 @@ class Recordings:
         held = queued.departure.held
         try:
             if held.plan not in self._plan_files:
-                self._plan_files[held.plan] = plan_files(held)
+                crs = held.task.parameters.occupancy.crs
+                self._plan_files[held.plan] = attachments_of(held.plan, crs)
             metadata = metadata_of(queued.departure, self._previous)
             path = self._recorder.record_departure(
                 recorded_messages(queued.departure), metadata.entries(),
