@@ -65,7 +65,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting('solving games'):
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, options.planning,
-            stops=stops, candidates=given)
+            stops=stops, candidates=given, progress=lambda number, left: console.step(
+                f'place {number}: {cli.count(left, "candidate")} may be the best'))
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
     write_table(arguments.output, columns, rows,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -66,14 +67,16 @@ class Holding:
 def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                    radius: float, count: int = 5, options: PlanningOptions | None = None, *,
                    stops: Iterable[npt.ArrayLike] = (),
-                   candidates: Mapping[str, Position] | None = None) -> Holding:
+                   candidates: Mapping[str, Position] | None = None,
+                   progress: Callable[[int, int], None] = lambda number, left: None) -> Holding:
     """Find up to ``count`` places to hold on a trip, as ``plan_trip`` takes it.
 
     Holding a place means that nobody can wait within ``radius`` [m] of it, and with a reach that
     nobody who drives there is hit. Value and lower bound of each step are those of ``plan_trip``
     with these ``held_places``. Candidates are the given ones [m], or the sites around which the
     ambusher causes most, and those that cost most beyond. The search ends early if the value is
-    0 or no candidate remains.
+    0 or no candidate remains. Before each game, ``progress`` is called with the number of the place
+    that is sought and how many candidates may be the best.
 
     Raises InvalidOption if the radius is below the map's resolution, the count below 1 or a
     candidate off the map, and the errors of ``plan_trip``.
@@ -97,19 +100,21 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
             each for each in candidates.items() if each[0] not in taken]
         if not (places := _by_dual_weight(strategy, given, radius)):
             break
-        steps.append(_best_of(places, radius, strategy, options.strategy.slack, solved))
+        steps.append(_best_of(places, radius, strategy, options.strategy.slack, solved,
+                              partial(progress, len(steps) + 1)))
         strategy = steps[-1].strategy
     return Holding(before, tuple(steps))
 
 
 def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: float,
-             solved: Callable[..., Strategy]) -> Held:
+             solved: Callable[..., Strategy], progress: Callable[[int], None]) -> Held:
     """The place of least value if it is held, too; of those within the slack of it, the first."""
     held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
     bounds = np.array([bound_if_held(before, each) for each in held])
     values, last = np.full(len(held), np.inf), before
     while left := [k for k in np.flatnonzero(np.isinf(values)).tolist()
                    if not within(values.min(), bounds[k], slack)]:
+        progress(len(left))
         k = min(left, key=lambda each: float(bounds[each]))
         last = solved(held[k], last)
         values[k], bounds[k] = last.value, last.lower_bound
