@@ -127,10 +127,10 @@ def _section(section: Section, folder: Path, name: str) -> str:
                       for number, text in words.tiles(section)),
         least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
         likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
-        waits='' if strategy.value > 0.0 else 'hidden',
+        **{name: '' if there else 'hidden' for name, there in (
+            ('waits', strategy.value > 0.0), ('holds', data['secured'] > 0.0),
+            ('informs', section.informant), ('blocks', section.risk_map.obstacles.any()))},
         secured=distance(data['secured']), ends=ends(len(strategy.network.stops)),
-        holds='' if data['secured'] > 0.0 else 'hidden',
-        informs='hidden' if section.informant is None else '',
         north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),
