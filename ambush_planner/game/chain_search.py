@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -36,22 +37,27 @@ class ChainSearch(NamedTuple):
     sweeps: int = 3
     joining: float = 0.8  # share of the slack beyond which sites join a distribution
     growth: float = 0.01  # least relative growth of the entropy for another round
+    # Share of the time until the deadline after which the flow is improved, if no distribution is
+    # within the slack by then.
+    rounds: float = 0.8
 
 
 CHAIN = ChainSearch()
 
 
-def find_flow(search: Search) -> None:
+def find_flow(search: Search, sweeps: int = CHAIN.sweeps) -> None:
     """Find the least value at the sites that matter for the LP's flow."""
-    find_sites(search, search.lp.solve, lambda: chain_of(search.game.network, search.lp.flow))
+    find_sites(search, search.lp.solve, lambda: chain_of(search.game.network, search.lp.flow),
+               sweeps)
 
 
-def find_sites(search: Search, solve: Callable[[], None], drawn: Callable[[], Drawn]) -> None:
+def find_sites(search: Search, solve: Callable[[], None], drawn: Callable[[], Drawn],
+               sweeps: int = CHAIN.sweeps) -> None:
     """Let the LP ``solve``, and the sites that matter for what is then ``drawn`` join, by turns."""
     for sweep in range(ROUNDS):
         with search.keep_incumbent():
             solve()
-        if search.problem.late or (sweep >= CHAIN.sweeps and search.lp.bound > 0.0):
+        if search.problem.late or (sweep >= sweeps and search.lp.bound > 0.0):
             break
         above, apart = ceiling(search.lp.bound, search.slack), sweep < CHAIN.sweeps - 1
         if search.join_worst(drawn(), above, ROUTES.apart * apart, rough=sweep == 0) is None:
@@ -66,12 +72,16 @@ def find_chain(search: Search) -> Incumbent | None:
     """
     lp, distribution, before = search.lp, _distribution_around(search, search.lp.flow), 0.0
     best: Incumbent | None = None
+    end, begin = search.problem.deadline, time.monotonic()
+    latest = begin + CHAIN.rounds * (end - begin)
     distribution.measure(search.caps())
     if search.problem.site_search is None:  # otherwise other sites may cost the flow more
         best = search.better(best, distribution)
     for _ in range(ROUNDS):
-        found, feasible = None, not search.problem.late and distribution.round()
-        if not feasible and (search.problem.late or not distribution.rounds):
+        distribution.deadline = end if best and best.rating[0] else latest
+        late = time.monotonic() > distribution.deadline
+        found, feasible = None, not late and distribution.round()
+        if not feasible and (late or not distribution.rounds):
             break
         if feasible:
             above = ceiling(lp.bound, CHAIN.joining * search.slack)
@@ -93,6 +103,11 @@ def find_chain(search: Search) -> Incumbent | None:
         if distribution.good and (distribution.exact or not grew):
             break
     search.evaluations += distribution.evaluations
+    if best and not best.rating[0]:
+        find_flow(search, ROUNDS)
+        distribution = _distribution_around(search, lp.flow)
+        distribution.measure(search.caps())
+        best = search.better(best, distribution)
     return best
 
 
