@@ -26,7 +26,7 @@ from ambush_planner.game.distribution.acyclic import (
     order_potential,
     positions_by,
 )
-from ambush_planner.game.distribution.entropy_search import maximize_entropy
+from ambush_planner.game.distribution.entropy_search import Accuracy, maximize_entropy
 from ambush_planner.game.distribution.gibbs import acyclic_network
 from ambush_planner.game.game import make_game
 
@@ -123,7 +123,8 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     rows = vstack((hits, csr_matrix(lengths))).tocsr()
     scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
     start = np.zeros(len(limits))
-    found = maximize_entropy(acyclic, scaled, np.zeros(scaled.shape[1]), start, -1.0, NEVER)
+    found = maximize_entropy(acyclic, scaled, np.zeros(scaled.shape[1]), start,
+                             Accuracy(-1.0, 5e-4, 1e-5), NEVER)
     most = most_route_entropy(network, acyclic.edge, rows, limits)
     if found.infeasible:
         assert np.isnan(most)
@@ -144,11 +145,12 @@ def test_infeasible_limits_are_proved_infeasible(network, tightness, heaviest):
     part, acyclic = case
     out = (network.tails[acyclic.edge] == network.source) / tightness
     weights = np.random.default_rng(0).uniform(0.0, heaviest, len(acyclic.edge))
-    found = maximize_entropy(acyclic, csr_matrix(out), weights, np.zeros(1), 0.0, NEVER)
+    found = maximize_entropy(acyclic, csr_matrix(out), weights, np.zeros(1),
+                             Accuracy(0.0, 5e-4, 1e-5), NEVER)
     assert found.infeasible
     # And limits that can be kept are never called infeasible.
-    kept = maximize_entropy(acyclic, csr_matrix(out * tightness), weights, np.zeros(1), 1e-9,
-                            NEVER)
+    kept = maximize_entropy(acyclic, csr_matrix(out * tightness), weights, np.zeros(1),
+                            Accuracy(1e-9, 5e-4, 1e-5), NEVER)
     assert not kept.infeasible and kept.violation <= 1e-9
 
 

@@ -33,7 +33,7 @@ from ..faces import Circulation, Faces
 from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
 
 # Maximum number of sets of a curve's sites, all of one size, whose routes are looked for.
-MOST_SETS = 100
+MOST_SETS = 300
 
 
 def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: FloatArray,

@@ -34,13 +34,22 @@ class EntropySearch(NamedTuple):
     evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
     newton_limits: int = 500  # that Newton's method moves at once
     damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
-    least_gain: float = 1e-5  # decrease per round, relative to 1 + |value|, else the search ends
-    tolerance: float = 5e-4  # missing entropy at which the search ends, relative and in nats
     max_weight: float = 1e16  # of an edge; beyond, sums along a route lose all decimals
     max_scaled: float = 1e10  # multiplier in a line search; enough to prove limits infeasible
 
 
 ENTROPY = EntropySearch()
+
+
+class Accuracy(NamedTuple):
+    """When a search ends: the share by which limits may be exceeded, and two more, in nats.
+
+    These are the missing entropy and the gain of a round of both methods, as shares of 1 + value.
+    """
+
+    excess: float
+    missing: float
+    gain: float
 
 
 class _SearchEnded(Exception):
@@ -62,18 +71,18 @@ class GibbsStrategy:
 
 
 def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatArray,
-                     start: FloatArray, tolerance: float, deadline: float) -> GibbsStrategy:
+                     start: FloatArray, accuracy: Accuracy, deadline: float) -> GibbsStrategy:
     """Minimise log Z(b + C' v) + sum v over v >= 0, with b = ``weights`` (m,).
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
-    ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY.tolerance`` of the
-    entropy; when the limits are proved infeasible; when the function hardly falls any more; or at
-    ``deadline`` (``time.monotonic``).
+    ``rows`` (R, m), and misses entropy, by no more than the ``accuracy`` allows; when the limits
+    are proved infeasible; when the function hardly falls any more; or at ``deadline``
+    (``time.monotonic``).
     """
     if rows.shape[0] == 0:
         _, p, _ = network.distribution(weights)
         return GibbsStrategy(p, start, 0.0, False, 1)
-    search = _DualSearch(network, rows, weights, tolerance, deadline)
+    search = _DualSearch(network, rows, weights, accuracy, deadline)
     with contextlib.suppress(_SearchEnded):
         search.run(start)
     search.found.evaluations = search.count
@@ -84,10 +93,10 @@ class _DualSearch:
     """The dual function, its least evaluation ``found``, and the methods that minimise it."""
 
     def __init__(self, network: AcyclicNetwork, rows: csr_matrix, weights: FloatArray,
-                 tolerance: float, deadline: float) -> None:
+                 accuracy: Accuracy, deadline: float) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
         self.weights, self._least_possible = weights, -network.most(weights)
-        self.tolerance, self.deadline = tolerance, deadline
+        self.accuracy, self.deadline = accuracy, deadline
         self.found, self.least, self.count = GibbsStrategy(np.empty(0), np.empty(0)), np.inf, 0
         self.p = self.share = self.gradient = np.empty(0)
         # A limit used in portions of c has a use with a variance of about c.
@@ -106,8 +115,8 @@ class _DualSearch:
         value = log_z + total
         # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
-        near = missing <= ENTROPY.tolerance * (1.0 + value - missing)
-        reached = violation <= self.tolerance and near
+        near = missing <= self.accuracy.missing * (1.0 + value - missing)
+        reached = violation <= self.accuracy.excess and near
         infeasible = not reached and value < self._least_possible - ROUNDING * (1.0 + total)
         if reached or infeasible or not value > self.least:
             self.least = value
@@ -121,7 +130,7 @@ class _DualSearch:
         """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
         self.quasi_newton(start)
         before = np.inf
-        while self.least < before - ENTROPY.least_gain * (1.0 + abs(self.least)):
+        while self.least < before - self.accuracy.gain * (1.0 + abs(self.least)):
             before = self.least
             self.newton()
             self.quasi_newton(self.found.multipliers)

@@ -27,7 +27,7 @@ from ...arrays import FloatArray
 from ..budget import Budget, budget_rows
 from ..slack import ceiling, within
 from .chain import NO_FLOW, MarkovChain
-from .entropy_search import ENTROPY, maximize_entropy
+from .entropy_search import Accuracy, maximize_entropy
 from .gibbs import AcyclicNetwork
 
 
@@ -36,7 +36,10 @@ class DistributionRounds(NamedTuple):
 
     aim: float = 0.95  # share of the slack that a distribution uses, if rows are always exact
     early_aim: float = 0.7  # the same if rows are exact only at the chain before
-    tolerance: float = 0.04  # share of the slack by which it may exceed its limits
+    # How accurate a round is, and one from a chain that is not within the slack or is the first;
+    # the excess is a share of the slack.
+    accuracy: Accuracy = Accuracy(0.04, 5e-4, 1e-5)
+    early_accuracy: Accuracy = Accuracy(0.2, 1e-2, 1e-3)
     near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
     past: float = 0.5  # weight of the cross entropy to the chain before, after the first round
     later_past: float = 0.8  # the same after ``swings`` rounds
@@ -61,7 +64,7 @@ class RouteDistribution:
         self.chain = MarkovChain(network, p)
         self.deadline, self._k = deadline, ambushers
         self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
-        self._tolerance = min(DISTRIBUTION.tolerance * slack, ENTROPY.tolerance)
+        self._tolerance = min(DISTRIBUTION.accuracy.excess * slack, DISTRIBUTION.accuracy.missing)
         binding = [b for b in budgets if b.binds]
         # A distribution may exceed its limits by the tolerance, but not a budget.
         self._budget_slack = np.array([b.slack * (1.0 - self._tolerance) for b in binding])
@@ -136,8 +139,12 @@ class RouteDistribution:
             DISTRIBUTION.past if self.rounds <= DISTRIBUTION.swings else DISTRIBUTION.later_past)
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
+        accuracy = DISTRIBUTION.accuracy._replace(excess=self._tolerance)
+        if not self.exact and not (self.good and self.rounds):
+            accuracy = DISTRIBUTION.early_accuracy
+            accuracy = accuracy._replace(excess=accuracy.excess * min(self.slack, accuracy.missing))
         limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
-        found = maximize_entropy(self.network, limits, past, start, self._tolerance, self.deadline)
+        found = maximize_entropy(self.network, limits, past, start, accuracy, self.deadline)
         self.evaluations += found.evaluations
         if found.infeasible or not len(found.p):
             return False
