@@ -96,7 +96,7 @@ def test_the_ambusher_of_a_trip_bounds_it_with_more_secured_area(yard):
         held = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=(place,))
         planned = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=held),
                             stops=[(22.0, 16.0)]).strategy
-        assert bound_if_held(strategy, (place,)) <= planned.value
+        assert bound_if_held(strategy, (place,)) <= planned.value * (1.0 + 1e-9)
 
 
 def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(yard, found):
