@@ -100,8 +100,8 @@ def find_chain(search: Search) -> Incumbent | None:
         distribution.measure(search.caps())
         best = search.better(best, distribution)
         grew, before = distribution.entropy > before * (1.0 + CHAIN.growth), distribution.entropy
-        kept = best is not None and best.rating[0]  # within the budgets, too
-        if kept and distribution.good and (distribution.exact or not grew):
+        kept = best is not None and best.rating[0]  # one that was over a budget is not
+        if distribution.good and (distribution.exact or kept and not grew):
             break
     search.evaluations += distribution.evaluations
     if best and not best.rating[0]:
