@@ -125,6 +125,7 @@ def _distribution_around(search: Search, flow: FloatArray) -> RouteDistribution:
     exact = not hits_can_differ(game)
     distribution = RouteDistribution(network, flow[network.edge], problem.budgets, game.ambushers,
                                      search.slack, exact, problem.deadline)
+    distribution.rough = True
     distribution.add_sites(search.entering, search.loss)
     if problem.warm:
         prices = zip(problem.warm.budgets, problem.budgets, strict=True)

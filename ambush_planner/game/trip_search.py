@@ -101,8 +101,7 @@ def find_trip(search: Search, lp: Routes) -> Incumbent | None:
         found = _rounds(search, lp, *around)
         if found and (best is None or found.value < best.value):
             best = found
-        enough = max(ceiling(lp.bound, search.slack), ceiling(lp.value, FLOW_SLACK * search.slack))
-        if best and best.value <= enough:
+        if best and best.value <= ceiling(lp.bound, search.slack):
             break
         with search.keep_incumbent():  # sites have joined
             lp.solve(prove=False)

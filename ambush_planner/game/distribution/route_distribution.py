@@ -55,7 +55,8 @@ class RouteDistribution:
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
     ``caps`` (S,) are what each site may cause; the k largest add up to the limit of the value.
     ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
-    and budgets.
+    and budgets. If it is ``rough``, rounds from a chain that is not within the slack are less
+    accurate, as sites will join; on layers of a trip that costs more than it gains.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
@@ -73,6 +74,7 @@ class RouteDistribution:
         self._loss, self.caps = np.zeros(0), np.zeros(0)
         self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
         self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
+        self.rough = False
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
@@ -140,7 +142,7 @@ class RouteDistribution:
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         accuracy = DISTRIBUTION.accuracy._replace(excess=self._tolerance)
-        if not self.exact and not (self.good and self.rounds):
+        if self.rough and not self.exact and not (self.good and self.rounds):
             accuracy = DISTRIBUTION.early_accuracy
             accuracy = accuracy._replace(excess=accuracy.excess * min(self.slack, accuracy.missing))
         limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
