@@ -322,8 +322,8 @@ def _name(axes: Axes, xy: tuple[float, float], name: str, avoid: FloatArray) -> 
     wide, tall = 0.02 * len(name) * (right - left), 0.07 * (right - left)
     inwards = xy[0] + wide > right
     x, y = (avoid - xy).T
-    beside = (np.abs(x) < 0.3 * wide) | ((0.0 < -x if inwards else 0.0 < x) & (np.abs(x) < wide))
-    above, below = (np.sum(beside & (0.0 < up) & (up < tall)) for up in (y, -y))
+    covered = (np.abs(x) < 0.3 * wide) | ((0.0 < -x if inwards else 0.0 < x) & (np.abs(x) < wide))
+    above, below = (np.sum(covered & (0.0 < up) & (up < tall)) for up in (y, -y))
     up = xy[1] + tall < high and (above < below or xy[1] - tall < low)
     axes.annotate(name, xy, xytext=(4 if inwards else -4, 8 if up else -8),
                   textcoords='offset points', ha='right' if inwards else 'left',

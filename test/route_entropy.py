@@ -12,7 +12,7 @@ def most_route_entropy(network, edges, rows, limits) -> float:
     The test is skipped without Clarabel. NaN where it does not solve it to its own tolerances.
     Variables (p, t); (t_k, p_k, x_tail) in the exponential cone says t_k <= -p_k ln(p_k / x_tail).
     """
-    clarabel = pytest.importorskip('clarabel', reason='it has no rosdep key')
+    clarabel = pytest.importorskip('clarabel', reason='no clarabel: it lacks a rosdep key')
     n, m = len(network.points), len(edges)
     tail, head = network.edges[edges].T
     ones, each = np.ones(m), np.arange(m)

@@ -28,7 +28,8 @@ def test_the_reference_lists_every_public_name_with_its_file():
 
 
 def test_formulas_parse():
-    converter = pytest.importorskip('latex2mathml.converter', reason='it has no rosdep key')
+    converter = pytest.importorskip('latex2mathml.converter',
+                                    reason='no latex2mathml: it lacks a rosdep key')
     for document in DOCUMENTS:
         text = document.read_text()
         formulas = re.findall(r'(?ms)^ *```math\n(.*?)^ *```$', text)

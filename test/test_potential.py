@@ -38,7 +38,7 @@ from ambush_planner.game.value.face_flows import HAS_HIGHSPY, KeptFlows, Repeate
 from ambush_planner.game.value.potential import POTENTIAL, Potential
 from ambush_planner.game.value.routes import Routes
 
-WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key')
+WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='no highspy: it lacks a rosdep key')
 FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
 
 

@@ -97,7 +97,7 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture,
                      ground.heights)
     console.line(_summary(ground))
-    unknown = 'the coordinate system is unknown, so there is no GeoTIFF: add --crs if you know it'
+    unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
     return _told(files, LEAST, MOST, [] if grid.crs else [unknown], console)
 
 

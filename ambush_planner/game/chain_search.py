@@ -124,8 +124,7 @@ def _distribution_around(search: Search, flow: FloatArray) -> RouteDistribution:
     network = acyclic_network(game.network, np.flatnonzero(part.playable), position)
     exact = not hits_can_differ(game)
     distribution = RouteDistribution(network, flow[network.edge], problem.budgets, game.ambushers,
-                                     search.slack, exact, problem.deadline)
-    distribution.rough = True
+                                     search.slack, exact, problem.deadline, rough=True)
     distribution.add_sites(search.entering, search.loss)
     if problem.warm:
         prices = zip(problem.warm.budgets, problem.budgets, strict=True)

@@ -60,6 +60,8 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: Floa
                  given.face)
     once, used, winding = _curves(arcs)
     total, spirals = once + sum(curve.weight for curve in winding) - price * limit, 0.0
+    if not winding:
+        return max(total, 0.0)
     routes = _RoutesAcross(faces, entering)
     for curve in sorted(winding, key=lambda curve: -curve.weight * curve.winds):
         if total >= enough or time.monotonic() > deadline:

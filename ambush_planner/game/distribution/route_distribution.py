@@ -36,8 +36,8 @@ class DistributionRounds(NamedTuple):
 
     aim: float = 0.95  # share of the slack that a distribution uses, if rows are always exact
     early_aim: float = 0.7  # the same if rows are exact only at the chain before
-    # How accurate a round is, and one from a chain that is not within the slack or is the first;
-    # the excess is a share of the slack.
+    # How accurate a round is, and a rough one; the excess is a share of the slack, or of the
+    # missing entropy if that is less.
     accuracy: Accuracy = Accuracy(0.04, 5e-4, 1e-5)
     early_accuracy: Accuracy = Accuracy(0.2, 1e-2, 1e-3)
     near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
@@ -60,10 +60,11 @@ class RouteDistribution:
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
-                 ambushers: int, slack: float, exact: bool, deadline: float) -> None:
+                 ambushers: int, slack: float, exact: bool, deadline: float,
+                 rough: bool = False) -> None:
         self.network, self.slack, self.exact = network, slack, exact
         self.chain = MarkovChain(network, p)
-        self.deadline, self._k = deadline, ambushers
+        self.deadline, self._k, self._rough = deadline, ambushers, rough
         self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
         self._tolerance = min(DISTRIBUTION.accuracy.excess * slack, DISTRIBUTION.accuracy.missing)
         binding = [b for b in budgets if b.binds]
@@ -74,7 +75,6 @@ class RouteDistribution:
         self._loss, self.caps = np.zeros(0), np.zeros(0)
         self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
         self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
-        self.rough = False
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
@@ -142,7 +142,7 @@ class RouteDistribution:
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         accuracy = DISTRIBUTION.accuracy._replace(excess=self._tolerance)
-        if self.rough and not self.exact and not (self.good and self.rounds):
+        if self._rough and not self.exact and not (self.good and self.rounds):
             accuracy = DISTRIBUTION.early_accuracy
             accuracy = accuracy._replace(excess=accuracy.excess * min(self.slack, accuracy.missing))
         limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
