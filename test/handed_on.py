@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Worker processes that serve one node of a test after the other."""
 
-import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -33,7 +32,7 @@ class HandedOn(WorkerProcess):
 
     def solve(self, *given):
         """Solve, also if the worker was halted while it had nothing to do."""
-        self._continue()
+        signal_to(self, signal.SIGCONT)
         return super().solve(*given)
 
     def close(self):
@@ -41,30 +40,37 @@ class HandedOn(WorkerProcess):
         self.at_work.remove(self)
         if self.alive:
             # It may have been halted before the solve got to it.
-            self._continue()
+            signal_to(self, signal.SIGCONT)
             self.idle.append(self)
         else:
             super().close()
 
-    def _continue(self):
-        if self.alive and self._pidfd is not None:
-            with suppress(ProcessLookupError):
-                signal.pidfd_send_signal(self._pidfd, signal.SIGCONT)
+
+def signal_to(worker, number):
+    """Send a signal to a worker if it has started and not ended.
+
+    By its descriptor: Linux gives -1 as the process id of one that has ended, which ``os.kill``
+    takes for every process of the machine.
+    """
+    if worker._pidfd is not None:
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(worker._pidfd, number)
 
 
 def process_id(worker):
-    """The process id of a worker that has started."""
+    """The process id of a worker that is running."""
     (line,) = [line for line in Path(f'/proc/self/fdinfo/{worker._pidfd}').read_text().splitlines()
                if line.startswith('Pid:')]
-    return int(line.split()[1])
+    assert (found := int(line.split()[1])) > 0, 'the worker has ended'
+    return found
 
 
-def workers():
-    """Process ids of the workers that nodes of this process have."""
-    return [process_id(worker) for worker in HandedOn.at_work if worker._pidfd is not None]
+def signal_workers(number):
+    """Send a signal to all workers that nodes of this process have."""
+    for worker in HandedOn.at_work:
+        signal_to(worker, number)
 
 
 def halt_workers():
     """Let solves of minutes, which nobody waits for, take no processor time."""
-    for pid in workers():
-        os.kill(pid, signal.SIGSTOP)
+    signal_workers(signal.SIGSTOP)

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Long solves: the node keeps answering, and requests can be cancelled."""
 
-import os
 import signal
 import threading
 from contextlib import contextmanager
 from unittest import mock
 
 import numpy as np
-from handed_on import halt_workers, workers
+from handed_on import halt_workers, signal_workers
 from nav_msgs.srv import GetPlan
 from rclpy.parameter import Parameter
 from ros_harness import pose, risk_grid, stage, wait_until
@@ -57,8 +56,7 @@ def solving(parameters=SLOW, halted=True):
 
 
 def kill_workers():
-    for pid in workers():
-        os.kill(pid, signal.SIGKILL)
+    signal_workers(signal.SIGKILL)
 
 
 def answer(future):
