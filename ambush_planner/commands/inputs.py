@@ -315,7 +315,7 @@ _FIELDS = {each.name: f'{group}.{each.name}' for group, part in vars(SolveOption
 _PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
             ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)': ' (strategy.time_limit)',
-            'max_planning_time': 'strategy.time_limit'}
+            'max_planning_time': 'strategy.time_limit', 'game.loads': '--load'}
 # Qualified names, and those that are no ordinary words.
 _NAMED = re.compile(r"(?<!--set )(?<!')(?<![.\w])(?:(?:map|network|game|strategy|route)\.)?("
                     + '|'.join(_FIELDS) + r')(?!\w)')
