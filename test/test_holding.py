@@ -204,10 +204,11 @@ def test_unusable_places_are_refused(tmp_path, text, reason):
 
 
 def test_options_have_the_names_of_parameters():
-    options = options_of(['map.alpha_max=5', 'strategy.max_detour=.inf', 'network.spacing=1e1',
-                          'network.method=uniform_grid8', 'network.target_nodes=99'])
-    assert options.map.alpha_max == 5.0 and options.strategy.max_detour == np.inf
-    assert options.network == NetworkOptions(method='uniform_grid8', spacing=10.0, target_nodes=99)
+    of_map, of_plan = options_of(['map.alpha_max=5', 'strategy.max_detour=.inf',
+                                  'network.spacing=1e1', 'network.method=uniform_grid8',
+                                  'network.target_nodes=99'])
+    assert of_map.alpha_max == 5.0 and of_plan.strategy.max_detour == np.inf
+    assert of_plan.network == NetworkOptions(method='uniform_grid8', spacing=10.0, target_nodes=99)
     for assignment, reason in (('network.spacing', 'network.spacing=VALUE'),
                                ('spacing=3', 'did you mean'),
                                ('network.target_nodes=2.5', 'a whole number'),

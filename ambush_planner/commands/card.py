@@ -14,7 +14,7 @@ from ..route_files import PLAN
 from ..words import distance
 from . import cli
 from .card_page import Card, add_speed, card_of, card_page
-from .inputs import add_crs, crs_text
+from .positions import add_crs, crs_text
 
 EPILOG = """\
 FILE is a recorded departure (.mcap), of the node or of ambush draw, or with --route a plan of few

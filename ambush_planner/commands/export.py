@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 from ..route_files import Drawn, write_routes
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .inputs import add_crs, crs_text
+from .positions import add_crs, crs_text
 from .report_words import leaving
 
 EPILOG = f"""\

@@ -18,7 +18,8 @@ from ..maps.risk_map_file import read_risk_map
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .inputs import options_from, places_on, planner_parser
+from .inputs import options_from, planner_parser
+from .positions import places_on
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = """\
@@ -51,15 +52,16 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options = options_from(arguments)
+    of_map, planning = options_from(arguments)
     check_outputs(arguments.output, console)
-    risk_map = read_risk_map(arguments.map, options.map)
+    risk_map = read_risk_map(arguments.map, of_map)
     (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)
-    rows = trip_frontier(risk_map, (x, y), (to_x, to_y), options.planning, detours, slacks,
+    rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
-    write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
+    budgets = planning.strategy
+    write_frontier(arguments.output, rows, budgets.max_detour, budgets.risk_slack)
     console.line(_as_text(rows))
     files = [cli.place(path) for path in arguments.output]
     console.line('\n' + ', '.join(files))

@@ -21,7 +21,8 @@ from ..maps.vector_file import InvalidFeatures, attribute, features_on
 from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .inputs import Position, options_from, places_on, planner_parser
+from .inputs import options_from, planner_parser
+from .positions import Position, places_on
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
@@ -57,14 +58,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options = options_from(arguments)
-    risk_map = read_risk_map(arguments.map, options.map)
+    of_map, planning = options_from(arguments)
+    risk_map = read_risk_map(arguments.map, of_map)
     check_outputs(arguments.output, console)
     start, goal, stops = places_on(arguments, risk_map)
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
     with console.waiting('solving games'):
         found = places_to_hold(
-            risk_map, start, goal, arguments.radius, arguments.count, options.planning,
+            risk_map, start, goal, arguments.radius, arguments.count, planning,
             stops=stops, candidates=given, progress=lambda number, left: console.step(
                 f'place {number}: {cli.count(left, "candidate")} may be the best'))
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
@@ -73,7 +74,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                 lambda: hold_figure(found, arguments.radius, risk_map))
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
     console.result['files'] = console.secret(arguments.output)
-    sound = all(within_slack(step.strategy, options.planning.strategy) for step in found.steps)
+    sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
 

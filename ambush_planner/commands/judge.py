@@ -25,8 +25,9 @@ from ..planning.path_mixtures import PathMixture
 from ..recordings.durable_files import write_all_durably
 from ..words import distance, percent
 from . import cli
-from .inputs import options_from, places_on, planner_parser
+from .inputs import options_from, planner_parser
 from .judge_figure import MIN_SHARE, judge_figure
+from .positions import places_on
 
 EPILOG = """\
 TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, or recordings. Trips
@@ -57,15 +58,15 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options, output = options_from(arguments), arguments.output
+    (of_map, planning), output = options_from(arguments), arguments.output
     if arguments.detour is not None:
         raise cli.UsageError('argument --detour: the tracks set the length budget; leave it out')
-    if not options.game.ambush_radius > 0.0:
+    if not planning.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
-    risk_map = read_risk_map(arguments.map, options.map)
+    risk_map = read_risk_map(arguments.map, of_map)
     start, goal, _ = places_on(arguments, risk_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
-    game = solved_game(risk_map, options.planning)
+    game = solved_game(risk_map, planning)
     near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))
     trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
     console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal')
@@ -77,7 +78,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         return cli.Exit.TOO_FEW
     with console.waiting('solving the game'), warnings.catch_warnings():
         warnings.simplefilter('ignore')  # rounding at values of 0
-        habits = judge(risk_map, trips, options.planning)
+        habits = judge(risk_map, trips, planning)
     write_all_durably({output: as_png(judge_figure(habits, risk_map))})
     _tell(habits, risk_map, console)
     for text in concerns(habits.plan):

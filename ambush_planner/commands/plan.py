@@ -26,7 +26,8 @@ from ..words import distance, duration, percent
 from . import cli
 from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .inputs import Position, options_from, places_on, planner_parser
+from .inputs import options_from, planner_parser
+from .positions import Position, places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
@@ -86,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options, slots = options_from(arguments), arguments.slots
+    (of_map, planning), slots = options_from(arguments), arguments.slots
     for before, after in pairwise(slots):
         if after <= before:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
@@ -98,16 +99,16 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
     check_outputs(arguments.output, console)
-    options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
-    risk_map = (_of_terrain(arguments, options.map, console) if arguments.terrain
-                else read_risk_map(arguments.map, options.map))
+    planning = replace(planning, game=replace(planning.game, loads=tuple(arguments.load)))
+    risk_map = (_of_terrain(arguments, of_map, console) if arguments.terrain
+                else read_risk_map(arguments.map, of_map))
     rng = np.random.default_rng(arguments.seed)
     start, goal, stops = places_on(arguments, risk_map)
-    limit = options.strategy.time_limit
+    limit = planning.strategy.time_limit
     what = f'solving the game, at most {limit:g} s (strategy.time_limit)'
     with console.waiting(what) as progress, warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
-        plan = plan_trip(risk_map, start, goal, options.planning, stops=stops, progress=progress,
+        plan = plan_trip(risk_map, start, goal, planning, stops=stops, progress=progress,
                          order=arguments.order, routes=arguments.routes, equal=arguments.equal,
                          rng=rng)
     day = None
@@ -129,7 +130,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         chosen = day.mixture.draw(len(drawn.paths), rng)
         drawn = replace(drawn, slots=[slots[k] for k in chosen])
     write_routes(arguments.output, drawn,
-                 saved_plan(plan, options.map, arguments.order, day,
+                 saved_plan(plan, of_map, arguments.order, day,
                             None if arguments.terrain else arguments.map)
                  if len(quick) < len(arguments.output) else None)
     _tell(plan, day, arguments, console)

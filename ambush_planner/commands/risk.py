@@ -18,7 +18,7 @@ from ..maps.risk_layers import risk_from_layers
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
-from .inputs import add_crs, crs_text
+from .positions import add_crs, crs_text
 from .risk_figure import layers_figure, terrain_figure
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
