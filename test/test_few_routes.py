@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Few routes against all sets of the same candidates, and draws by hand against their shares."""
 
-from itertools import combinations
+import time
+from dataclasses import replace
+from itertools import combinations, count
 
 import numpy as np
 import pytest
@@ -16,8 +18,11 @@ from ambush_planner import (
     InvalidOption,
     PlanningOptions,
     StrategyOptions,
+    TimeLimit,
     plan_trip,
 )
+from ambush_planner.game.value import highs
+from ambush_planner.planning import few_routes as few_routes_module
 from ambush_planner.planning.few_routes import few_routes
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.path_mixtures import PathMixtures
@@ -50,7 +55,7 @@ def best_by_trial(plan, seed, size, equal):
             continue
         mixtures = PathMixtures(plan.risk_map, plan, [paths[k] for k in some])
         found = (mixtures.judged(np.full(size, 1.0 / size)) if equal
-                 else mixtures.best(costs[some], budget))
+                 else mixtures.best(costs[None, some] / budget))
         least = min(least, found.value)
     return least
 
@@ -78,6 +83,39 @@ def test_a_mixture_is_what_it_says(plan, equal):
         assert count == 5 and np.ptp(few.shares) == 0.0
     else:
         assert list(values) == sorted(values, reverse=True) and (np.diff(few.shares) <= 0.0).all()
+
+
+@pytest.mark.parametrize('equal', [False, True])
+@pytest.mark.parametrize('limit', [5, 40, 60, 90, 200])
+def test_when_the_time_is_up_the_best_mixture_so_far_is_the_answer(plan, limit, equal):
+    """On a clock that goes on by a second whenever somebody looks at it; each LP looks."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(time, 'monotonic', count().__next__)
+        try:
+            few = few_routes(plan, 5, equal, np.random.default_rng(0), limit)
+        except TimeLimit as late:
+            assert late.strategy is plan.strategy and limit == 5
+            return
+        assert limit > 5 and time.monotonic() <= limit + 20
+    assert 1 <= len(few.paths) <= 5 and few.lower_bound <= few.value == few.curve[-1][1]
+    judged = PathMixtures(plan.risk_map, plan, few.paths).judged(few.shares)
+    assert few.value == pytest.approx(judged.value)
+    assert few.shares @ few.costs <= plan.strategy.length_budget * (1.0 + 1e-6)
+
+
+def test_a_plan_and_its_few_routes_share_the_time_limit(monkeypatch):
+    strategy = replace(OPTIONS.strategy, time_limit=3600.0)
+    monkeypatch.setattr(few_routes_module, 'CANDIDATES', 20)
+    deadlines, run = [], highs.run
+    monkeypatch.setattr(highs, 'run', lambda lp, solver, deadline, *rest: (
+        deadlines.append(deadline), run(lp, solver, deadline, *rest))[1])
+    begin = time.monotonic()
+    plan = plan_trip(ground(), START, GOAL, replace(OPTIONS, strategy=strategy), routes=3)
+    assert plan.options.strategy.time_limit == 3600.0
+    assert all(limit <= begin + 3600.0 + 300.0 for limit in deadlines)
+    with pytest.raises(TimeLimit, match='few routes') as late:
+        few_routes(plan, 3, deadline=begin)
+    assert late.value.strategy is plan.strategy
 
 
 def test_a_plan_draws_from_its_few_routes():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mixtures of given paths against their meaning: distances from every place, and small games."""
 
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ from ambush_planner import (
     InvalidOption,
     PlanningOptions,
     RiskMap,
+    TimeLimit,
     plan_trip,
 )
 from ambush_planner.errors import BudgetInfeasible
@@ -69,7 +71,7 @@ def test_best_shares_are_those_of_a_linear_program_on_all_sites():
     risk_map, rng = ground(), np.random.default_rng(1)
     plan = plan_trip(risk_map, START, GOAL, OPTIONS)
     mixtures = PathMixtures(risk_map, plan, plan.paths(60, rng))
-    best = mixtures.best()
+    best = mixtures.best(np.zeros((0, 60)))
     assert best.shares.sum() == pytest.approx(1.0)
     for _ in range(5):
         assert best.value <= mixtures.judged(rng.dirichlet(np.ones(60))).value * 1.001
@@ -87,7 +89,7 @@ def test_two_ways_round_a_wall_are_driven_alike():
     secured = GameOptions(ambush_radius=2.0, secured_radius=4.0)  # where the ways part
     plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=secured))
     paths = [np.array([START, (8.0, y), (32.0, y), GOAL]) for y in (4.0, 16.0, 3.5)]
-    best = PathMixtures(risk_map, plan, paths).best()
+    best = PathMixtures(risk_map, plan, paths).best(np.zeros((0, 3)))
     assert best.value == pytest.approx(0.5, rel=1e-3)
     assert best.shares[1] == pytest.approx(0.5, abs=1e-3)
 
@@ -98,18 +100,20 @@ def test_a_length_budget_limits_the_shares():
     paths = plan.paths(30, np.random.default_rng(2))
     costs = np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
     mixtures, budget = PathMixtures(risk_map, plan, paths), float(costs.min()) * 1.02
-    best = mixtures.best(costs, budget)
+    best = mixtures.best(costs[None] / budget)
     assert best.shares @ costs <= budget * (1.0 + 1e-6)
-    assert best.value >= mixtures.best().value * 0.999
+    assert best.value >= mixtures.best(costs[None] / np.inf).value * 0.999
     with pytest.raises(BudgetInfeasible, match='max_detour'):
-        mixtures.best(costs, 1.0)
+        mixtures.best(costs[None])
+    with pytest.raises(TimeLimit):
+        mixtures.best(costs[None] / budget, time.monotonic())
 
 
 def test_trips_pass_their_stops():
     risk_map = ground(walls=False)
     plan = plan_trip(risk_map, START, GOAL, OPTIONS, stops=[(20.0, 4.0)])
     paths = plan.paths(3, np.random.default_rng(3))
-    assert PathMixtures(risk_map, plan, paths).best().value > 0.0
+    assert PathMixtures(risk_map, plan, paths).best(np.zeros((0, 3))).value > 0.0
     with pytest.raises(InvalidOption, match='stop 1'):
         PathMixtures(risk_map, plan, [np.array([START, GOAL])])
 

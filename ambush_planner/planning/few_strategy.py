@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from ..game.route_sampler import route_edges
 from ..game.strategy import Strategy, strategy_of
 from ..network.network import Network
 from .few_routes import FewRoutes
+from .path_mixtures import side_by_side
 
 
 def few_strategy(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[IndexArray]]:
@@ -27,13 +27,10 @@ def few_strategy(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[Ind
     """
     whole = strategy.network
     inner = [route[1:-1] for route in few.routes]
-    first = np.cumsum([2, *map(len, inner)])
     of = np.concatenate(([whole.source, whole.target], *inner))
-    routes = [np.concatenate(([0], np.arange(begin, end), [1]))
-              for begin, end in pairwise(first.tolist())]
-    edges = np.concatenate([np.column_stack((route[:-1], route[1:])) for route in routes])
-    p = np.concatenate([np.full(len(route) - 1, share)
-                        for route, share in zip(routes, few.shares, strict=True)])
+    edges, line = side_by_side(list(map(len, inner)))
+    routes = [np.append(0, edges[line == k, 1]) for k in range(len(inner))]
+    p = few.shares[line]
     seconds = None if whole.seconds is None else np.concatenate(
         [whole.seconds[route_edges(whole, route)] for route in few.routes])
     network = Network(whole.points[of], whole.alpha[of], edges, 0, 1,

@@ -22,7 +22,7 @@ from .options import PlanningOptions, is_graded
 from .path_mixtures import PathMixture, PathMixtures
 from .plan import Plan, make_plan
 from .solving import solve_on_network
-from .trip import plan_quietly, trip_network
+from .trip import PLANNED, plan_quietly, trip_network, with_time
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
@@ -69,6 +69,7 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     nobody can wait anywhere, and the errors of ``plan_trip`` and ``PathMixtures``.
     """
     begin, (start, goal) = time.monotonic(), trips[0].xy[[0, -1]]
+    end = begin + options.strategy.time_limit
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
     network = trip_network(risk_map, start, goal, options, (), 'given', np.empty((0, 3)))
@@ -77,6 +78,7 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     shortest = network.ground_length or least_cost(network, network.lengths)
     budgets = replace(options.strategy, max_detour=max(mean / shortest, MIN_DETOUR))
     options = replace(options, strategy=budgets)
+    options = with_time(options, begin + PLANNED * options.strategy.time_limit)
     if is_graded(options):
         plan = plan_quietly(risk_map, start, goal, options)
     else:
@@ -86,7 +88,8 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
                             'nobody can wait there: choose a smaller radius (--held)')
     mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips])
     driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
-    return Habits(trips, lengths, driven, _interval(driven), mixtures.best(lengths, mean), plan)
+    best = mixtures.best(lengths[None] / mean, end)
+    return Habits(trips, lengths, driven, _interval(driven), best, plan)
 
 
 def _interval(driven: PathMixture) -> tuple[float, float]:

@@ -10,18 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from operator import attrgetter
 
 import numpy as np
-from scipy.sparse import csr_matrix, hstack, vstack
+from scipy.sparse import csr_matrix, vstack
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
-from ..errors import BudgetInfeasible, InvalidOption
+from ..errors import InvalidOption, TimeLimit
 from ..game.distribution.chain import chain_of
 from ..game.game import GameOptions, make_game
-from ..game.value import highs
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
+from .best_shares import SharesLP
 from .cell_losses import CellLosses, CellSearch
 from .plan import Plan
 
@@ -46,18 +46,6 @@ class PathMixture:
     hit: BoolArray
 
 
-class BestShares(NamedTuple):
-    """The least value of a mixture of paths, and its shares (K,): a vertex, so mostly 0.
-
-    ``q`` (S,) is the ambusher's best mixture, ``prices`` (B,) what the budgets cost him.
-    """
-
-    value: float
-    shares: FloatArray
-    q: FloatArray
-    prices: FloatArray
-
-
 class PathMixtures:
     """All mixtures of paths (L, 2 or 3), x and y [m] first, from start to goal of a plan.
 
@@ -72,7 +60,7 @@ class PathMixtures:
         solved = plan.strategy.game
         options = solved.options
         check_judged(options)
-        self._network, self._uses = _side_by_side(plan, paths)
+        self._network, self._uses = _network_of(plan, paths)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error,
             secured_radius=options.secured_distance))
@@ -97,21 +85,27 @@ class PathMixtures:
                            frozen_array(self._points[worst], np.float64),
                            frozen_array(self._hit[worst].toarray()[0], np.bool_))
 
-    def best(self, costs: FloatArray | None = None, budget: float = math.inf) -> PathMixture:
-        """The shares of least value, up to ``MAX_GAP``, with mean ``costs`` (K,) within a budget.
+    def best(self, costs: FloatArray, deadline: float = math.inf) -> PathMixture:
+        """The shares of least value, up to ``MAX_GAP``.
 
-        Raises BudgetInfeasible if every path costs more.
+        The mean of each row of ``costs`` (B, K) is at most 1.
+        At the ``deadline`` (``time.monotonic``) it is the best mixture so far. Raises TimeLimit if
+        there is none, and BudgetInfeasible if no mixture keeps to the costs.
         """
-        costs = np.zeros(self._hit.shape[1]) if costs is None else costs
-        if not costs.min() <= budget:
-            raise BudgetInfeasible(f'the shortest path takes {costs.min():.6g}, more than the '
-                                   f'budget of {budget:.6g}; raise max_detour')
-        limits = (costs[None, :] / (budget or 1.0))[: int(np.isfinite(budget))]
+        lp = SharesLP(self.losses, costs, deadline)
+        found: list[PathMixture] = []
         while True:
-            solved = best_shares(self.losses, limits)
-            mixture = self.judged(solved.shares)
-            if mixture.value <= solved.value * (1.0 + MAX_GAP):
-                return mixture
+            try:
+                solved = lp.solve()
+            except TimeLimit:
+                if not found:
+                    raise
+                break
+            found.append(self.judged(solved.of_all(costs.shape[1])))
+            if found[-1].value <= solved.value * (1.0 + MAX_GAP):
+                break
+            lp.losses = self.losses
+        return min(found, key=attrgetter('value'))
 
     @property
     def losses(self) -> csr_matrix:
@@ -138,48 +132,32 @@ def check_judged(options: GameOptions) -> None:
         raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
 
 
-def best_shares(losses: csr_matrix, costs: FloatArray) -> BestShares:
-    """The linear program over shares of paths that cause ``losses`` (S, K) at sites.
+def side_by_side(inner: Sequence[int]) -> tuple[IndexArray, IndexArray]:
+    """Lines from node 0 to node 1 over some ``inner`` nodes of each (K,), numbered from 2 on.
 
-    The mean of each row of ``costs`` (B, K) is at most 1. The value is inf if no shares are.
+    Returns their edges (M, 2), one line after the other, and the line of each edge (M,).
     """
-    count = losses.shape[1]
-    unit = float(losses.max()) if losses.nnz else 1.0
-    sites = hstack((losses / unit, np.full((losses.shape[0], 1), -1.0)))
-    rows = csr_matrix(vstack((sites, np.pad(costs, ((0, 0), (0, 1))))))
-    bounds = np.repeat([0.0, 1.0], [losses.shape[0], len(costs)])
-    total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
-    lp = highs.LP(np.append(np.zeros(count), 1.0), rows, bounds, total, np.ones(1))
-    solved = highs.run(lp, 'simplex', math.inf)
-    if solved.x is None:
-        return BestShares(math.inf, np.zeros(count), bounds[: losses.shape[0]], np.ones(len(costs)))
-    shares = np.maximum(solved.x[:count], 0.0)
-    duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
-    return BestShares(solved.fun * unit, shares / shares.sum(), duals[: losses.shape[0]],
-                      duals[losses.shape[0] :] * unit)
+    nodes = np.arange(2, 2 + sum(inner))
+    end: IndexArray = np.cumsum(inner)
+    edges = np.column_stack((np.insert(nodes, end - np.array(inner), 0), np.insert(nodes, end, 1)))
+    return edges, np.repeat(np.arange(len(inner)), np.add(inner, 1))
 
 
-def _side_by_side(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:
+def _network_of(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:
     """The network of the paths, and the edges (M, K) that each uses."""
-    start, goal = plan.network.points[[plan.network.source, plan.network.target]]
-    points, leg, edges, count = [start[None], goal[None]], [0, len(plan.stops_xy)], [], 2
+    ends = plan.network.points[[plan.network.source, plan.network.target]]
+    lines, leg = [], [np.array([0, len(plan.stops_xy)])]
     for k, path in enumerate(paths):
-        line = np.vstack((start, path[:, :2], goal))
+        line = np.vstack((ends[0], path[:, :2], ends[1]))
         line = line[np.append(True, (line[1:] != line[:-1]).any(axis=1))]
         if len(line) == 2:  # its one edge could be another path's, too
             line = np.insert(line, 1, line.mean(axis=0), axis=0)
-        inner = count + np.arange(len(line) - 2)
-        points.append(line[1:-1])
-        leg.extend(_legs(plan, line, k)[1:-1].tolist())
-        nodes = np.concatenate(([0], inner, [1]))
-        edges.append(np.column_stack((nodes[:-1], nodes[1:])))
-        count += len(inner)
-    size = list(map(len, edges))
-    uses = csr_matrix((np.ones(sum(size)), (np.arange(sum(size)), np.repeat(np.arange(len(size)),
-                                                                            size))))
-    network = Network(np.concatenate(points), np.zeros(count), np.concatenate(edges), 0, 1,
-                      leg=np.array(leg))
-    return network, uses
+        lines.append(line[1:-1])
+        leg.append(_legs(plan, line, k)[1:-1])
+    edges, of = side_by_side(list(map(len, lines)))
+    points = np.concatenate((ends, *lines))
+    network = Network(points, np.zeros(len(points)), edges, 0, 1, leg=np.concatenate(leg))
+    return network, csr_matrix((np.ones(len(of)), (np.arange(len(of)), of)))
 
 
 def _legs(plan: Plan, line: FloatArray, k: int) -> IndexArray:

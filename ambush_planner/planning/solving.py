@@ -123,7 +123,7 @@ def _within_max_gap(late: TimeLimit, options: PlanningOptions) -> Strategy:
     gap = open_gap(strategy, options.strategy)
     if gap <= options.max_gap * strategy.value:
         return strategy
-    raise TimeLimit(f'after {options.strategy.time_limit:g} s the strategy may be '
+    raise TimeLimit(f'after {options.strategy.time_limit:.3g} s the strategy may be '
                     f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
                     f'{options.max_gap:g}; allow more time, or choose a larger spacing',
                     strategy) from late

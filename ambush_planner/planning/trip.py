@@ -45,6 +45,8 @@ MAX_COMPARED, MAX_RANDOM_STOPS = 7, 4
 # Share of the time limit for the best order, if its network is then refined; and share of the time
 # left that a round of refinement may take.
 ORDERED, ROUND = 0.6, 0.6
+# Share of the time limit for a plan whose routes then become a mixture of a few.
+PLANNED = 0.7
 
 Position = tuple[float, float]
 
@@ -80,7 +82,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         A similar strategy to start the search from, for the given order only.
     routes, equal, rng
         Departures draw from the best mixture found of at most so many routes, or of as many with
-        ``equal`` shares: ``Plan.few``. ``rng`` draws the candidates, or is a seed.
+        ``equal`` shares: ``Plan.few``. ``rng`` draws the candidates, or is a seed. The strategy
+        then gets ``PLANNED`` of the time limit.
     progress
         Is called with the value and the lower bound so far; the value is ``inf`` before the first
         strategy.
@@ -99,7 +102,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     NoRoute, BudgetInfeasible
         No route leads from start to goal, or none within the budgets.
     TimeLimit
-        The time limit passed before the gap was at most ``max_gap``; it has the best ``strategy``.
+        The time limit passed before the gap was at most ``max_gap``, or before a mixture of few
+        routes was found; it has the best ``strategy``.
 
     Warns
     -----
@@ -124,9 +128,13 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     options = options or PlanningOptions()
     if routes is not None:
         check_judged(options.game)
-    made = plan_quietly(risk_map, start_xy, goal_xy, options, list(stops), order, warm, progress)
+    begin, limit, quick = time.monotonic(), options.strategy.time_limit, options
     if routes is not None:
-        made = replace(made, few=few_routes(made, routes, equal, np.random.default_rng(rng)))
+        quick = with_time(options, begin + PLANNED * limit)
+    made = plan_quietly(risk_map, start_xy, goal_xy, quick, list(stops), order, warm, progress)
+    if routes is not None:
+        few = few_routes(made, routes, equal, np.random.default_rng(rng), begin + limit)
+        made = replace(made, options=options, few=few)
     for text in concerns(made):
         warn(text)
     return made
@@ -185,7 +193,7 @@ class _Trip:
         end, best = begin + options.strategy.time_limit, None
         if self.order == 'best' and len(self.stops) > 1:
             ordered = ORDERED if is_graded(options) else 1.0
-            rest = _with_time(options, begin + ordered * options.strategy.time_limit)
+            rest = with_time(options, begin + ordered * options.strategy.time_limit)
             search = _StopOrderSearch(self.risk_map, self.graph(first), rest, self.progress)
             best = search.run()
             if not is_graded(options):
@@ -194,13 +202,13 @@ class _Trip:
             warm, options = WarmStart.of(best.strategy), search.within_budget(chosen)
         if not is_graded(options):
             network = self.network(self.graph(first), chosen)
-            strategy = solve_on_network(self.risk_map, network, _with_time(options, end), warm,
+            strategy = solve_on_network(self.risk_map, network, with_time(options, end), warm,
                                         self.progress)
             return _Planned(strategy, chosen, found)
 
         def value_on(similar: WarmStart | None) -> Search:
             graph = self.graph(similar.refined if similar else first)
-            rest = _with_time(options, time.monotonic() + ROUND * (end - time.monotonic()))
+            rest = with_time(options, time.monotonic() + ROUND * (end - time.monotonic()))
             return find_value_on(self.risk_map, self.network(graph, chosen), rest, similar,
                                  self.progress)
 
@@ -225,7 +233,7 @@ class _Trip:
         return _in_any_order(graph) if self.order == 'random' else _in_order(graph, chosen)
 
 
-def _with_time(options: PlanningOptions, end: float) -> PlanningOptions:
+def with_time(options: PlanningOptions, end: float) -> PlanningOptions:
     """The options with the time limit at ``end`` (``time.monotonic``), or next to nothing."""
     left = max(end - time.monotonic(), 1e-6)
     return replace(options, strategy=replace(options.strategy, time_limit=left))
@@ -359,7 +367,7 @@ class _StopOrderSearch:
         """The strategy for one order, within the common budget."""
         if time.monotonic() > self._deadline:
             raise TimeLimit('the time limit passed before an order of the stops was solved')
-        options = _with_time(self.within_budget(order), self._deadline)
+        options = with_time(self.within_budget(order), self._deadline)
         return solve_on_network(self._map, _in_order(self._graph, order), options,
                                 progress=self._progress)
 
