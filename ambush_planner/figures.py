@@ -1,77 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layers of pictures of risk maps, strategies and routes.
+"""Layers of pictures of strategies and routes, above the map of ``map_figures``.
 
-Each ``draw_...`` function draws one layer on given axes, in world metres; ``draw_map`` comes
-first, ``draw_network`` and ``draw_routes`` follow. Risk is grey, or brown over the relief if the
-map has heights; obstacles are black and unknown ground is hatched. The convoy is blue, unless
-routes are drawn over a pale network, and the ambusher is orange.
-Pictures are at most ``WIDTH`` inches wide: text of 9 points has 16 pixels on a page of 900, and 7
-on a telephone of 400.
+The convoy is blue, unless routes are drawn over a pale network, and the ambusher is orange.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.collections import LineCollection
 from matplotlib.colors import (
     Colormap,
-    LightSource,
     LinearSegmentedColormap,
     ListedColormap,
     LogNorm,
     Normalize,
-    to_rgba,
 )
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch
-from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import FuncFormatter, MaxNLocator
-from matplotlib.transforms import Affine2D
+from matplotlib.patches import Circle
+from matplotlib.ticker import FuncFormatter
 from scipy.spatial import cKDTree
 
 from . import colours
-from .arrays import BoolArray, FloatArray
-from .maps.coordinates import Coordinates, InvalidCoordinates
+from .arrays import FloatArray
+from .map_figures import HALO, WIDTH, draw_map, draw_risk_map, frame, ground_key, risk_bar
 from .maps.risk_map import RiskMap
 from .routes.shared_roads import stripes
 
 if TYPE_CHECKING:
     from .game.strategy import Strategy
 
-RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
-RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
-    'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
 PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
 # Minimum probability of edges in pictures, and of sites relative to the likeliest one.
 MIN_PROBABILITY, MIN_SITE = 1e-3, 0.01
-# Maximum cells across a picture; larger maps are subsampled.
-MAX_CELLS = 2000
-WIDTH = 7.0  # inches
-DOTS_PER_INCH = 200
 SECURED_DASHES = (0, (4, 3))
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
 # Size of a number, and room for one on a route, as shares of the picture.
 BADGE, ROOM = 0.04, 0.07
 # Minimum radius of the secured area that a mark does not cover, as a share of the picture.
 SEEN = 0.015
-HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
-# Legend entries of the layers below.
+# Legend entries.
 SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours.AMBUSHER,
                markeredgecolor='white', label='ambush site: the larger, the likelier')
 SECURED_AREA = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES,
                      label='secured area: nobody can wait here')
-OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
-UNKNOWN = Patch(facecolor='#f2f2f2', edgecolor='#a8a8a8', hatch='////', label='unknown')
 START = Line2D([], [], linestyle='none', marker='s', markersize=8, color=colours.ENDS,
                markeredgecolor='black', label='start')
 GOAL = Line2D([], [], linestyle='none', marker='*', markersize=13, color=colours.ENDS,
@@ -94,153 +73,6 @@ def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
         image = draw_map(axes, risk_map, title)
     draw_ends(axes, strategy, named=not small, size=0.5 if small else 1.0)
     return image
-
-
-def draw_map(axes: Axes, risk_map: RiskMap, title: str = '',
-             box: npt.ArrayLike | None = None) -> AxesImage:
-    """Draw the map, or the part in a box ((left, bottom), (right, top)), with scale and north."""
-    frame(axes, risk_map, title, box)
-    scale_bar(axes)
-    north_arrow(axes, risk_map.crs)
-    return draw_risk_map(axes, risk_map)
-
-
-def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None,
-          ticks: int = 4) -> None:
-    """Give the axes the map's extent, or a box, equal scales, and up to about ``ticks`` ticks.
-
-    Ticks are latitudes and longitudes, with a graticule, as they are not parallel to the edges; for
-    maps without a coordinate system, the map's own coordinates in km (m for maps under 2 km).
-    """
-    (left, bottom), (right, top) = np.asarray(risk_map.bounds if box is None else box).tolist()
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect='equal')
-    axes.set_title(title, fontsize='medium', loc='left', linespacing=1.4)
-    axes.patch.set(facecolor=UNKNOWN.get_facecolor(), edgecolor=UNKNOWN.get_edgecolor(),
-                   hatch=UNKNOWN.get_hatch())
-    if system := _coordinates(risk_map.crs):
-        bottom_edge, left_edge = (np.linspace((left, bottom), end)
-                                  for end in ((right, bottom), (left, top)))
-        box = np.array([(left, bottom), (right, bottom), (left, top), (right, top)])
-        for axis, edge in ((axes.xaxis, bottom_edge), (axes.yaxis, left_edge)):
-            _graticule(axes, system, box, *_degrees(axis, system, edge, ticks))
-        axes.set(xlim=(left, right), ylim=(bottom, top))
-        return
-    unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(nbins=ticks, steps=[1, 2, 5, 10]))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
-    axes.set(xlabel=f'x [{unit}]', ylabel=f'y [{unit}]')
-
-
-def _coordinates(crs: str | None) -> Coordinates | None:
-    """Return the coordinate system; None if it is unknown, or pyproj is not installed."""
-    try:
-        return Coordinates(crs or '')
-    except InvalidCoordinates:
-        return None
-
-
-def _graticule(axes: Axes, system: Coordinates, box: FloatArray, kind: int, step: float) -> None:
-    """Draw the lines of round latitudes (kind 0) or longitudes (1) across the corners of a box."""
-    low, high = (getattr(system.to_lat_lon(box), end)(axis=0) for end in ('min', 'max'))
-    other = np.linspace(low[1 - kind], high[1 - kind], 30)
-    for value in np.arange(np.ceil(low[kind] / step), high[kind] / step) * step:
-        line = np.column_stack((np.full(30, value), other)[:: 1 - 2 * kind])
-        axes.plot(*system.from_lat_lon(line).T, color='0.3', linewidth=0.5, alpha=0.5, zorder=1)
-
-
-def _degrees(axis: Axis, system: Coordinates, edge: FloatArray, most: int) -> tuple[int, float]:
-    """Mark round latitudes or longitudes, whichever vary, along an edge (K, 2) of the axes.
-
-    Returns 0 for latitudes, 1 for longitudes, and their distance.
-    """
-    degrees = system.to_lat_lon(edge)
-    kind = int(np.ptp(degrees, axis=0).argmax())
-    order = degrees[:, kind].argsort()
-    found = degrees[order, kind]
-    ticks = MaxNLocator(nbins=most, steps=[1, 2, 5, 10]).tick_values(found[0], found[-1])
-    step = float(ticks[1] - ticks[0])
-    ticks = ticks[(found[0] <= ticks) & (ticks <= found[-1])]
-    at = np.interp(ticks, found, edge[order, 'xy'.index(axis.axis_name)])
-    signs = ('NS', 'EW')[kind]
-    axis.set_ticks(at, [f'{abs(tick):.6g}°{signs[int(tick < 0.0)]}' for tick in ticks],
-                   fontsize='small')
-    return kind, step
-
-
-def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
-    """Draw losses, the least one white, obstacles, and the relief below if heights are known."""
-    relief, step = risk_map.heights is not None, risk_map.resolution
-    if relief:
-        # Row 0 is in the south, in the north for matplotlib.
-        shade = LightSource().hillshade(risk_map.heights, vert_exag=2.0, dx=step, dy=-step)
-        draw_cells(axes, risk_map, np.ma.masked_invalid(shade), cmap='gray', vmin=-0.6, vmax=0.9)
-    draw_cells(axes, risk_map, np.ma.masked_equal(_blocked(risk_map), False),
-               cmap=ListedColormap([colours.OBSTACLE]), alpha=0.8 if relief else 1.0)
-    return draw_cells(axes, risk_map, np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
-                      cmap=RISK_ON_RELIEF if relief else RISK)
-
-
-def ground_key(risk_map: RiskMap) -> list[Patch]:
-    """Return the entries of a legend for obstacles and unknown ground."""
-    return ([OBSTACLE] * bool(_blocked(risk_map).any())
-            + [UNKNOWN] * (risk_map.unknown is not None))
-
-
-def ground_legend(figure: Figure, risk_map: RiskMap) -> None:
-    """Explain obstacles and unknown ground below a picture that has nothing else to explain."""
-    if key := ground_key(risk_map):
-        figure.legend(handles=key, loc='outside lower left', ncols=2, frameon=False)
-
-
-def _blocked(risk_map: RiskMap) -> BoolArray:
-    if risk_map.unknown is None:
-        return risk_map.obstacles
-    return risk_map.obstacles & ~risk_map.unknown
-
-
-def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.NDArray[Any], **style: Any) -> AxesImage:
-    """Draw values (H, W) of the map's cells, except masked ones."""
-    thin = -(-max(values.shape) // MAX_CELLS)
-    width, height = risk_map.size
-    x, y, yaw = risk_map.origin
-    limits = axes.get_xlim(), axes.get_ylim()
-    image = axes.imshow(values[::thin, ::thin], origin='lower', extent=(0.0, width, 0.0, height),
-                        interpolation='nearest', zorder=0, **style)
-    image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
-    axes.set(xlim=limits[0], ylim=limits[1])
-    return image
-
-
-def scale_bar(axes: Axes) -> None:
-    """Draw a bar of a round length in the lower left corner."""
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    ticks = MaxNLocator(nbins=1, steps=[1, 2, 5, 10]).tick_values(0.0, 0.3 * (right - left))
-    length = float(ticks[ticks <= 0.3 * (right - left)][-1])
-    x, y = left + 0.04 * (right - left), bottom + 0.04 * (top - bottom)
-    axes.plot((x, x + length), (y, y), color='black', linewidth=3.0, solid_capstyle='butt',
-              path_effects=HALO, zorder=8)
-    text = f'{length / 1000:g} km' if length >= 1000.0 else f'{length:g} m'
-    axes.annotate(text, (x, y), xytext=(0, 4), textcoords='offset points', path_effects=HALO,
-                  zorder=8)
-
-
-def north_arrow(axes: Axes, crs: str | None) -> None:
-    """Point to true north, right of the upper right corner, if the system is known."""
-    system = _coordinates(crs)
-    if system is None:
-        return
-    middle = np.array([np.mean(axes.get_xlim()), np.mean(axes.get_ylim())])
-    north = system.from_lat_lon(system.to_lat_lon(middle) + (1e-4, 0.0)) - middle
-    axes.annotate('N', (1.04, 0.84), xytext=20.0 * north / np.hypot(*north), ha='center',
-                  va='center', xycoords='axes fraction', textcoords='offset points', weight='bold',
-                  path_effects=HALO, zorder=8,
-                  arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
-
-
-def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
-    """Explain the grey scale next to the axes."""
-    figure.colorbar(image, ax=axes, label='loss if ambushed here', **layout)
 
 
 def probability_bar(figure: Figure, lines: LineCollection, axes: Any,
@@ -461,11 +293,3 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
                 handler_map={tuple: HandlerTuple(None, 0.0)}, loc='upper left',
                 bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4, frameon=False)
     return axes
-
-
-def as_png(figure: Figure) -> bytes:
-    """Return the picture as a PNG file, without the name of the drawing program."""
-    stream = BytesIO()
-    figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.12,
-                   metadata={'Software': None})
-    return stream.getvalue()

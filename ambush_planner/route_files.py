@@ -83,7 +83,8 @@ class Drawn:
         """Draw map, strategy and routes."""
         from matplotlib.figure import Figure
 
-        from .figures import WIDTH, draw_strategy
+        from .figures import draw_strategy
+        from .map_figures import WIDTH
 
         figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
         draw_strategy(figure.subplots(), self.strategy, self.risk_map,
@@ -130,7 +131,7 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
             f'{path}: {suffix[1:].upper()} holds latitude and longitude, but the coordinate system '
             "of the map is unknown; plan or export with --crs SYSTEM, or a robot's frame (--datum)")
     if suffix == '.png':
-        from .figures import as_png
+        from .map_figures import as_png
 
         return as_png(drawn.picture())
     if suffix == '.csv':

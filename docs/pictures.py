@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ambush_planner import GameOptions, PlanningOptions, figures, plan_trip
+from ambush_planner import GameOptions, PlanningOptions, figures, map_figures, plan_trip
 from ambush_planner.arrays import IndexArray
 from ambush_planner.colours import AMBUSHER, PROBABILITY
 from ambush_planner.game.hits import largest_losses
@@ -92,7 +92,7 @@ def trip(demo: Section) -> Figure:
     plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS, order='best')
     network = plan.network
     known = evaluate(plan.strategy)['energy_efficient'].v_repeated
-    figure = Figure((figures.WIDTH, 5.7), layout='compressed')
+    figure = Figure((map_figures.WIDTH, 5.7), layout='compressed')
     left, right = figure.subplots(1, 2)
     for axes, title in (
         (left, f'One strategy over {network.legs} legs: mean loss {plan.strategy.value:.2f}\n'
@@ -107,8 +107,8 @@ def trip(demo: Section) -> Figure:
     figures.draw_routes(right, [path[:, :2] for path in paths], figures.places_of(plan.strategy))
     right.label_outer()
     figures.probability_bar(figure, edges, left, location='bottom', shrink=0.9)
-    figures.risk_bar(figure, risk, right, location='bottom', shrink=0.9)
-    figure.legend(handles=[figures.SITES, figures.SECURED_AREA, figures.OBSTACLE], ncols=3,
+    map_figures.risk_bar(figure, risk, right, location='bottom', shrink=0.9)
+    figure.legend(handles=[figures.SITES, figures.SECURED_AREA, map_figures.OBSTACLE], ncols=3,
                   **LEGEND)
     return figure
 
@@ -123,12 +123,12 @@ class Panel:
         axes.set(xticks=[], yticks=[], ylabel='')
         self.text = axes.set_xlabel(' \n ', fontsize=10, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
-                              path_effects=figures.HALO)
+                              path_effects=map_figures.HALO)
         self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=9)
         self.hit = axes.scatter([], [], s=420, marker='X', color=AMBUSHER, edgecolors='black',
                                 zorder=9)
         self.name = axes.annotate('', (0.0, 0.0), (8, 16), textcoords='offset points', va='center',
-                                  weight='bold', path_effects=figures.HALO, zorder=9)
+                                  weight='bold', path_effects=map_figures.HALO, zorder=9)
         self.losses: list[float] = []
 
     def step(self, route: IndexArray, row: int, share: float) -> None:
@@ -174,7 +174,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     Both panels use the game's own hits; the routes and the ambusher's places come from seed 1.
     """
     chosen, rng = demo.strategy, np.random.default_rng(1)
-    figure = Figure((figures.WIDTH, 5.0), dpi=PIXELS / figures.WIDTH, layout='constrained')
+    figure = Figure((map_figures.WIDTH, 5.0), dpi=PIXELS / map_figures.WIDTH, layout='constrained')
     left, right = (
         Panel(axes, demo, title) for axes, title in zip(figure.subplots(1, 2), (
             'The shortest route, every day\nThe ambusher waits at its worst place',
@@ -258,7 +258,7 @@ def main() -> None:
     demo = sections_of(read_departures(recordings_in('out/demo'), print))[-1]
     for name in options.names:
         if name in still:
-            (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
+            (folder / f'{name}.png').write_bytes(map_figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp')
         elif name == 'report':

@@ -17,20 +17,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 from scipy.sparse import csr_matrix
 
-from ambush_planner.figures import (
+from ambush_planner.arrays import FloatArray
+from ambush_planner.figures import PROBABILITY, draw_ends, draw_segments, probability_scale
+from ambush_planner.game.strategy import Strategy
+from ambush_planner.map_figures import (
     OBSTACLE,
-    PROBABILITY,
     WIDTH,
-    FloatArray,
-    draw_ends,
     draw_risk_map,
-    draw_segments,
     frame,
-    probability_scale,
     risk_bar,
     scale_bar,
 )
-from ambush_planner.game.strategy import Strategy
 from ambush_planner.maps.risk_map import RiskMap
 
 from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING

@@ -11,7 +11,7 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from matplotlib.figure import Figure
 
-from ambush_planner import colours, figures
+from ambush_planner import colours, figures, map_figures
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.routes.shared_roads import stripes
@@ -27,20 +27,20 @@ def turned_map(yaw: float) -> RiskMap:
 
 
 def test_frame_contains_a_rotated_map(axes):
-    figures.frame(axes, turned_map(math.pi / 2), 'turned')
+    map_figures.frame(axes, turned_map(math.pi / 2), 'turned')
     np.testing.assert_allclose(axes.get_xlim(), (94.0, 100.0))
     np.testing.assert_allclose(axes.get_ylim(), (50.0, 60.0))
     assert axes.get_xlabel() == 'x [m]'
 
 
 def test_a_system_that_cannot_be_read_leaves_metres(axes):
-    figures.draw_map(axes, RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0, crs='nowhere'))
+    map_figures.draw_map(axes, RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0, crs='nowhere'))
     assert axes.get_xlabel() == 'x [m]'
 
 
 def test_map_is_drawn_at_its_origin(axes):
     risk_map = turned_map(0.3)
-    image = figures.draw_risk_map(axes, risk_map)
+    image = map_figures.draw_risk_map(axes, risk_map)
     shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
     np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
 
@@ -52,13 +52,13 @@ def test_unknown_ground_is_hatched_with_and_without_relief():
         axes = figure.add_axes((0, 0, 1, 1))
         risk_map = RiskMap(np.ones((2, 3)), obstacles, 1.0, unknown=[[False, True, False]] * 2,
                            heights=heights)
-        figures.frame(axes, risk_map)
-        figures.draw_risk_map(axes, risk_map)
+        map_figures.frame(axes, risk_map)
+        map_figures.draw_risk_map(axes, risk_map)
         figure.savefig(stream := BytesIO(), format='rgba')
         pixels = np.frombuffer(stream.getvalue(), np.uint8).reshape(80, 120, 4)[..., :3]
         known, unknown = (pixels[5:-5, first:first + 30].mean() for first in (5, 45))
         assert known < 90.0 < 180.0 < unknown
-        assert figures.ground_key(risk_map) == [figures.OBSTACLE, figures.UNKNOWN]
+        assert map_figures.ground_key(risk_map) == [map_figures.OBSTACLE, map_figures.UNKNOWN]
 
 
 @pytest.mark.parametrize('crs', ['EPSG:32616', 'datum 36.6 -84.3 1.4', 'datum -33.0 18.0 -0.2'])
@@ -66,7 +66,7 @@ def test_ticks_are_round_degrees_at_their_places(axes, crs):
     pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
     corner = (730_000.0, 4_040_000.0) if crs.startswith('EPSG') else (100.0, 50.0)
     risk_map = RiskMap(np.ones((30, 40)), np.zeros((30, 40), bool), 100.0, (*corner, 0.0), crs)
-    figures.draw_map(axes, risk_map)
+    map_figures.draw_map(axes, risk_map)
     for axis, start in ((axes.xaxis, lambda at: (at, corner[1])),
                         (axes.yaxis, lambda at: (corner[0], at))):
         assert len(axis.get_ticklocs()) >= 2

@@ -110,7 +110,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
           console: cli.Console) -> None:
     """Write the picture: of the departures on the latest map, if there are several maps."""
-    from ..figures import as_png  # the text needs no matplotlib
+    from ..map_figures import as_png  # the text needs no matplotlib
     from .audit_figure import audit_figure
 
     risk_map = departures[-1].risk_map

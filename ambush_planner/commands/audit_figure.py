@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from .. import figures
+from .. import figures, map_figures
 from ..colours import AMBUSHER
 from ..maps.risk_map import RiskMap
 from ..recordings.audit import Audit
@@ -16,7 +16,7 @@ from ..recordings.audit import Audit
 def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     """Published and recorded frequencies on the map, and the losses caused by an observer."""
     wide = risk_map.size[0] > 1.6 * risk_map.size[1]
-    figure = Figure((figures.WIDTH, 9.6 if wide else 8.0), layout='constrained')
+    figure = Figure((map_figures.WIDTH, 9.6 if wide else 8.0), layout='constrained')
     panels = figure.subplot_mosaic('a;b;c' if wide else 'ab;cc',
                                    height_ratios=(3, 3, 2.4) if wide else (5, 3))
     published, recorded, observer = panels['a'], panels['b'], panels['c']
@@ -25,11 +25,11 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
         (published, result.expected, 'Published probability'),
         (recorded, result.passages, f'Share of {result.departures} departures'),
     ):
-        risk = figures.draw_map(axes, risk_map, title)
+        risk = map_figures.draw_map(axes, risk_map, title)
         edges = figures.draw_segments(axes, result.segments, passages / result.departures, scale)
     figures.probability_bar(figure, edges, published, 'share of departures that pass',
                             location='bottom')
-    figures.risk_bar(figure, risk, recorded, location='bottom')
+    map_figures.risk_bar(figure, risk, recorded, location='bottom')
     count = np.arange(1, len(result.observer_losses) + 1)
     observer.axhline(result.value, color='grey', label='published value')
     observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,
@@ -40,5 +40,5 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
     observer.xaxis.set_major_locator(MaxNLocator(integer=True))
     observer.legend()
-    figures.ground_legend(figure, risk_map)
+    map_figures.ground_legend(figure, risk_map)
     return figure

@@ -16,7 +16,7 @@ from string import Template
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import figures
+from .. import figures, map_figures
 from ..arrays import FloatArray, IndexArray
 from ..colours import PROBABILITY
 from ..game.route_sampler import route_edges
@@ -188,14 +188,14 @@ def _picture(card: Card) -> bytes:
     first, last = card.risk_map.bounds
     box = np.maximum(middle - half, first), np.minimum(middle + half, last)
     width, height = box[1] - box[0]
-    figure = Figure((figures.WIDTH, figures.WIDTH * height / width), layout='compressed')
+    figure = Figure((map_figures.WIDTH, map_figures.WIDTH * height / width), layout='compressed')
     axes = figure.subplots()
-    figures.draw_map(axes, card.risk_map, box=box)
-    axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=figures.HALO, zorder=4)
+    map_figures.draw_map(axes, card.risk_map, box=box)
+    axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=map_figures.HALO, zorder=4)
     figures.draw_places(axes, card.places, card.secured_distance)
     numbered = sorted(set(range(len(card.points))) - set(card.names))
     apart = figures.BADGE * max(width, height)
     spots = figures.free_spots(card.points[numbered], card.places, apart)
     for k, spot in zip(numbered, spots, strict=True):
         figures.number_badge(axes, k + 1, card.points[k], _ROUTE, spot)
-    return figures.as_png(figure)
+    return map_figures.as_png(figure)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from .. import figures
+from .. import figures, map_figures
 from ..colours import AMBUSHER, ROUTES
 from ..planning.few_routes import FewRoutes
 from .few_files import FewDrawn
@@ -31,14 +31,14 @@ def few_figure(drawn: FewDrawn) -> Figure:
     rows, (width, height) = -(-panels // 3), drawn.risk_map.size
     shape = min(max(height / width, 0.2), 1.5)
     tall, head = rows * (0.4 + 2.1 * shape), 2.4 + 3.6 * shape  # inches
-    figure = Figure(figsize=(figures.WIDTH, head + tall), layout='constrained')
+    figure = Figure(figsize=(map_figures.WIDTH, head + tall), layout='constrained')
     top, below = (figure.subfigures(2, 1, height_ratios=(head, tall)) if rows
                   else (figure.subfigures(), None))
     grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
     overview = top.add_subplot(grid[:, 0])
     title = f'Mean loss {drawn.few.value:#.3g}'
     risk = figures.draw_ground(overview, drawn.strategy, drawn.risk_map, title)
-    figures.risk_bar(top, risk, overview, location='bottom', shrink=0.6, aspect=30)
+    map_figures.risk_bar(top, risk, overview, location='bottom', shrink=0.6, aspect=30)
     _key(drawn, top.add_subplot(grid[0, 1]))
     _curve(top.add_subplot(grid[1, 1]), drawn.few)
     paths = [path[:, :2] for path in drawn.paths]
@@ -56,7 +56,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
 
 
 def _style(k: int) -> dict[str, Any]:
-    return {'color': ROUTES[k % len(ROUTES)], 'path_effects': figures.HALO,
+    return {'color': ROUTES[k % len(ROUTES)], 'path_effects': map_figures.HALO,
             'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
 
 
@@ -67,7 +67,7 @@ def _key(drawn: FewDrawn, axes: Axes) -> None:
     worst = Line2D([], [], label='worst ambush', **_WORST)
     secured = Line2D([], [], color='black', linewidth=1.2, linestyle=figures.SECURED_DASHES,
                      label='secured area')
-    handles = [*lines, worst, secured, *figures.ground_key(drawn.risk_map)]
+    handles = [*lines, worst, secured, *map_figures.ground_key(drawn.risk_map)]
     axes.legend(handles=handles, frameon=False, title='route and share', loc='upper left',
                 alignment='left', ncols=1 + len(lines) // 11, labelspacing=0.3,
                 fontsize='medium' if len(lines) < 11 else 'small')
@@ -82,7 +82,7 @@ def _curve(axes: Axes, few: FewRoutes) -> None:
     axes.annotate(f'all {few.candidates} paths', (0.0, few.lower_bound),
                   xycoords=('axes fraction', 'data'), xytext=(3, 3 if low else -3),
                   textcoords='offset points', va='bottom' if low else 'top', color='0.35',
-                  fontsize='small', path_effects=figures.HALO)
+                  fontsize='small', path_effects=map_figures.HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
     axes.grid(color='0.92')

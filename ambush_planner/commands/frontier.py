@@ -13,7 +13,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ..colours import AMBUSHER
-from ..figures import HALO, PROBABILITY, WIDTH
+from ..figures import PROBABILITY
+from ..map_figures import HALO, WIDTH
 from ..maps.risk_map_file import read_risk_map
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli

@@ -42,7 +42,7 @@ def check_outputs(paths: Sequence[Path], console: Console) -> None:
 def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Mapping[str, Any]],
                 figure: Callable[[], Figure]) -> None:
     """Write a table to .csv files, and its picture to .png files, with mode 0600."""
-    from ..figures import as_png
+    from ..map_figures import as_png
 
     write_all_durably({path: as_csv(columns, rows) if path.suffix.lower() == '.csv' else
                        as_png(figure()) for path in paths})

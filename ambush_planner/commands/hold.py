@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from .. import figures
+from .. import figures, map_figures
 from ..colours import AMBUSHER
 from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
@@ -110,7 +110,7 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    figure = Figure(figsize=(figures.WIDTH, 8.4), layout='compressed')
+    figure = Figure(figsize=(map_figures.WIDTH, 8.4), layout='compressed')
     overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
     figures.draw_strategy(overview, found.strategies[-1], risk_map)
     held = f'{cli.count(len(found.steps), "place")} held (green)'

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from .. import figures
+from .. import figures, map_figures
 from ..arrays import BoolArray, FloatArray
 from ..colours import AMBUSHER
 from ..maps.risk_map import RiskMap
@@ -45,8 +45,8 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     low, high = middle - MARGIN * half, middle + MARGIN * half
     low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # the scale bar
     low, high = np.maximum(low, risk_map.bounds[0]), np.minimum(high, risk_map.bounds[1])
-    height = figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
-    figure = Figure((figures.WIDTH, height + 3.8), layout='compressed')
+    height = map_figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
+    figure = Figure((map_figures.WIDTH, height + 3.8), layout='compressed')
     figure.suptitle('Mean loss caused by an ambusher who has watched', x=0.0, ha='left')
     panels = figure.subplots(1, 3)
     for axes, name, value, length, text in (
@@ -60,10 +60,10 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
          f'{_less(strategy.value, driven.value)}\na fresh route each time\n'
          f'no strategy is below {strategy.lower_bound:.3g}'),
     ):
-        figures.frame(axes, risk_map, name, (low, high), ticks=2)
-        risk = figures.draw_risk_map(axes, risk_map)
+        map_figures.frame(axes, risk_map, name, (low, high), ticks=2)
+        risk = map_figures.draw_risk_map(axes, risk_map)
         figures.draw_ends(axes, strategy, named=False, size=MARKS)
-        figures.scale_bar(axes)
+        map_figures.scale_bar(axes)
         axes.label_outer()
         axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),
@@ -74,10 +74,10 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
                               facecolor=f'{AMBUSHER}55', edgecolor=AMBUSHER, zorder=9))
     _draw_lines(panels[2], list(edges), p, np.zeros(len(p), dtype=bool))
     figures.draw_sites(panels[2], strategy)
-    figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
+    map_figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
                      anchor=(0.0, 1.0))
     shown = [*_LEGEND, *[figures.SECURED_AREA] * bool(strategy.game.secured.radii.any()),
-             *figures.ground_key(risk_map)]
+             *map_figures.ground_key(risk_map)]
     figure.legend(handles=shown, ncols=2, loc='outside lower left', frameon=False)
     return figure
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..figures import as_png
+from ..map_figures import as_png
 from ..maps import TerrainMap
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap

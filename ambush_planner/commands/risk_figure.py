@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm
 from matplotlib.figure import Figure
 
-from .. import figures
+from .. import map_figures
 from ..arrays import BoolArray
 from ..colours import ROUTES
 from ..maps import Elevation, TerrainMap
@@ -39,30 +39,30 @@ def layers_figure(risk_map: RiskMap, layers: Sequence[Layer], colours: Sequence[
     count = len(layers) + 1
     rows, columns = -(-count // 2), min(count, 2)
     width, height = risk_map.size
-    size = (0.5 * figures.WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
+    size = (0.5 * map_figures.WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
     figure = Figure(size, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for k, (axes, layer) in enumerate(zip(panels, layers, strict=False)):
         _draw(figure, axes, risk_map, layer, colours[k] if colours else None)
     last = panels[count - 1]
-    figures.risk_bar(figure, figures.draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
+    map_figures.risk_bar(figure, map_figures.draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
     if roads is not None and roads.any():
-        figures.draw_cells(last, risk_map, np.ma.masked_equal(roads, False), cmap='winter',
+        map_figures.draw_cells(last, risk_map, np.ma.masked_equal(roads, False), cmap='winter',
                            alpha=0.8)
     for axes in panels[count:]:
         axes.set_visible(False)
-    figures.ground_legend(figure, risk_map)
+    map_figures.ground_legend(figure, risk_map)
     return figure
 
 
 def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer,
           colours: str | None) -> None:
-    figures.frame(axes, risk_map, layer.title)
+    map_figures.frame(axes, risk_map, layer.title)
     values = np.ma.masked_invalid(layer.values.astype(float))
     less = not colours and values.min() < 0.0
     style: dict[str, Any] = {'cmap': colours or ('PuOr_r' if less else 'magma_r'),
                              'norm': CenteredNorm() if less else None}
-    image = figures.draw_cells(axes, risk_map, values, **style)
+    image = map_figures.draw_cells(axes, risk_map, values, **style)
     if layer.values.dtype != bool:
         figure.colorbar(image, ax=axes, shrink=0.7)
     if layer.shapes is not None:

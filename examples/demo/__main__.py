@@ -20,8 +20,8 @@ from ambush_planner.commands import report_words as words
 from ambush_planner.commands.frontier import write_frontier
 from ambush_planner.commands.report import write_report
 from ambush_planner.errors import AmbushPlannerError
-from ambush_planner.figures import as_png
 from ambush_planner.game.strategy import StrategyOptions
+from ambush_planner.map_figures import as_png
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.frontier import trip_frontier

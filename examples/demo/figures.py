@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from ambush_planner import figures
 from ambush_planner.arrays import FloatArray
 from ambush_planner.colours import AMBUSHER, ROUTES
-from ambush_planner.figures import HALO, OBSTACLE, SECURED_AREA, SITES, WIDTH
+from ambush_planner.figures import SECURED_AREA, SITES
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.game.strategy import Strategy
+from ambush_planner.map_figures import HALO, OBSTACLE, WIDTH, risk_bar
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
 
@@ -70,7 +71,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
             arrowprops={'arrowstyle': '-', 'relpos': (0.5, 0.0 if side == 'left' else 1.0),
                         'linewidth': 1.2},
         )
-    figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
+    risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
     figure.legend(handles=[SITES, SECURED_AREA, OBSTACLE], loc='outside lower center', ncols=2,
                   frameon=False)
     return figure
