@@ -103,6 +103,13 @@ def record(folder, departures):
     return paths
 
 
+def record_drawn(folder, count, a_plan=None, seed=1, **options):
+    """Record departures that are drawn from a plan, by default the sample; return their files."""
+    a_plan = a_plan or sample_plan()
+    return record(folder, [departure(a_plan, route, number, **options)
+                           for number, route in enumerate(drawn(a_plan, count, seed), start=1)])
+
+
 def drawn(a_plan, count, seed=1):
     rng = np.random.default_rng(seed)
     return [a_plan.strategy.sample_route(rng) for _ in range(count)]

@@ -39,6 +39,19 @@ def run_here(tool, *arguments):
     return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
 
 
+def run_python(script, folder=None, timeout=240):
+    """Run Python in a process of its own; return the process."""
+    return subprocess.run([sys.executable, '-c', script], cwd=folder, capture_output=True,
+                          text=True, timeout=timeout, check=False)
+
+
+def run_without(missing, folder, *lines):
+    """Run command lines in a folder where some packages are not installed; return the process."""
+    return run_python(f'import sys\nsys.modules |= dict.fromkeys({missing!r})\n'
+                      'from ambush_planner.commands import cli\n'
+                      f'sys.exit(max(cli.main(line.split()) for line in {lines!r}))', folder)
+
+
 def heard(act, *arguments, **options):
     """What a function returns, and the texts of our warnings in one."""
     with warnings.catch_warnings(record=True) as said:

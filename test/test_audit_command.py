@@ -10,7 +10,15 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-from audit_samples import departure, drawn, parameters, record, sample_plan, source
+from audit_samples import (
+    departure,
+    drawn,
+    parameters,
+    record,
+    record_drawn,
+    sample_plan,
+    source,
+)
 from matplotlib.image import imread
 
 from ambush_planner.commands import audit
@@ -22,9 +30,9 @@ def a_plan():
 
 
 @pytest.fixture(scope='module')
-def good(tmp_path_factory, a_plan):
+def good(tmp_path_factory):
     folder = tmp_path_factory.mktemp('good')
-    record(folder, [departure(a_plan, r, k + 1) for k, r in enumerate(drawn(a_plan, 12, 2))])
+    record_drawn(folder, 12, seed=2)
     return folder
 
 

@@ -10,7 +10,7 @@ from plain import plain_options
 
 pytest.importorskip('matplotlib', reason='the map on a card needs matplotlib')
 
-from audit_samples import departure, drawn, occupancy, parameters, record, sample_plan
+from audit_samples import drawn, occupancy, parameters, record_drawn, sample_plan
 from commands import run_here
 from hypothesis import given
 from hypothesis import strategies as st
@@ -59,11 +59,9 @@ def test_the_secured_area_is_where_the_path_is_near_a_place():
 def runs(tmp_path_factory):
     """Recordings of three departures, the first one also in a known frame, and their paths."""
     plan, folder = sample_plan(), tmp_path_factory.mktemp('runs')
-    routes = drawn(plan, 3)
-    known = {'parameters': parameters(**{'map.crs': FRAME})}
-    record(folder / 'plain', [departure(plan, route, k) for k, route in enumerate(routes, 1)])
-    record(folder / 'known', [departure(plan, routes[0], entries=known)])
-    return folder, [plan.network.points[route] for route in routes]
+    record_drawn(folder / 'plain', 3)
+    record_drawn(folder / 'known', 1, entries={'parameters': parameters(**{'map.crs': FRAME})})
+    return folder, [plan.network.points[route] for route in drawn(plan, 3)]
 
 
 def written(recording, folder, *options):

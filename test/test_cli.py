@@ -5,12 +5,11 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from audit_samples import departure, drawn, record, sample_plan
-from commands import documented_keys
+from audit_samples import record_drawn, sample_plan
+from commands import documented_keys, run_without
 
 from ambush_planner.commands import cli
 from ambush_planner.maps.map_file import write_map
@@ -46,38 +45,6 @@ def test_missing_input_exits_3_even_if_quiet(tmp_path, capsys):
         assert cli.main([name, '--quiet', str(tmp_path / 'none'), *output]) == 3
         out, err = capsys.readouterr()
         assert out == '' and err.startswith(f'ambush {name}: ') and err.count('\n') == 1
-
-
-@pytest.mark.parametrize(('missing', 'line'), [
-    ('rclpy', 'replay runs'), ('matplotlib', 'risk layers.yaml -o map.yaml')])
-def test_missing_package_is_named(missing, line):
-    code = (
-        f'import sys\nsys.modules["{missing}"] = None\n'
-        f'from ambush_planner.commands import cli\nsys.exit(cli.main({line.split()}))'
-    )
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
-    extra = {'rclpy': 'jazzy', 'matplotlib': 'figures'}[missing]
-    assert done.returncode == 2 and done.stderr.endswith(
-        f"{missing} is not installed: in a checkout of ambush_planner, run "
-        f"pip install '.[{extra}]'\n")
-
-
-def test_a_table_of_routes_needs_no_extra_and_other_files_name_all(tmp_path):
-    """Extras are missed before anything is solved, in one line."""
-    yard = Path(__file__).resolve().parent.parent / 'docs/yard.yaml'
-    run = (f"cli.main(['plan', '{yard}', *'--start 4 20 --goal 56 20 --set network.spacing=2'"
-           '.split(), "-o", *sys.argv[1:]])')
-    hidden = ('geopandas', 'gpxpy', 'matplotlib', 'pyproj', 'rasterio', 'shapely')
-    code = (f'import sys\nsys.modules |= dict.fromkeys({hidden})\n'
-            f'from ambush_planner.commands import cli\nsys.exit({run})')
-    for files, returned, words in (
-        (['r.csv'], 0, ''),
-        (['r.png', 'r.gpx'], 2, "pip install '.[figures,gis]'\n"),
-    ):
-        done = subprocess.run([sys.executable, '-c', code, *files], capture_output=True, text=True,
-                              timeout=60, cwd=tmp_path)
-        assert done.returncode == returned and done.stderr.endswith(words), done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ['r.csv']
 
 
 def test_broken_pipe_is_silent(tmp_path):
@@ -117,15 +84,12 @@ def test_shell_completion(tmp_path):
 def inputs(tmp_path_factory):
     """A folder with recordings, an elevation model, a map, and places on it."""
     folder = tmp_path_factory.mktemp('inputs')
-    plan = sample_plan()
-    record(folder / 'runs', [
-        departure(plan, route, number) for number, route in enumerate(drawn(plan, 5), 1)
-    ])
+    record_drawn(folder / 'runs', 5)
     write_map(folder / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
     np.savez(folder / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
     (folder / 'layers.yaml').write_text('layers: [{terrain: dem.npz}]')
     (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
-    plan.save(folder / 'week.plan', n=0)
+    sample_plan().save(folder / 'week.plan', n=0)
     (folder / 'trips.csv').write_text('x,y\n15,15\n150,90\n285,185\n')
     return folder
 
@@ -157,3 +121,22 @@ def test_json_is_the_object_documented_in_the_help(name, inputs, monkeypatch, ca
     assert set(result) == documented_keys(command)
     assert result['verdict'] == cli.Exit(code).name.lower()
     assert str(inputs) not in str(result)
+
+
+GIS = ('geopandas', 'gpxpy', 'matplotlib', 'pyproj', 'rasterio', 'shapely')
+ROUTES = 'plan map.yaml --start 15 15 --goal 285 185 --set network.spacing=40 -o'
+
+
+@pytest.mark.parametrize(('missing', 'line', 'extra'), [
+    (['rclpy'], 'replay runs', 'jazzy'),
+    (['matplotlib'], 'risk layers.yaml -o risk.yaml', 'figures'),
+    (['matplotlib'], 'report runs -o page', ''), (['matplotlib'], 'audit runs', ''),
+    (GIS, f'{ROUTES} few.csv', ''), (GIS, f'{ROUTES} few.png few.gpx', 'figures,gis'),
+])
+def test_commands_need_no_package_for_other_things_and_name_the_extra_of_one(
+        inputs, missing, line, extra):
+    done = run_without(missing, inputs, line)
+    assert done.returncode == 2 * bool(extra), done.stderr
+    assert not extra or done.stderr.endswith(
+        f"not installed: in a checkout of ambush_planner, run pip install '.[{extra}]'\n")
+    assert not list(inputs.glob('few.png'))

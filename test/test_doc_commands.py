@@ -10,7 +10,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from audit_samples import departure, drawn, record, sample_plan
+from audit_samples import record_drawn
 from commands import ROOT, blocks, fenced, run_script
 from test_package import setup_arguments
 
@@ -66,9 +66,7 @@ def test_the_commands_of_the_python_page_work(tmp_path):
 
 @pytest.mark.skipif(not shutil.which('ssh-keygen'), reason='signing needs ssh-keygen')
 def test_signed_recordings_verify_until_one_changes(tmp_path):
-    a_plan = sample_plan()
-    record(tmp_path / 'RUNS', [departure(a_plan, route, number)
-                               for number, route in enumerate(drawn(a_plan, 2), 1)])
+    record_drawn(tmp_path / 'RUNS', 2)
     (tmp_path / '.ssh').mkdir()
     key = tmp_path / '.ssh/id_ed25519'
     subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)

@@ -3,8 +3,6 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
 
@@ -12,8 +10,8 @@ pytest.importorskip('geopandas', reason='routes in files take the extra "gis"')
 pytest.importorskip('gpxpy', reason='GPX takes the extra "gis"')
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-from audit_samples import departure, drawn, parameters, record, sample_plan
-from commands import NO_ROS, ROOT, blocks, run_script, script_of
+from audit_samples import parameters, record_drawn
+from commands import NO_ROS, ROOT, blocks, run_python, run_script, script_of
 
 DOCS = ROOT / 'docs'
 PAGES = ('docs/gis.md', 'docs/operations.md')
@@ -45,9 +43,8 @@ def coarse(text):
 @pytest.mark.slow
 @pytest.mark.timeout(TIMEOUT + 20)
 def test_every_command_of_the_page_works(tmp_path):
-    a_plan = sample_plan()
     entries = {'parameters': parameters(**{'map.crs': 'datum 36.6 -84.3 0.0'})}
-    record(tmp_path / 'runs', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
+    record_drawn(tmp_path / 'runs', 1, entries=entries)
     (tmp_path / 'docs').symlink_to(DOCS)
     done = run_script(coarse(''.join(map(script_of, PAGES))), tmp_path, TIMEOUT)
     assert done.returncode == 0, done.stderr
@@ -87,7 +84,6 @@ def test_the_notebook_runs_without_ros(tmp_path):
         "\n    assert '<th>value</th>' in each._repr_html_() and len(repr(each)) < 300"
         "\nassert plan.strategy.plot().collections and len(routes) == 20"
         "\nassert routes.crs.to_epsg() == 32616")
-    done = subprocess.run([sys.executable, '-c', script], cwd=tmp_path, capture_output=True,
-                          text=True, timeout=TIMEOUT)
+    done = run_python(script, tmp_path, TIMEOUT)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / 'routes.gpx').stat().st_size > 10_000

@@ -2,6 +2,7 @@
 """Judged trips: laws of their values, what counts as a trip, files of tracks, and the command."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +17,7 @@ pytest.importorskip('matplotlib', reason='the picture needs matplotlib')
 
 import geopandas
 import shapely
-from audit_samples import departure, drawn, record, sample_plan
+from audit_samples import record_drawn, sample_plan
 from commands import run_here
 from gpxpy import gpx
 from track_samples import GOAL, HABIT, START, driven, habit
@@ -24,6 +25,7 @@ from track_samples import GOAL, HABIT, START, driven, habit
 from ambush_planner import GameOptions, PlanningOptions, RiskMap
 from ambush_planner.commands import judge as command
 from ambush_planner.maps.coordinates import Coordinates
+from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.track_file import InvalidFeatures, Track, read_tracks
 from ambush_planner.planning.habits import MIN_DETOUR, find_trips, judge
 from ambush_planner.planning.path_mixtures import MAX_GAP
@@ -200,16 +202,12 @@ def run(tmp_path, *arguments):
     return run_here(command, tmp_path / 'map.npz', *arguments, '-o', tmp_path / 'judge.png')
 
 
-@pytest.fixture
-def map_file(tmp_path):
-    risk_map = ground()
-    values = {'alpha': risk_map.alpha, 'obstacles': risk_map.obstacles, 'resolution': 1.0}
-    np.savez(tmp_path / 'map.npz', **values)
-    return values
+def write_ground(folder, **changes):
+    (folder / 'map.npz').write_bytes(npz_bytes(replace(ground(), **changes)))
 
 
-def test_a_file_is_judged_like_its_arrays(map_file, tmp_path):
-    np.savez(tmp_path / 'map.npz', **map_file, origin=(*ORIGIN, 0.0), crs=CRS)
+def test_a_file_is_judged_like_its_arrays(tmp_path):
+    write_ground(tmp_path, origin=(*ORIGIN, 0.0), crs=CRS)
     write_tracks(tmp_path / 'a.gpx', [line + ORIGIN for line in habit(1)])
     places = '--start', *(ORIGIN + START), '--goal', *(ORIGIN + GOAL)
     done = run(tmp_path, tmp_path / 'a.gpx', *places, *QUICK, '--json')
@@ -226,10 +224,10 @@ def test_a_file_is_judged_like_its_arrays(map_file, tmp_path):
     assert (tmp_path / 'judge.png').stat().st_mode & 0o077 == 0
 
 
-def test_a_value_of_0_is_a_finding(map_file, tmp_path):
+def test_a_value_of_0_is_a_finding(tmp_path):
     alpha = np.zeros((40, 60))
     alpha[:2, 28:32] = 1.0  # south of the wall
-    np.savez(tmp_path / 'map.npz', **{**map_file, 'alpha': alpha})
+    write_ground(tmp_path, alpha=alpha)
     (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y}\n' for x, y in LINE))
     done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *QUICK)
     assert done.code == 1 and 'Warning: the value is 0' in done.err
@@ -237,12 +235,10 @@ def test_a_value_of_0_is_a_finding(map_file, tmp_path):
 
 def test_recordings_are_judged(tmp_path):
     plan = sample_plan()
-    record(tmp_path / 'runs', [departure(plan, route, number)
-                               for number, route in enumerate(drawn(plan, 3), 1)])
+    record_drawn(tmp_path / 'runs', 3)
     risk_map, (start, goal) = plan.risk_map, plan.network.points[
         [plan.network.source, plan.network.target]]
-    np.savez(tmp_path / 'map.npz', alpha=risk_map.alpha, obstacles=risk_map.obstacles,
-             resolution=risk_map.resolution, origin=risk_map.origin)
+    (tmp_path / 'map.npz').write_bytes(npz_bytes(risk_map))
     done = run(tmp_path, tmp_path / 'runs', '--start', *start, '--goal', *goal,
                '--reach', 2 * risk_map.resolution, '--set', 'network.target_nodes=200',
                'network.refine=0')
@@ -258,7 +254,8 @@ def test_recordings_are_judged(tmp_path):
     ((), 2, 'how far does an ambusher reach? Add --reach METRES'),
     ((*QUICK, '--detour', 1.2), 2, 'leave it out'),
 ])
-def test_what_cannot_be_judged_is_said_in_a_sentence(map_file, tmp_path, arguments, code, reason):
+def test_what_cannot_be_judged_is_said_in_a_sentence(tmp_path, arguments, code, reason):
+    write_ground(tmp_path)
     shift = 0.0 if '--held' in arguments else 9.0
     (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y + shift}\n' for x, y in LINE))
     done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *arguments)

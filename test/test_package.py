@@ -3,7 +3,6 @@
 
 import ast
 import re
-import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from functools import cache
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import setuptools
+from commands import run_python
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = 'ambush_planner'
@@ -149,6 +149,4 @@ def test_a_checkout_without_metadata_can_be_imported(tmp_path):
     without = (f'import sys; sys.path[:0] = [{str(tmp_path)!r}]; import importlib.metadata as m\n'
                'def version(name): raise m.PackageNotFoundError(name)\n'
                'm.version = version; import ambush_planner as a; print(a.__version__)')
-    done = subprocess.run([sys.executable, '-c', without], capture_output=True, text=True,
-                          timeout=60, check=True)
-    assert done.stdout.strip() == 'unknown'
+    assert run_python(without).stdout.strip() == 'unknown'

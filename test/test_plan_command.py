@@ -19,7 +19,7 @@ import gpxpy
 import pyogrio
 import rasterio
 import shapely
-from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
+from audit_samples import GOAL, START, parameters, record_drawn
 from pyproj import CRS, Geod, Transformer
 
 from ambush_planner import (
@@ -329,10 +329,8 @@ def test_a_file_that_exists_is_named_when_it_is_overwritten(plain, tmp_path):
 
 def test_recorded_departures_are_exported(tmp_path):
     """Recorded paths with their times, in the coordinate system of the node or of --datum."""
-    a_plan = sample_plan()
-    entries = {'parameters': parameters(**{'map.crs': 'EPSG:32616'})}
-    record(tmp_path / 'in', [departure(a_plan, route, k, entries=entries)
-                             for k, route in enumerate(drawn(a_plan, 3), 1)])
+    record_drawn(tmp_path / 'in', 3,
+                 entries={'parameters': parameters(**{'map.crs': 'EPSG:32616'})})
     files = tmp_path / 'r.gpkg', tmp_path / 'r.png'
     done = run_here(export, tmp_path / 'in', '--json', '-o', *files)
     assert done.code == 0 and set(json.loads(done.out)) == documented_keys(export), done.err
@@ -348,7 +346,7 @@ def test_recorded_departures_are_exported(tmp_path):
         np.hypot(*START), rel=5e-4)
 
 
-def test_a_plan_saves_the_routes_that_it_returns(tmp_path):
+def test_a_plan_saves_itself_and_the_routes_that_it_returns(tmp_path):
     ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 10.0)
     options = PlanningOptions(network=NetworkOptions(spacing=40.0))
     made = plan_trip(ground, (25.0, 95.0), (275.0, 95.0), options)
@@ -359,3 +357,5 @@ def test_a_plan_saves_the_routes_that_it_returns(tmp_path):
     assert stat.S_IMODE((tmp_path / 'r.png').stat().st_mode) == 0o600
     with pytest.raises(InvalidOption, match=r'\.shp.*\.gpkg'):
         made.save(tmp_path / 'r.shp')
+    made.save(tmp_path / 'r.plan', n=0)
+    assert read_plan(tmp_path / 'r.plan').plan.value == made.value

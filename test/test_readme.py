@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the picture of routes needs matplotlib')
 
-from audit_samples import departure, drawn, record, sample_plan
-from commands import ROOT, blocks
+from audit_samples import record_drawn
+from commands import ROOT, blocks, run_python
 from test_tutorial import SECONDS, run_in_shell
 
 TEXT = (ROOT / 'README.md').read_text()
@@ -53,12 +53,8 @@ def test_the_quick_start_publishes_a_path(tmp_path):
 
 @pytest.mark.slow
 def test_the_python_of_its_page_runs(tmp_path):
-    a_plan = sample_plan()
-    routes = enumerate(drawn(a_plan, 6))
-    record(tmp_path / 'runs', [departure(a_plan, each, number=k) for k, each in routes])
+    record_drawn(tmp_path / 'runs', 6)
     page = '\n'.join(blocks('docs/python.md', 'python'))
     given = 'pairs = [((15.0, 150.0), (385.0, 150.0)), ((385.0, 150.0), (15.0, 150.0))]\n'
-    (tmp_path / 'page.py').write_text(given + page)
-    done = subprocess.run([sys.executable, 'page.py'], cwd=tmp_path, capture_output=True, text=True,
-                          timeout=240, check=False)
+    done = run_python(given + page, tmp_path)
     assert done.returncode == 0, done.stderr

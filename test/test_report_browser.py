@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-from audit_samples import departure, drawn, parameters, record, sample_plan
+from audit_samples import parameters, record_drawn, sample_plan
 
 from ambush_planner.colours import AMBUSHER, ENDS, PROBABILITY, ROUTES
 from ambush_planner.commands import report
@@ -146,13 +146,12 @@ class Browser:
 @pytest.fixture(scope='module')
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp('page')
-    a_plan = sample_plan()
-    return written(folder, *(departure(a_plan, route, k + 1)
-                             for k, route in enumerate(drawn(a_plan, 12))))
+    return written(folder, 12)
 
 
-def written(folder, *departures):
-    record(folder / 'in', departures)
+def written(folder, count, *plan, **options):
+    """The page of departures, drawn and recorded in a folder."""
+    record_drawn(folder / 'in', count, *plan, **options)
     assert report.main([str(folder / 'in'), '-o', str(folder / 'out')]) == 0
     return folder / 'out' / 'report.html'
 
@@ -215,7 +214,7 @@ def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, rea
     crs = 'datum -33.9 18.4 0.3' if reach else ''
     entries = {'parameters': parameters(**{'game.ambush_radius': reach, 'map.crs': crs})}
     a_plan = sample_plan(reach=reach)
-    opened(browser, written(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries)))
+    opened(browser, written(tmp_path, 1, a_plan, entries=entries))
     game, p = a_plan.strategy.game, a_plan.strategy.edge_probability
     at = a_plan.network.points[game.sites].round(9).tolist()
     found = browser.evaluate(f'{at}.map(([x, y]) => map.measure(x, y))')

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import ast
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from commands import NO_ROS
+from commands import NO_ROS, run_python
 
 import ambush_planner
 
@@ -79,10 +78,7 @@ def test_a_file_of_the_game_imports_only_from_those_before_its_own():
 
 
 def test_the_core_imports_and_solves_with_ros_blocked():
-    root = str(PACKAGE.parent)
-    done = subprocess.run(
-        [sys.executable, '-c', SOLVES], capture_output=True, text=True, timeout=60, cwd=root
-    )
+    done = run_python(SOLVES, PACKAGE.parent)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == '3.0'
 
@@ -101,7 +97,5 @@ for command in COMMANDS:
 
 def test_commands_are_imported_and_print_their_help_without_ros():
     pytest.importorskip('matplotlib', reason='some commands draw pictures')
-    done = subprocess.run(
-        [sys.executable, '-c', COMMANDS_WITHOUT_ROS], capture_output=True, text=True, timeout=60
-    )
+    done = run_python(COMMANDS_WITHOUT_ROS)
     assert (done.returncode, done.stdout) == (0, ''), done.stderr

@@ -26,6 +26,7 @@ from ambush_planner import (
     solve_many,
 )
 from ambush_planner.commands import plan
+from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.planning.concerns import concerns
 from ambush_planner.planning.options import DriveOptions
 
@@ -35,15 +36,6 @@ START, GOAL = (10.0, 50.0), (190.0, 50.0)
 def ground(crs=None, corner=(0.0, 0.0)):
     alpha = 1.0 + 0.01 * np.mgrid[:20, :40][0]
     return RiskMap(alpha, np.zeros((20, 40), bool), 5.0, (*corner, 0.0), crs)
-
-
-@pytest.fixture
-def files(tmp_path):
-    risk_map = ground()
-    for name in ('MAP.NPZ', 'map.npz'):
-        with (tmp_path / name).open('wb') as file:
-            np.savez(file, alpha=risk_map.alpha, obstacles=risk_map.obstacles, resolution=5.0)
-    return tmp_path
 
 
 def test_a_length_budget_that_seems_to_be_a_percentage_is_named():
@@ -58,22 +50,23 @@ def test_a_length_budget_that_seems_to_be_a_percentage_is_named():
     (100.0, 20.0, 'the value is 0: nobody can wait within'),
     (60.0, 20.0, 'one place covers every'), (15.0, 10.0, 'is decided at 2 nodes'),
 ])
-def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, files):
+def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, tmp_path):
+    (tmp_path / 'MAP.NPZ').write_bytes(npz_bytes(ground()))
     options = PlanningOptions(network=plain_options(spacing=spacing),
                               game=GameOptions(ambush_radius=reach))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter('always')
-        plan_trip(read_risk_map(files / 'MAP.NPZ'), START, GOAL, options)
+        plan_trip(read_risk_map(tmp_path / 'MAP.NPZ'), START, GOAL, options)
     texts = [str(each.message) for each in said if each.category is AmbushPlannerWarning]
     assert [each.filename for each in said] == [__file__] * len(said)
-    done = run_here(plan, files / 'MAP.NPZ', '--start', *START, '--goal', *GOAL, '--reach', reach,
-                    '--set', f'network.spacing={spacing}', 'network.refine=0', '-o',
-                    files / 'R.CSV', files / 'R.PNG')
+    done = run_here(plan, tmp_path / 'MAP.NPZ', '--start', *START, '--goal', *GOAL,
+                    '--reach', reach, '--set', f'network.spacing={spacing}', 'network.refine=0',
+                    '-o', tmp_path / 'R.CSV', tmp_path / 'R.PNG')
     names = {'--held': 'game.secured_radius', '--detour': 'strategy.max_detour'}  # as typed
     said_there = re.sub('|'.join(names), lambda found: names[found[0]], done.err)
     assert re.findall(r'Warning: (.*)\.\n', said_there) == texts, done.err
     assert re.search(words, ' '.join(texts))
-    assert (files / 'R.CSV').stat().st_size > 100 and (files / 'R.PNG').stat().st_size > 1000
+    assert (tmp_path / 'R.CSV').stat().st_size > 100 and (tmp_path / 'R.PNG').stat().st_size > 1000
 
 
 @pytest.mark.parametrize('tolerance', [0.0, np.inf])
@@ -94,13 +87,6 @@ def test_a_passage_far_from_the_ends_is_named():
         network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=10.0)))
     (text,) = concerns(made)
     assert 'hits every route' in text and 'hold' not in text
-
-
-def test_solve_warns_of_a_value_of_0():
-    network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 0, 0],
-                      edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
-    with pytest.warns(AmbushPlannerWarning, match='the value is 0'):
-        assert solve(network).value == 0.0
 
 
 def test_geojson_is_cut_at_180_degrees(tmp_path):
@@ -131,10 +117,14 @@ def test_geojson_is_cut_at_180_degrees(tmp_path):
     assert metres == pytest.approx(drawn.routes.length.sum(), rel=1e-3)
 
 
-def test_solve_warns_of_a_certain_loss():
-    network = Network(points=[(0, 0), (1, 0), (2, 0)], alpha=[0, 3, 0], edges=[(0, 1), (1, 2)],
-                      source=0, target=2)
-    with pytest.warns(AmbushPlannerWarning, match='an ambush at node 1 hits every route.*costs 3'):
+@pytest.mark.parametrize(('alpha', 'edges', 'words'), [
+    ([0, 1, 0, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 'the value is 0'),
+    ([0, 3, 0, 0], [(0, 1), (1, 3)], 'an ambush at node 1 hits every route.*costs 3'),
+])
+def test_solve_warns_of_no_loss_and_of_a_certain_one(alpha, edges, words):
+    network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=alpha, edges=edges, source=0,
+                      target=3)
+    with pytest.warns(AmbushPlannerWarning, match=words):
         solve(network)
 
 
