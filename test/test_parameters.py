@@ -60,7 +60,7 @@ def test_defaults_are_the_cores_own():
     assert parameters.planning.drive == DriveOptions(start_tolerance=math.inf)
     assert parameters.planning.max_gap == PlanningOptions().max_gap
     assert parameters.planning.strategy == StrategyOptions(time_limit=DEFAULTS['max_planning_time'])
-    assert parameters.seed == -1
+    assert parameters.values['seed'] == -1
 
 
 @pytest.mark.parametrize('values, words', [

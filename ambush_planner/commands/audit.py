@@ -48,7 +48,7 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
     findings = source_findings((part.path.name, part.metadata) for each in departures
                                for part in each.parts) + [
         f'{each.path.name} was drawn with a fixed seed, so it can be predicted'
-        for each in departures if each.parameters.seed >= 0
+        for each in departures if each.parameters.values['seed'] >= 0
     ]
     try:
         result = audit(departures)

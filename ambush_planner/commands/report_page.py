@@ -108,7 +108,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
     departures, strategy = section.departures, section.strategy
     times = dict.fromkeys(words.leaving(departures[k]) for k in (0, -1))
     warnings, several = [], len({id(each.strategy) for each in departures})
-    if any(each.parameters.seed >= 0 for each in departures):
+    if any(each.parameters.values['seed'] >= 0 for each in departures):
         warnings.append(FIXED_SEED)
     try:
         data = map_data(section)

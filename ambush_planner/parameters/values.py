@@ -69,22 +69,12 @@ class RobotOptions:
 
 @dataclass(frozen=True)
 class NodeParameters:
-    """All parameters, grouped for the parts of the planner.
-
-    ``values`` are the plain values by the names of ``PARAMETERS``.
-    """
+    """All parameters: ``values`` by the names of ``PARAMETERS``, and the options that some make."""
 
     occupancy: OccupancyOptions
     planning: PlanningOptions
     recording: RecordingOptions
     robot: RobotOptions
-    publish_path: bool
-    path_spacing: float
-    replan_tolerance: float
-    queue_size: int
-    trip_order: str
-    error_hold: float
-    seed: int
     values: Mapping[str, Any]
 
     def with_plain_network(self) -> NodeParameters:
@@ -129,13 +119,6 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
         ),
         recording=_options(RecordingOptions, 'recording', values),
         robot=RobotOptions(values['robot_base_frame'], values['transform.max_age']),
-        publish_path=values['path.publish'],
-        path_spacing=values['route.path_spacing'],
-        replan_tolerance=values['replan.tolerance'],
-        queue_size=values['queue.size'],
-        trip_order=values['trip.order'],
-        error_hold=values['diagnostics.error_hold'],
-        seed=values['seed'],
         values=MappingProxyType(dict(values)),
     )
 

@@ -100,7 +100,7 @@ class Verifier:
                                                        departure.drawn.tolist()))
             verdict.nodes = len(departure.strategy.network.points)
             verdict.value = departure.strategy.value
-            if departure.parameters.seed >= 0:
+            if departure.parameters.values['seed'] >= 0:
                 verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
             verdict.problems += self._problems(departure)
         except UnreadableRecording as error:
@@ -116,7 +116,8 @@ class Verifier:
         strategy, planning = departure.strategy, departure.parameters.planning
         problems = [
             *self._network_problems(strategy, departure.risk_map, planning,
-                                    departure.metadata.trip, departure.parameters.trip_order),
+                                    departure.metadata.trip,
+                                    departure.parameters.values['trip.order']),
             *certificate_problems(strategy, departure.stated, planning),
             *source_problems(departure),
         ]
@@ -133,11 +134,11 @@ class Verifier:
                                            parameters.occupancy, parameters.planning,
                                            departure.risk_map)
         rng = np.random.default_rng(said.route_entropy_source)
-        spacing = parameters.path_spacing or plan.spacing
+        spacing = parameters.values['route.path_spacing'] or plan.spacing
         again: tuple[Route, FloatArray] | None = None
         if departure.few:
             return self._few_problems(
-                departure.few, replace(plan, order_found=parameters.trip_order),
+                departure.few, replace(plan, order_found=parameters.values['trip.order']),
                 departure.risk_map) + _few_draw_problems(departure, departure.few, rng)
         if said.diversion:
             again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
@@ -271,7 +272,7 @@ def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
 def source_problems(departure: RecordedDeparture) -> list[str]:
     """Check that the random source is one that the node makes."""
     said = departure.metadata
-    seed, source = departure.parameters.seed, said.route_entropy_source
+    seed, source = departure.parameters.values['seed'], said.route_entropy_source
     if seed >= 0:
         numbers = (said.departure, said.diversion.number) if said.diversion else (said.departure,)
         expected = source == (seed, *numbers)

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from ..worker.serial_executor import started
 from .departure_record import Answer
 from .error_boundary import ErrorBoundary
-from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
+from .error_codes import FrameMismatch, Refusal, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .requests import Requests
@@ -107,22 +107,22 @@ class ComputePath:
     def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray]:
         """Return the goal as a request of get_plan, and its stops.
 
-        Raises InvalidPlanner if the goal is for another planner, NoGoal if it has no poses, and
-        NoStart or FrameMismatch if the start is missing or has no frame, or the stops have several.
+        Raises Refusal if the goal is for another planner or has no poses, the start is missing or
+        has no frame, or the stops have several.
         """
         names = {self._node.get_name(), *self._settings.current.values['planner_ids']}
         if goal.planner_id not in names:
-            raise InvalidPlanner(f'planner_id is {goal.planner_id[:80]!r}, but must be one of '
-                                 f'{sorted(names)} (planner_ids)')
+            raise Refusal('INVALID_PLANNER', f'planner_id is {goal.planner_id[:80]!r}, but must be '
+                          f'one of {sorted(names)} (planner_ids)')
         start = goal.start if goal.use_start else robot_pose(self._settings.current.robot)
         if start is None:
-            raise NoStart('use_start is false, so the route begins at the robot: set '
+            raise Refusal('NO_START', 'use_start is false, so the route begins at the robot: set '
                           'robot_base_frame, or give a start')
         if not start.header.frame_id:
             raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
         *stops, last = poses_of(goal) or [None]
         if last is None:
-            raise NoGoal('goals is empty: give at least one pose')
+            raise Refusal('NO_GOAL', 'goals is empty: give at least one pose')
         frames = sorted({stop.header.frame_id for stop in stops})
         if len(frames) > 1:
             raise FrameMismatch(f'the stops are in different frames, {", ".join(frames)[:200]}; '

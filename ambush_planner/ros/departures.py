@@ -30,7 +30,7 @@ from ..worker.solve_errors import SolveCancelled
 from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
-from .error_codes import NotActive
+from .error_codes import Refusal
 from .inputs import Inputs
 from .plan_cache import CachedPlan, Fit
 from .recordings import Recordings
@@ -153,7 +153,7 @@ class Departures:
         self.check_active()
         if fit.plan is not self._displayed.plan:
             self._displayed.show(fit.cached, fit.plan, fit.assessment)
-        source = _entropy_source(fit.trip.parameters.seed, self._count + 1)
+        source = _entropy_source(fit.trip.parameters.values['seed'], self._count + 1)
         drawn = fit.draw(source)
         if drawn is None:
             return False
@@ -179,11 +179,11 @@ class Departures:
             return False
         self._recordings.wait_for_room()
         number = before.diversion.number + 1 if before.diversion else 1
-        source = _entropy_source(trip.parameters.seed, before.number, number)
+        source = _entropy_source(trip.parameters.values['seed'], before.number, number)
         x, y = track.path[-1, :2].tolist()
         ends, ahead = (trip.start_xy, (x, y)), track.nodes_ahead(trip.start_xy)
         drawn = other_rest(held.ground, trip.map, ends, ahead, np.random.default_rng(source),
-                           trip.parameters.path_spacing or held.plan.spacing)
+                           trip.parameters.values['route.path_spacing'] or held.plan.spacing)
         if drawn is None:
             return False
         if not pending.answer.set_running_or_notify_cancel():
@@ -206,7 +206,7 @@ class Departures:
         leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
         path = trip.path(rows, leaving)
         # It is recorded on its topic, or under the service that returns it.
-        topic = '' if trip.parameters.publish_path else f'{pending.call.service}/path'
+        topic = '' if trip.parameters.values['path.publish'] else f'{pending.call.service}/path'
         return path, {
             'call': replace(pending.call, response_ns=leaving), 'trip': trip, 'ends': ends,
             'entropy_source': source, 'route': route,
@@ -226,7 +226,7 @@ class Departures:
         def leave() -> None:
             with self._leaving:
                 self.check_active()
-                if trip.parameters.publish_path:
+                if trip.parameters.values['path.publish']:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
                 self._reporter.departed(departure)
@@ -254,9 +254,10 @@ class Departures:
             self._recordings.depart(under_way.departure, lambda: None)
 
 
-def inactive() -> NotActive:
+def inactive() -> Refusal:
     """Return the error of requests to a node that is not active."""
-    return NotActive('the node is inactive: activate it first (ros2 lifecycle set NODE activate)')
+    return Refusal('INACTIVE', 'the node is inactive: activate it first (ros2 lifecycle set NODE '
+                               'activate)')
 
 
 def shutting_down() -> SolveCancelled:

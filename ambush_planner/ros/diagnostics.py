@@ -47,7 +47,8 @@ class Status:
     ``problems`` are by what they concern: errors of 'request', 'map' or 'recording', and warnings
     of 'parameters', 'alpha_map', 'costmap' or 'risk'. ``assessment`` is of the displayed plan on
     the current map, and ``stale`` says why that plan is stale, if it is. The ``last_answer`` to a
-    request may have been the rest of the path of the ``last`` departure.
+    request may have been the rest of the path of the ``last`` departure. ``recording``: whether
+    departures are recorded.
     """
 
     lifecycle: str = 'active'
@@ -60,7 +61,7 @@ class Status:
     stale: str = ''
     last: Departure | None = None
     last_answer: str = ''
-    recording: str = 'off'
+    recording: bool = False
 
     @property
     def state(self) -> str:
@@ -70,6 +71,13 @@ class Status:
         if self.solving:
             return 'solving'
         return 'waiting' if self.missing else 'ready'
+
+    @property
+    def recordings(self) -> str:
+        """'on' or 'off'; 'failed' if the last one did."""
+        if not self.recording:
+            return 'off'
+        return 'failed' if 'recording' in self.problems else 'on'
 
     def noting(self, concern: str, wrong: Exception | str | None) -> Status:
         """Return the status with an error or a warning as the problem of ``concern``, or none."""
@@ -119,11 +127,6 @@ class Reporter:
                 self._failed_at = time.monotonic()
             self._change(lambda status: status.noting(concern, wrong))
 
-    def recording(self, enabled: bool, error: Exception | None = None) -> None:
-        """Report whether departures are recorded, and the error of the last recording."""
-        state = 'failed' if error else 'on' if enabled else 'off'
-        self._change(lambda status: replace(status, recording=state).noting('recording', error))
-
     def departing(self, departure: Departure) -> Departure:
         """Return a departure that is about to leave, with its report and what this remarks.
 
@@ -132,7 +135,7 @@ class Reporter:
         with self._lock:
             status = self._left(departure)
             if departure.parameters.recording.required:
-                status = replace(status, recording='on').noting('recording', None)
+                status = status.noting('recording', None)
             message = status_to_ros(status, self._name, self._publishers.clock.now().to_msg())
             report = self._publishers.as_recorded('/diagnostics', message)
         trouble = status.problems.get('recording')
@@ -183,7 +186,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'departure_gap': f'{last.worth.gap:.9g}' if last else '',
         'last_answer': status.last_answer,
         'tight_turns': str(last.tight_turns) if last else '0',
-        'recording': status.recording,
+        'recording': status.recordings,
     }
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     entry = DiagnosticStatus(level=level, name=f'{name}: planning', hardware_id=name,

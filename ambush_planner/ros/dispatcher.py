@@ -26,7 +26,7 @@ from .departure_record import Answer
 from .departures import Departures, Pending, inactive, shutting_down
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
-from .error_codes import GroundChanges
+from .error_codes import Refusal
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, PlanCache, Task
@@ -138,7 +138,7 @@ class Dispatcher:
         It fails with SolveCancelled if the same ``client`` asks for another goal before that. If it
         ``draws``, it is a departure even for a robot on its way.
         """
-        if draws and not trip_request.parameters.publish_path:
+        if draws and not trip_request.parameters.values['path.publish']:
             raise InvalidOption(
                 'new_route cannot return a path while path.publish is false: call get_plan'
             )
@@ -224,12 +224,12 @@ class Dispatcher:
                                              max(0, now - pending.call.request_ns)))
 
     def _solve_for(self, trip: Trip, pending: Pending) -> None:
-        """Try again with a plan for this trip; raises GroundChanges after too many."""
+        """Try again with a plan for this trip, unless too many were out of date."""
         pending.solves += 1
         if pending.solves > _MAX_SOLVES:
-            raise GroundChanges(f'{_MAX_SOLVES} plans in a row were out of date when solved: the '
-                                'map changes or the robot drives too fast; raise network.spacing '
-                                'or strategy.max_gap')
+            raise Refusal('OUT_OF_DATE', f'{_MAX_SOLVES} plans in a row were out of date when '
+                          'solved: the map changes or the robot drives too fast; raise '
+                          'network.spacing or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip), lambda _: self._try(pending),
                           pending.answer)
 

@@ -82,7 +82,8 @@ class DisplayedPlan:
             self._reporter.set(assessment=None, stale='')
             return
         assessment, stale = cached.ground.assess(newest), ''
-        if assessment.is_stale(cached.plan.strategy.value, self._settings.current.replan_tolerance):
+        tolerance = self._settings.current.values['replan.tolerance']
+        if assessment.is_stale(cached.plan.strategy.value, tolerance):
             stale = 'the map has changed: ' + (
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
@@ -90,9 +91,8 @@ class DisplayedPlan:
             if self.may_solve and not cached.trip.moves:
                 self._resolve(cached, stale)
                 stale += '; a new plan is being solved'
-        elif self._latest_resolve is not None:
+        else:
             self._latest_resolve = None
-            self._plans.queue.withdraw_background()
         self._reporter.set(assessment=assessment, stale=stale)
 
     def _refine(self, cached: CachedPlan) -> None:

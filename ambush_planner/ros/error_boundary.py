@@ -13,6 +13,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
 from ..worker.solve_errors import for_the_log, known
+from .error_codes import code_of
 
 _Result = TypeVar('_Result')
 
@@ -20,7 +21,7 @@ _Result = TypeVar('_Result')
 class ErrorBoundary:
     """Logs errors and passes each to ``report`` with what it concerns.
 
-    Only the first of several errors of one type in one place is logged; ``log_repeated``, to be
+    Only the first of several errors of one code in one place is logged; ``log_repeated``, to be
     called about once a second, logs how many followed and resets the count. Thread-safe.
     """
 
@@ -28,7 +29,7 @@ class ErrorBoundary:
                  report: Callable[[str, Exception], None]) -> None:
         self._context, self._logger, self._report = context, logger, report
         # How often each error has come since the last log_repeated, and the text of the latest.
-        self._latest: dict[tuple[str, type[Exception]], tuple[int, str]] = {}
+        self._latest: dict[tuple[str, str], tuple[int, str]] = {}
         self._lock = Lock()
 
     def attempt(self, what: str, concern: str,
@@ -39,7 +40,7 @@ class ErrorBoundary:
         except Exception as raised:
             error = known(raised)
         if self._context.ok():
-            text, key = f'{what}: {for_the_log(error)}', (what, type(error))
+            text, key = f'{what}: {for_the_log(error)}', (what, code_of(error))
             with self._lock:
                 count = self._latest.get(key, (0, ''))[0] + 1
                 self._latest[key] = count, text

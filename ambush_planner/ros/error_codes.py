@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of requests, and the codes of all errors in the diagnostics.
+"""Refused requests, and the codes of all errors in the diagnostics.
 
 Codes have the names of the constants of Nav2's ``ComputePathToPose`` if it has one.
 """
@@ -12,48 +12,26 @@ from ..recordings import RecordingFailed
 from ..worker.solve_errors import QueueFull, SolveCancelled, WorkerFailed
 
 
-class NoMap(AmbushPlannerError):
-    """No risk map has arrived."""
+class Refusal(AmbushPlannerError):
+    """Why a request is not answered, with its ``code`` in the diagnostics."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
 
 
-class NoStart(AmbushPlannerError):
-    """No start has arrived."""
-
-
-class NoGoal(AmbushPlannerError):
-    """No goal has arrived."""
-
-
-class FrameMismatch(AmbushPlannerError):
+class FrameMismatch(Refusal):
     """A pose cannot be transformed into the map's frame."""
 
-
-class GroundChanges(AmbushPlannerError):
-    """The map or the robot changes faster than plans are solved."""
-
-
-class InvalidPlanner(AmbushPlannerError):
-    """The goal of an action names another planner."""
-
-
-class NotActive(AmbushPlannerError):
-    """The node is not active."""
-
-
-class UnreadableMessage(AmbushPlannerError):
-    """The bytes on a topic are not a message of its type."""
+    def __init__(self, message: str) -> None:
+        super().__init__('TF_ERROR', message)
 
 
 OK_CODE = 'NONE'
 
 # The first row that matches counts, so subclasses precede their base classes.
 _CODES: tuple[tuple[type[Exception], str], ...] = (
-    (NoMap, 'NO_MAP'),
-    (NoStart, 'NO_START'),
-    (NoGoal, 'NO_GOAL'),
     (errors.InvalidPose, 'INVALID_POSE'),
-    (UnreadableMessage, 'INVALID_MESSAGE'),
-    (FrameMismatch, 'TF_ERROR'),
     (errors.StartOutsideMap, 'START_OUTSIDE_MAP'),
     (errors.GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
     (errors.StopOutsideMap, 'STOP_OUTSIDE_MAP'),
@@ -69,9 +47,6 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (errors.SolverFailed, 'SOLVER_FAILED'),
     (SolveCancelled, 'CANCELLED'),
     (QueueFull, 'BUSY'),
-    (NotActive, 'INACTIVE'),
-    (InvalidPlanner, 'INVALID_PLANNER'),
-    (GroundChanges, 'OUT_OF_DATE'),
     (WorkerFailed, 'WORKER_FAILED'),
     (RecordingFailed, 'RECORDING_FAILED'),
 )
@@ -79,4 +54,6 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
 
 def code_of(error: Exception) -> str:
     """Return the code of an error; UNKNOWN if it is not one of the planner's."""
+    if isinstance(error, Refusal):
+        return error.code
     return next((code for kind, code in _CODES if isinstance(error, kind)), 'UNKNOWN')

@@ -20,7 +20,7 @@ from ..planning.clear_ground import ClearGround
 from ..recordings import type_name
 from .conversions import pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, map_from
-from .error_codes import FrameMismatch, NoGoal, NoMap, NoStart
+from .error_codes import FrameMismatch, Refusal
 from .parameter_changes import NodeSettings
 from .topics import LATEST
 from .transforms import FrameTransforms
@@ -67,8 +67,8 @@ class Inputs:
     def accept_map(self, topic: str, received: ReceivedMessage) -> None:
         """Take a map, or a map_msgs/OccupancyGridUpdate of one, for ``join_maps``.
 
-        Raises InvalidRiskMap if it is malformed or does not fit the map, and NoMap if there is none
-        to update. The current map then stays.
+        Raises InvalidRiskMap if it is malformed or does not fit the map, and Refusal if there is
+        none to update. The current map then stays.
         """
         if not isinstance(received.message, OccupancyGrid):
             present = self._arrived[topic] or self._no_map()
@@ -114,22 +114,23 @@ class Inputs:
     def latest(self) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
-        Raises NoMap, NoStart or NoGoal if an input has not arrived, and InvalidOption while
-        parameters contradict each other.
+        Raises Refusal if an input has not arrived, and InvalidOption while parameters contradict
+        each other.
         """
         self.current_map()
         if self.start is None and not self._settings.current.robot.frame:
-            raise NoStart(f'no start yet: publish one on {self._full_name("start_pose")} or '
-                          f'{self._full_name("initialpose")}, or set robot_base_frame')
+            start, estimate = map(self._full_name, ('start_pose', 'initialpose'))
+            raise Refusal('NO_START', f'no start yet: publish one on {start} or {estimate}, or set '
+                          'robot_base_frame')
         if self.goal is None:
-            raise NoGoal(f'no goal yet: publish one on {self._full_name("goal_pose")}')
+            raise Refusal('NO_GOAL', f'no goal yet: publish one on {self._full_name("goal_pose")}')
         return TripRequest(self._settings.agreeing(), self.start, self.goal, via=self.via)
 
     def given(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
               stops: PoseArray) -> TripRequest:
         """Return the trip of a request with its own poses, as if they had arrived on the topics.
 
-        Raises NoMap, and InvalidOption while parameters contradict each other.
+        Raises Refusal without a map, and InvalidOption while parameters contradict each other.
         """
         self.asked_directly = True
         self.current_map()
@@ -141,20 +142,22 @@ class Inputs:
         return TripRequest(self._settings.agreeing(), received[0], received[1], tolerance, via)
 
     def current_map(self) -> CurrentMap:
-        """Return the current map; raises NoMap if no map has arrived."""
+        """Return the current map; raises Refusal if none has arrived."""
         return self.map or self._no_map()
 
     def _no_map(self) -> NoReturn:
         if self._arrived['alpha_map'] is not None:
-            raise NoMap('no costmap yet, or no transform to the frame of the risk map: publish one '
-                        f'on {self._full_name("costmap")}, or start with map.costmap false')
+            raise Refusal('NO_MAP', 'no costmap yet, or no transform to the frame of the risk map: '
+                          f'publish one on {self._full_name("costmap")}, or start with '
+                          'map.costmap false')
         why = f'; the last one was refused: {self._refused}' if self._refused else ''
-        raise NoMap(f'no risk map yet: publish one on {self._full_name("alpha_map")}{why}')
+        raise Refusal('NO_MAP', 'no risk map yet: publish one on '
+                      f'{self._full_name("alpha_map")}{why}')
 
     def locate(self, request: TripRequest) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
 
-        Raises NoMap if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
+        Raises Refusal if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
         transformed into the map's frame or is not a valid pose.
         """
         present, robot, start = self.current_map(), request.parameters.robot, request.start
@@ -193,8 +196,8 @@ class Inputs:
     def invalid_poses(self, path: Path) -> list[int] | None:
         """Return which poses of a path, from the robot on, the newest map does not let it reach.
 
-        None if the path has no poses: Nav2's trees ask so before their first path. Raises NoMap,
-        FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        None if the path has no poses: Nav2's trees ask so before their first path. Raises Refusal
+        without a map, FrameMismatch if the path is not in the map's frame, and InvalidPose.
         """
         if not path.poses:
             return None

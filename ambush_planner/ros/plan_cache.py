@@ -66,7 +66,7 @@ class Task:
         trip, parameters = self.trip, self.parameters
         return PlanRequest(trip.map.values, trip.map.resolution, trip.map.origin,
                            parameters.occupancy, trip.start_xy, *trip.goal, parameters.planning,
-                           trip.stops_xy, parameters.trip_order, warm)
+                           trip.stops_xy, parameters.values['trip.order'], warm)
 
     def will_suit(self, trip: Trip) -> bool:
         """Whether the plan will probably suit a trip."""
@@ -179,7 +179,7 @@ class Fit:
         if route is None:
             return None
         fitted = self.plan if self.joined else ground.fitted(newest, self.ends)
-        spacing = self.trip.parameters.path_spacing or self.plan.spacing
+        spacing = self.trip.parameters.values['route.path_spacing'] or self.plan.spacing
         return route, departure_path(fitted, route, spacing, self.ends)
 
 
@@ -257,7 +257,7 @@ class PlanCache:
         """Solve, starting from a ``known`` plan for nearly the same."""
         warm = WarmStart.of(known.plan.strategy) if known else None
         return self.queue.submit(task, task.request(warm), partial(self._solved, task),
-                                 task.parameters.queue_size, background, low_priority)
+                                 task.parameters.values['queue.size'], background, low_priority)
 
     def _solved(self, task: Task, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""

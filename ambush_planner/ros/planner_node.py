@@ -33,7 +33,7 @@ from .conversions import installed_type
 from .diagnostics import Reporter
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
-from .error_codes import NotActive
+from .error_codes import Refusal
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
 from .plan_from_file import inputs_of
@@ -90,7 +90,7 @@ class PlannerNode(LifecycleNode):
         self._settings = NodeSettings(self, self._parameters_changed)
         self._bond = Bond(self)
         current, logger = self._settings.current, self.get_logger()
-        if current.seed >= 0:
+        if current.values['seed'] >= 0:
             logger.warning('the parameter seed is set: every run draws the same sequence of '
                            'routes, which can be predicted; use it for tests and replay only')
         if not HAS_HIGHSPY:
@@ -98,8 +98,8 @@ class PlannerNode(LifecycleNode):
                         'pip install highspy')
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
                                   Publishers(self, STATUS_TOPICS), self._activity,
-                                  lambda: self._settings.current.error_hold)
-        self._reporter.recording(current.recording.enabled)
+                                  lambda: self._settings.current.values['diagnostics.error_hold'])
+        self._reporter.set(recording=current.recording.enabled)
         self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
         self._closing.callback(self._error_boundary.log_repeated)
         self._requests = Requests(self, self._error_boundary,
@@ -183,11 +183,10 @@ class PlannerNode(LifecycleNode):
 
     def _configured_parts(self) -> _Parts:
         if self._parts is None:
-            raise NotActive(
-                'the node is not configured: configure and activate it first (ros2 lifecycle '
-                'set); after a cleanup, publish start and goal again (a latched map arrives by '
-                'itself)'
-            )
+            raise Refusal(
+                'INACTIVE', 'the node is not configured: configure and activate it first (ros2 '
+                'lifecycle set); after a cleanup, publish start and goal again (a latched map '
+                'arrives by itself)')
         return self._parts
 
     def _set_active(self, active: bool) -> None:

@@ -169,7 +169,7 @@ class Recordings:
         with suppress(Exception):  # during shutdown the node may be unable to report
             if error is not None:
                 self._logger.error(f'recording: {for_the_log(error)}')
-            self._reporter.recording(True, error)
+            self._reporter.note('recording', error)
 
 
 def _leave(queued: _Queued) -> None:

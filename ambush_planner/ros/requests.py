@@ -37,7 +37,7 @@ class Requests:
     """The services of ``node``, which answer in all of its lifecycle states.
 
     ``error_boundary`` logs and reports errors; ``dispatcher`` and ``inputs`` return the parts of a
-    configured node, or raise NotActive.
+    configured node, or raise Refusal.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary,

@@ -22,7 +22,7 @@ from .current_map import CurrentMap, ReceivedMessage
 from .diagnostics import Reporter
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
-from .error_codes import FrameMismatch, UnreadableMessage
+from .error_codes import FrameMismatch, Refusal
 from .inputs import Inputs
 from .listener import Listener
 from .parameter_changes import NodeSettings
@@ -145,9 +145,8 @@ def _deserialised(kind: type, topic: str, data: bytes, qos: QoSProfile) -> Recei
     try:
         message = deserialize_message(data, kind)
     except Exception as error:  # rclpy's own error type is not public
-        raise UnreadableMessage(
-            f'{len(data)} bytes on {topic} are not a message of type {kind.__name__}'
-        ) from error
+        raise Refusal('INVALID_MESSAGE', f'{len(data)} bytes on {topic} are not a message of type '
+                      f'{kind.__name__}') from error
     return ReceivedMessage(topic, type_name(kind), message, qos, data)
 
 

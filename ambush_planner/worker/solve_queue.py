@@ -36,9 +36,9 @@ class _Solve(Generic[_Key, _Result]):
     key: _Key
     request: PlanRequest
     finish: Callable[[Plan], _Result]
-    persistent: bool
     low_priority: bool
-    waiters: int
+    persistent: bool = False
+    waiters: int = 0
     preempted: bool = False
     outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
@@ -56,8 +56,6 @@ class SolveQueue(Generic[_Key, _Result]):
         self._condition = Condition()
         self._waiting: dict[_Key, _Solve[_Key, _Result]] = {}
         self._running: _Solve[_Key, _Result] | None = None
-        # The solve whose outcome is being set: it can still be shared but not cancelled.
-        self._finished: _Solve[_Key, _Result] | None = None
         self._parent = WorkerParent()
         self._worker: WorkerProcess | None = None
         self._closed = False
@@ -75,8 +73,7 @@ class SolveQueue(Generic[_Key, _Result]):
     def keys(self) -> list[_Key]:
         """The keys of the solves that can be shared, the running one first."""
         with self._condition:
-            finished = [self._finished] if self._finished else []
-            return [each.key for each in (*self._unfinished, *finished) if not each.cancelled]
+            return [each.key for each in self._unfinished if not each.cancelled]
 
     @property
     def _unfinished(self) -> list[_Solve[_Key, _Result]]:
@@ -107,22 +104,23 @@ class SolveQueue(Generic[_Key, _Result]):
         with self._condition:
             if self._closed:
                 raise SolveCancelled(_CLOSING)
-            solve = self._same(key)
-            if solve is not None:
-                solve.persistent = solve.persistent or background
-                solve.waiters += not background
-                if not background:
-                    self._preempt_background()
-                return solve.outcome
-            superseded = self._drop_background() if background else []
-            waiting = sum(not each.background for each in self._waiting.values())
-            # If none is running, the first waiting solve is about to begin.
-            if not background and waiting - (self._running is None) >= size:
-                raise self._full(size)
-            solve = _Solve(key, request, finish, background, low_priority, int(not background))
-            self._waiting[key] = solve
-            self._condition.notify()
-            if not background:
+            superseded: list[_Solve[_Key, _Result]] = []
+            solve = next((each for each in self._unfinished
+                          if each.key == key and not each.cancelled), None)
+            if solve is None:
+                if background:
+                    superseded = [each for each in self._waiting.values() if each.background]
+                    for each in superseded:
+                        del self._waiting[each.key]
+                else:
+                    self._check_room(size)
+                solve = _Solve(key, request, finish, low_priority)
+                self._waiting[key] = solve
+                self._condition.notify()
+            if background:
+                solve.persistent = True
+            else:
+                solve.waiters += 1
                 self._preempt_background()
         _end(superseded, _SUPERSEDED)
         return solve.outcome
@@ -139,36 +137,22 @@ class SolveQueue(Generic[_Key, _Result]):
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
         _end(waited, _WITHDRAWN)
 
-    def withdraw_background(self) -> None:
-        """Drop the background solves that have not begun."""
-        with self._condition:
-            withdrawn = self._drop_background()
-        _end(withdrawn, _SUPERSEDED)
-
-    def cancel(self) -> int:
+    def cancel(self, why: str = _CANCELLED) -> int:
         """Cancel all solves; return their number."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
             running = self._running is not None and not self._running.cancelled
-            self._end_running(_CANCELLED)
-        _end(waiting, _CANCELLED)
+            self._end_running(why)
+        _end(waiting, why)
         return len(waiting) + running
 
     def close(self) -> None:
         """Cancel all solves and end the worker process."""
         with self._condition:
             self._closed = True
-            self._end_running(_CLOSING)
-            waiting, self._waiting = list(self._waiting.values()), {}
             self._condition.notify()
-        _end(waiting, _CLOSING)
+        self.cancel(_CLOSING)
         self._thread.join()
-
-    def _same(self, key: _Key) -> _Solve[_Key, _Result] | None:
-        for solve in (self._running, self._finished, self._waiting.get(key)):
-            if solve is not None and solve.key == key and not solve.cancelled:
-                return solve
-        return None
 
     def _preempt_background(self) -> None:
         """End a running background solve, which waits from then on."""
@@ -177,16 +161,14 @@ class SolveQueue(Generic[_Key, _Result]):
             if self._worker is not None:
                 self._worker.kill()
 
-    def _drop_background(self) -> list[_Solve[_Key, _Result]]:
-        dropped = [solve for solve in self._waiting.values() if solve.background]
-        for solve in dropped:
-            del self._waiting[solve.key]
-        return dropped
-
-    def _full(self, size: int) -> QueueFull:
+    def _check_room(self, size: int) -> None:
         running = self._running
+        waiting = sum(not each.background for each in self._waiting.values())
+        # If none is running, the first waiting solve is about to begin.
+        if waiting - (running is None) < size:
+            return
         since = f' (for {time.monotonic() - running.begin:.1f} s)' if running else ''
-        return QueueFull(
+        raise QueueFull(
             f'a solve is running{since} and {size} others are waiting, the limit set by '
             'queue.size; try again later, or call cancel'
         )
@@ -200,9 +182,8 @@ class SolveQueue(Generic[_Key, _Result]):
     def _work(self) -> None:
         # Only this thread starts workers, which die with it.
         try:
-            if not self._closed:
-                with suppress(WorkerFailed):  # the first solve reports it
-                    self._living_worker()
+            with suppress(WorkerFailed):  # the first solve reports it
+                self._living_worker()
             while (solve := self._next()) is not None:
                 self._answer(solve)
                 del solve  # frees its map
@@ -241,15 +222,12 @@ class SolveQueue(Generic[_Key, _Result]):
                     solve.preempted, self._waiting[solve.key] = False, solve
                     return
                 solve.cancelled = _SUPERSEDED
-            self._finished = solve
         if solve.cancelled:
             solve.outcome.set_exception(SolveCancelled(solve.cancelled))
         elif error is not None:
             solve.outcome.set_exception(error)
         else:
             solve.outcome.set_result(result)  # type: ignore[arg-type]
-        with self._condition:
-            self._finished = None
 
     def _living_worker(self) -> WorkerProcess:
         if self._worker is None or not self._worker.alive:
