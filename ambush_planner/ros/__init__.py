@@ -3,6 +3,6 @@
 
 ``planner_node`` wires the parts and has the lifecycle; ``subscriptions`` and ``inputs`` take what
 arrives, ``requests`` and ``compute_path`` answer, and ``dispatcher`` takes a request through
-``plan_cache`` to ``departures``; ``reporter`` publishes the diagnostics.
+``plan_cache`` to ``departures``; ``diagnostics`` publishes the status.
 docs/architecture.md follows a request through these files.
 """

@@ -152,7 +152,7 @@ class Departures:
         self._recordings.wait_for_room()
         self.check_active()
         if fit.plan is not self._displayed.plan:
-            self._displayed.show(fit.cached, fit.plan, fit.assessment)
+            self._displayed.show(fit)
         source = _entropy_source(fit.trip.parameters.values['seed'], self._count + 1)
         drawn = fit.draw(source)
         if drawn is None:

@@ -104,7 +104,7 @@ class Dispatcher:
         cached = self._plans.adopt(Task(trip), saved.plan)
         self._logger.info(f'plan read from a file: value {saved.plan.strategy.value:.6g}, '
                           f'{len(saved.plan.network.points)} nodes')
-        self._thread.submit(lambda: self._displayed.show(cached))
+        self._thread.submit(lambda: self._displayed.show(cached.as_solved))
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
@@ -156,7 +156,7 @@ class Dispatcher:
             self._when_solved(self._plans.solve(trip), show, result)
 
         def show(cached: CachedPlan) -> None:
-            self._displayed.show(cached)
+            self._displayed.show(cached.as_solved)
             self._reporter.note('request', None)
             result.set_result(cached.plan)
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from std_msgs.msg import Header
 
 from ..errors import AmbushPlannerError
-from ..planning.changed_ground import Assessment
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..worker.serial_executor import SerialExecutor
@@ -19,7 +18,7 @@ from .diagnostics import Reporter
 from .inputs import Inputs
 from .markers import MARKERS
 from .parameter_changes import NodeSettings
-from .plan_cache import CachedPlan, PlanCache
+from .plan_cache import CachedPlan, Fit, PlanCache
 from .topics import Publishers
 
 
@@ -42,25 +41,18 @@ class DisplayedPlan:
         self._map_is_new = False
         self._latest_resolve: Future[CachedPlan] | None = None
 
-    def show(self, cached: CachedPlan, plan: Plan | None = None,
-             assessment: Assessment | None = None) -> None:
-        """Display a plan, perhaps one that joins it: publish markers and report its numbers.
-
-        ``assessment``, if it is known, is what the displayed plan is worth on the newest map.
-        """
-        plan = plan or cached.plan
+    def show(self, fit: Fit) -> None:
+        """Display a plan, perhaps one that joins it: publish markers and report its numbers."""
+        cached, plan = fit.cached, fit.plan
         header = Header(frame_id=cached.trip.map.frame,
                         stamp=self._publishers.clock.now().to_msg())
         self.markers = tuple(self._publishers.publish(f'~/{name}', drawn(plan.strategy, header))
                              for name, drawn in MARKERS.items())
         self.cached, self.plan = cached, plan
-        newest = self._inputs.current_map()
-        if assessment is None and newest.same_ground(cached.trip.map):
-            assessment = cached.ground.assess(newest)
         if cached.task.first:
             self._refine(cached)
-        self._reporter.set(plan=cached.plan, assessment=assessment, stale='')
-        if newest is not cached.trip.map:
+        self._reporter.set(plan=cached.plan, assessment=fit.assessment, stale='')
+        if self._inputs.current_map() is not cached.trip.map:
             self.map_changed()
 
     def map_changed(self) -> None:
@@ -101,7 +93,7 @@ class DisplayedPlan:
             with suppress(AmbushPlannerError):  # the first plan stays
                 refined = solve.result()
                 if self.cached is cached:
-                    self.show(refined)
+                    self.show(refined.as_solved)
 
         with suppress(SolveCancelled):  # the node is about to end
             self._thread.submit_after(self._plans.refine(cached), show_result)
@@ -113,7 +105,7 @@ class DisplayedPlan:
             if latest:
                 self._latest_resolve = None
             try:
-                self.show(solve.result())
+                self.show(solve.result().as_solved)
             except SolveCancelled:
                 if latest:
                     self._reporter.set(stale=f'{why}, and the new solve was cancelled')

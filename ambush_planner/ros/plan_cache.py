@@ -95,6 +95,11 @@ class CachedPlan:
         return self.task.trip
 
     @property
+    def as_solved(self) -> Fit:
+        """How one departs on the plan for its own trip."""
+        return Fit(self, self.trip)
+
+    @property
     def bytes(self) -> int:
         """About what the plan takes in memory."""
         return _OF_EDGE * len(self.plan.network.edges) + _OF_CELL * self.trip.map.values.size
