@@ -24,12 +24,9 @@ from ..arrays import FloatArray
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
     """Return the pose at (x, y) [m] with heading yaw [rad]."""
-    return _set_pose(Pose(), float(x), float(y), float(yaw))
-
-
-def _set_pose(pose: Pose, x: float, y: float, yaw: float) -> Pose:
-    pose.position.x, pose.position.y = x, y
-    pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+    pose, half = Pose(), 0.5 * float(yaw)
+    pose.position.x, pose.position.y = float(x), float(y)
+    pose.orientation.z, pose.orientation.w = math.sin(half), math.cos(half)
     return pose
 
 
@@ -51,10 +48,7 @@ def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> P
     It ends at the position of the last pose with the goal's height and orientation: a blocked goal
     has been moved there.
     """
-    result = [PoseStamped() for _ in poses]  # rclpy makes default fields even if others are given
-    for stamped, row in zip(result, poses.tolist(), strict=True):
-        stamped.header = header
-        _set_pose(stamped.pose, *row)
+    result = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
     end = result[-1].pose.position
     position = Point(x=end.x, y=end.y, z=goal.position.z)
     result[0].pose = start
