@@ -212,6 +212,18 @@ class Stage:
     def __init__(self, planner, client):
         self.planner, self.client = planner, client
 
+    def use(self, values):
+        """Set parameters, by name, together."""
+        done = self.planner.set_parameters_atomically(
+            [Parameter(name, value=value) for name, value in values.items()])
+        assert done.successful, done.reason
+
+    def know(self, values):
+        """Give the planner a map of cell values, and wait until it has it."""
+        self.client.publish('alpha_map', risk_grid(values))
+        inputs = self.planner._parts.inputs
+        wait_until(lambda: inputs.map and np.array_equal(inputs.map.values, values), 'the map')
+
     def give(self, grid=None, start=(1.5, 5.5), goal=(8.5, 5.5)):
         """Give the planner all inputs, and wait until it has them."""
         self.client.publish('alpha_map', risk_grid() if grid is None else grid)
@@ -242,6 +254,14 @@ def stage(directory=None, parameters=None, domain=None, **planner_arguments):
         client = Client(node, planner.get_fully_qualified_name())
         stack.enter_context(spinning(node, SingleThreadedExecutor(context=other)))
         yield Stage(planner, client)
+
+
+def recorded(folder, count):
+    """The recordings below a folder, once there are as many."""
+    wait_until(lambda: len(list(folder.rglob('*.mcap'))) >= count, f'{count} recordings')
+    files = sorted(folder.rglob('*.mcap'))
+    assert len(files) == count
+    return files
 
 
 def header(frame=FRAME):

@@ -3,7 +3,6 @@
 
 from contextlib import contextmanager
 from importlib import import_module
-from threading import Event
 from types import SimpleNamespace
 
 import interfaces
@@ -14,8 +13,8 @@ from handed_on import halt_workers
 from nav_msgs.msg import Goals as GoalsMessage
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
-from ros_harness import LONG, pose, risk_grid, stage, wait_until
-from waiting import TIMEOUT, answer_of
+from ros_harness import LONG, pose, recorded, risk_grid, stage, wait_until
+from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import poses_of
@@ -113,8 +112,7 @@ def test_a_goal_is_a_departure_for_each_of_the_planner_ids(goals):
         assert result.planning_time.sec + result.planning_time.nanosec > 0
         goals.client.diagnostics(departures=str(number), code='NONE')
     assert goals.cancel(last) == 0, 'the route is drawn'
-    wait_until(lambda: len(list(goals.folder.rglob('*.mcap'))) == 3, 'the recordings')
-    assert all(read_with_rosbags(file) for file in goals.folder.rglob('*.mcap'))
+    assert all(map(read_with_rosbags, recorded(goals.folder, 3)))
 
 
 def test_a_goal_that_fails_has_nav2s_code_and_a_reason(goals):
@@ -204,7 +202,7 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(action
         assert not goals.client.received['path']
 
 
-def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals, monkeypatch):
+def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
     kind = import_module('nav2_msgs.srv').IsPathValid
     client, flat = goals.client, np.full((20, 20), 10)
     client.publish('alpha_map', risk_grid(flat))
@@ -227,16 +225,12 @@ def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals, monk
     assert validity(path) == (True, [])
     assert validity(type(path)(header=path.header)) == (False, [])
     client.diagnostics(code='NONE')
-    looks, go_on, look = Event(), Event(), ClearGround.drivable_steps
-    with monkeypatch.context() as patch:
-        patch.setattr(ClearGround, 'drivable_steps', lambda *given: (
-            looks.set(), go_on.wait(TIMEOUT), look(*given))[2])
+    with held(ClearGround, 'drivable_steps') as (looks, _):
         path.poses = blocked
         asked = service.call_async(kind.Request(path=path))
         wait_until(looks.is_set, 'the look along the path')
         assert client.get_plan(START, GOAL).poses and not asked.done(), 'nobody waits for it'
-        go_on.set()
-        wait_until(asked.done, 'the answer')
+    wait_until(asked.done, 'the answer')
     path.header.frame_id = 'odom'
     assert validity(path) == (False, [])
     client.diagnostics(code='TF_ERROR')

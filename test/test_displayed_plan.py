@@ -2,18 +2,16 @@
 """Changes of the map over DDS: the displayed plan is assessed, solved again, and departed on."""
 
 import re
-from threading import Event
 
 import interfaces
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
-from ros_harness import header, pose, risk_grid, stage, wait_until
-from waiting import TIMEOUT
+from ros_harness import header, pose, recorded, risk_grid, stage, wait_until
+from waiting import TIMEOUT, held
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.parameters import values as parameter_values
-from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.worker.process import WorkerProcess
 
@@ -76,7 +74,7 @@ def test_a_value_that_rises_is_reported_and_solved_again_from_the_last_plan(runn
     monkeypatch.setattr(WorkerProcess, 'solve', lambda worker, request, *rest: (
         warm.append(request.warm is not None), solve(worker, request, *rest))[1])
     client = running.client
-    running.planner.set_parameters([Parameter('replan.tolerance', value=1e9)])
+    running.use({'replan.tolerance': 1e9})
     before = client.diagnostics(departures='1')
     dear = FLAT.copy()
     dear[:, 8:12] = 80
@@ -85,7 +83,7 @@ def test_a_value_that_rises_is_reported_and_solved_again_from_the_last_plan(runn
     report = client.diagnostics(stale='no', departures='1', value=before['value'])
     assert float(report['current_value']) > 2 * float(before['value'])
     assert displays(client) == 1
-    running.planner.set_parameters([Parameter('replan.tolerance', value=0.05)])
+    running.use({'replan.tolerance': 0.05})
     dear[0, 0] = 11
     client.publish('alpha_map', risk_grid(dear))
     client.last('edge_probabilities', 2)
@@ -95,16 +93,13 @@ def test_a_value_that_rises_is_reported_and_solved_again_from_the_last_plan(runn
     assert warm == [True]
 
 
-def test_a_background_solve_that_is_cancelled_is_reported(running, monkeypatch):
-    client, go_on, solve = running.client, Event(), WorkerProcess.solve
-    monkeypatch.setattr(
-        WorkerProcess, 'solve', lambda *given: (go_on.wait(TIMEOUT), solve(*given))[1])
-    update(client, 10, 0, WALL)
-    assert 'a new plan is being' in client.diagnostics(stale='yes', state='solving')['message']
-    try:
+def test_a_background_solve_that_is_cancelled_is_reported(running):
+    client = running.client
+    with held(WorkerProcess, 'solve'):
+        update(client, 10, 0, WALL)
+        report = client.diagnostics(stale='yes', state='solving')
+        assert 'a new plan is being' in report['message']
         assert client.call('cancel').success
-    finally:
-        go_on.set()
     report = client.diagnostics(stale='yes', state='ready', level=b'\1')
     wait_until(lambda: 'new solve was cancelled' in client.diagnostics()['message'], 'the report')
     assert 'new obstacles' in report['message']
@@ -112,23 +107,20 @@ def test_a_background_solve_that_is_cancelled_is_reported(running, monkeypatch):
     client.diagnostics(stale='no')
 
 
-def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(
-        running, monkeypatch):
-    client, go_on, solve = running.client, Event(), WorkerProcess.solve
-    monkeypatch.setattr(
-        WorkerProcess, 'solve', lambda *given: (go_on.wait(TIMEOUT), solve(*given))[1])
-    update(client, 10, 0, WALL)
-    client.diagnostics(stale='yes', state='solving')
-    update(client, 10, 0, FLAT[:14, :1])
-    client.diagnostics(stale='no', state='solving')
-    go_on.set()
+def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(running):
+    client = running.client
+    with held(WorkerProcess, 'solve'):
+        update(client, 10, 0, WALL)
+        client.diagnostics(stale='yes', state='solving')
+        update(client, 10, 0, FLAT[:14, :1])
+        client.diagnostics(stale='no', state='solving')
     client.last('edge_probabilities', 2)
     client.diagnostics(stale='no', state='ready')
 
 
 def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
     client = running.client
-    running.planner.set_parameters([Parameter('diagnostics.error_hold', value=0.0)])
+    running.use({'diagnostics.error_hold': 0.0})
     update(client, 10, 0, np.full((20, 1), 100))
     client.diagnostics(stale='yes', state='ready', level=b'\1', code='NONE')
     wait_until(lambda: 'the new solve failed' in client.diagnostics()['message'], 'the reason')
@@ -169,7 +161,7 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
         update(client, 0, 0, [[100, 90]])
         wait_until(lambda: current_values(running)[0, 0] == 100, 'the update')
         assert client.get_plan(pose(1.6, 5.4), pose(8.5, 5.6)).poses
-    first, second = map(read_departure, recordings_in(tmp_path))
+    first, second = map(read_departure, recorded(tmp_path, 2))
     wanted = FLAT.copy()
     wanted[4:6, 3:5] = [[20, 30], [40, -1]]
     assert np.array_equal(first.planned_on.values, wanted) and first.newest is first.planned_on
@@ -213,7 +205,7 @@ def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path, monkeypatc
         assert client.call('new_route').success
         last = client.diagnostics(departures='2', refining='no')
         assert last['value'] == refined['value'] == last['departure_value']
-    files = list(recordings_in(tmp_path))
+    files = recorded(tmp_path, 2)
     nodes = [len(read_departure(each).strategy.network.points) for each in files]
     assert nodes[0] < 70 and nodes[1] > 100
     verifier = Verifier()

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
-from threading import Event
-
 import interfaces
 import pytest
 from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
-from rclpy.parameter import Parameter
-from ros_harness import LATCHED, LONG, pose, risk_grid, stage, threads, wait_until
-from waiting import TIMEOUT, answer_of
+from ros_harness import LATCHED, LONG, pose, recorded, risk_grid, stage, threads, wait_until
+from waiting import TIMEOUT, answer_of, held
 
 from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.recordings import durable_files
@@ -101,11 +98,9 @@ def test_plans_are_kept_while_it_is_inactive_unless_the_map_changes():
         client.last('path', 2)
         client.diagnostics(departures='2')
         manager.go(deactivate='inactive')
-        changed = risk_grid()
-        changed.data[20 * 4 + 2:20 * 4 + 18] = type(changed.data)('b', [100] * 16)
-        client.publish('alpha_map', changed)
-        inputs = running.planner._parts.inputs
-        wait_until(lambda: inputs.map.values[4, 5] == 100, 'the map')
+        values = running.planner._parts.inputs.map.values.copy()
+        values[4, 2:18] = 100
+        running.know(values)
         assert not any(running.planner._parts.dispatcher.activity)
         manager.go(activate='active')
         client.last('edge_probabilities', 2)
@@ -129,11 +124,11 @@ def test_cleanup_forgets_everything_except_the_parameters(tmp_path):
     with stage(tmp_path) as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
-        running.planner.set_parameters([Parameter('strategy.max_detour', value=1.4)])
+        running.use({'strategy.max_detour': 1.4})
         others = threads()
         manager.go(deactivate='inactive', cleanup='unconfigured')
         wait_until(lambda: not set(threads()) & set(others), 'the end of worker, recordings and TF')
-        assert len(list(tmp_path.rglob('*.mcap'))) == 1
+        recorded(tmp_path, 1)
         # A late subscriber gets no earlier path; the planner gets the latched map.
         late = []
         client.node.create_subscription(Path, 'path', late.append, LATCHED)
@@ -144,7 +139,7 @@ def test_cleanup_forgets_everything_except_the_parameters(tmp_path):
         wait_until(lambda: late, 'the path')
         assert late == client.received['path'][1:]
         assert running.planner.get_parameter('strategy.max_detour').value == 1.4
-    assert len(list(tmp_path.rglob('*.mcap'))) == 2
+    recorded(tmp_path, 2)
 
 
 def test_after_shutdown_it_refuses_requests():
@@ -175,15 +170,13 @@ def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
 
 def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
     """The queue of recordings is full, and a departure waits for room in it."""
-    go_on = Event()
     monkeypatch.setattr(recordings, '_MAX_WAIT', 10 * TIMEOUT)
     monkeypatch.setattr(planner_node, '_LAST_RECORDINGS_TIME', TIMEOUT)
     with stage(tmp_path) as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
         wait_until(lambda: not running.planner._recordings[0]._unwritten, 'the recording')
-        monkeypatch.setattr(durable_files.os, 'fsync', lambda _: go_on.wait(10 * TIMEOUT))
-        try:
+        with held(durable_files.os, 'fsync'):
             for _ in range(4):
                 assert client.call('new_route').success
             waits = client.send('new_route')
@@ -191,9 +184,7 @@ def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
             wait_until(waits.done, 'an answer')
             assert 'inactive' in waits.result().message
             manager.go(cleanup='unconfigured', configure='inactive', activate='active')
-        finally:
-            go_on.set()
-    assert len(list(tmp_path.rglob('*.mcap'))) == 5
+    recorded(tmp_path, 5)
 
 
 @pytest.mark.parametrize('method, transition', [

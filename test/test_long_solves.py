@@ -9,7 +9,6 @@ from unittest import mock
 import numpy as np
 from handed_on import halt_workers, signal_workers
 from nav_msgs.srv import GetPlan
-from rclpy.parameter import Parameter
 from ros_harness import pose, risk_grid, stage, wait_until
 
 from ambush_planner.worker.process import WorkerProcess
@@ -25,12 +24,6 @@ def field(seed=1):
     return risk_grid(np.random.default_rng(seed).integers(0, 60, (200, 200), dtype=np.int8))
 
 
-def use(running, parameters):
-    done = running.planner.set_parameters_atomically(
-        [Parameter(name, value=value) for name, value in parameters.items()])
-    assert done.successful, done.reason
-
-
 @contextmanager
 def solving(parameters=SLOW, halted=True):
     """A node in the middle of a long solve, and the future of the answer that waits for it.
@@ -42,7 +35,7 @@ def solving(parameters=SLOW, halted=True):
         assert running.client.call('new_route').success
         # Wait for all output of the first solve.
         running.client.diagnostics(departures='1', state='ready')
-        use(running, parameters)
+        running.use(parameters)
         begun, solve = threading.Event(), WorkerProcess.solve
         with mock.patch.object(
                 WorkerProcess, 'solve', lambda *given: (begun.set(), solve(*given))[1]):
@@ -71,7 +64,7 @@ def test_everything_else_answers_during_a_solve(submitted):
         wait_until(lambda: len(submitted) == before + 20, 'the requests')
         client.publish('alpha_map', risk_grid(np.array([[101]])))
         client.diagnostics(code='INVALID_MAP', state='solving')
-        use(running, QUICK)
+        running.use(QUICK)
         assert client.get_plan(START, GOAL).poses, 'its strategy is cached'
         client.diagnostics(departures='2', state='solving')
         assert not any(each.done() for each in waiting)
@@ -88,7 +81,7 @@ def test_cancel_ends_the_solve_and_reports_it():
         client.diagnostics(code='CANCELLED', level=b'\1', state='ready')
         again = client.call('cancel')
         assert (again.success, again.message) == (False, 'no solve is running')
-        use(running, QUICK)
+        running.use(QUICK)
         assert client.call('new_route').success
         client.diagnostics(code='NONE')
 
@@ -116,7 +109,7 @@ def test_starts_that_differ_little_share_a_solve():
 def test_a_queued_request_keeps_the_goal_at_the_time_of_the_request(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
-        use(running, {**QUICK, 'network.spacing': 4.0})
+        running.use({**QUICK, 'network.spacing': 4.0})
         queued = client.send('new_route')
         wait_until(lambda: len(submitted) == before + 1, 'the request')
         client.publish('goal_pose', NORTH)
@@ -134,5 +127,5 @@ def test_a_killed_worker_fails_the_request_and_is_replaced():
         kill_workers()
         assert 'the worker process was killed' in answer(future).message
         client.diagnostics(code='WORKER_FAILED', level=b'\2', state='ready')
-        use(running, {**QUICK, 'network.spacing': 4.0})
+        running.use({**QUICK, 'network.spacing': 4.0})
         assert client.call('new_route').success

@@ -6,14 +6,13 @@ import signal
 import subprocess
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Event
 
 import pytest
 from nav_msgs.srv import GetPlan
 from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
-from waiting import TIMEOUT, stderr_in
+from waiting import TIMEOUT, held, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings.verify import Verifier
@@ -119,19 +118,12 @@ def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
 
 
 def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
-    stuck, go_on = Event(), Event()
-
-    def hang(*_):
-        stuck.set()
-        assert go_on.wait(TIMEOUT)
-
     with stage(tmp_path / 'runs') as running:
         client = running.give()
         departs(client)
         wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
         wait_until(lambda: not running.planner._recordings[0]._unwritten, 'the disk')
-        monkeypatch.setattr(durable.os, 'fsync', hang)
-        try:
+        with held(durable.os, 'fsync') as (stuck, _):
             departs(client)
             assert stuck.wait(TIMEOUT)
             for _ in range(5):  # the last one waits in vain, and goes without a recording
@@ -142,9 +134,6 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
             monkeypatch.setattr(recordings_module, '_MAX_WAIT', 10 * TIMEOUT)
             for _ in range(5):
                 departs(client)
-        finally:
-            monkeypatch.undo()
-            go_on.set()
     assert len(recordings(tmp_path)) == 5, 'what could wait was written in the end'
 
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from forging import Forger
 from geometry_msgs.msg import PoseArray
-from rclpy.parameter import Parameter
 from ros_harness import header, pose, stage, wait_until
 
 from ambush_planner.commands import verify
@@ -54,10 +53,10 @@ def runs(tmp_path_factory):
         client = running.give()
         assert client.call('new_route').success
         given = depart(client, STOPS)
-        running.planner.set_parameters([Parameter('trip.order', value='best')])
+        running.use({'trip.order': 'best'})
         assert client.call('new_route').success
         client.diagnostics(order='best', stops='3')
-        running.planner.set_parameters([Parameter('trip.order', value='random')])
+        running.use({'trip.order': 'random'})
         assert client.call('new_route').success
         client.diagnostics(order='random', stops='3')
         asked = path_from_ros(client.get_plan(pose(1.5, 5.5), pose(8.5, 5.5)))

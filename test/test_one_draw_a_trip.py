@@ -2,10 +2,8 @@
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json
-from contextlib import contextmanager
 from importlib import import_module
 from itertools import pairwise
-from threading import Event
 from unittest.mock import Mock
 
 import interfaces
@@ -15,20 +13,18 @@ from action_msgs.msg import GoalStatus
 from commands import run_here
 from nav_msgs.srv import GetPlan
 from robots import ROBOT, Robot
-from ros_harness import pose, risk_grid, stage, wait_until
+from ros_harness import pose, recorded, risk_grid, stage, wait_until
 from test_compute_path import Goals
-from waiting import TIMEOUT
+from waiting import held
 
 from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
-from ambush_planner.recordings import durable_files, read_departures, recordings_in
+from ambush_planner.recordings import durable_files, read_departures
 from ambush_planner.recordings.verify import Verifier, together
 from ambush_planner.ros import departures
 
 FLAT = np.full((20, 20), 10, dtype=np.int8)
 HERE, GOAL = pose(0.0, 0.0, frame='base_link'), pose(8.5, 5.5)
-
-
 BY_CHANCE = 'far more or less often'  # a finding of one honest audit in a thousand
 
 
@@ -39,10 +35,13 @@ class Drive:
         self.running, self.client = running, running.client
         self.robot, self.here = Robot(running, frame), pose(0.0, 0.0, frame=frame)
 
-    def begin(self, grid=None):
+    def arrive(self):
+        """Be at the start, and let the planner know the map."""
         self.robot.is_at(1.5, 5.5)
-        self.client.publish('alpha_map', risk_grid(FLAT) if grid is None else grid)
-        wait_until(lambda: self.running.planner._parts.inputs.map is not None, 'the map')
+        self.running.know(FLAT)
+
+    def begin(self):
+        self.arrive()
         return self.ask('new')
 
     def ask(self, answer, goal=GOAL):
@@ -55,9 +54,7 @@ class Drive:
         """Put an obstacle into cells of the map, and wait until the planner knows it."""
         values = FLAT.copy()
         values[row, column] = 100
-        self.client.publish('alpha_map', risk_grid(values))
-        inputs = self.running.planner._parts.inputs
-        wait_until(lambda: (inputs.map.values == values).all(), 'the obstacle')
+        self.running.know(values)
 
     def departures(self, count):
         return self.client.diagnostics(departures=str(count))
@@ -95,29 +92,16 @@ def test_a_trip_that_is_continued_is_one_departure(tmp_path):
             drive.robot.is_at(1.5, 5.5)
             whole = drive.ask('new')
         assert len(client.received['path']) == 6
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 6, 'the recordings')
+        files = recorded(tmp_path, 6)
     seen = json.loads(run_here(audit, tmp_path, '--json').out)
     assert seen['departures'] == 6
     assert [each for each in seen['findings'] if BY_CHANCE not in each] == []
-    assert all(Verifier().verify(file).problems == [] for file in tmp_path.rglob('*.mcap'))
+    assert not any(Verifier().verify(file).problems for file in files)
 
 
-@contextmanager
-def slow_disk(monkeypatch):
-    """A disk that does not answer until the yielded event is set; the second one tells of it."""
-    go_on, asked, flush = Event(), Event(), durable_files.os.fsync
-
-    def waits(descriptor):
-        asked.set()
-        assert go_on.wait(TIMEOUT)
-        flush(descriptor)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(durable_files.os, 'fsync', waits)
-        try:
-            yield go_on, asked
-        finally:
-            go_on.set()
+def slow_disk():
+    """A disk that does not answer until the second of the yielded events is set."""
+    return held(durable_files.os, 'fsync')
 
 
 def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
@@ -125,10 +109,8 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
     request = GetPlan.Request(start=HERE, goal=GOAL)
     with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
         drive, client = Drive(running), running.client
-        drive.robot.is_at(1.5, 5.5)
-        client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
-        with slow_disk(monkeypatch) as (go_on, asked):
+        drive.arrive()
+        with slow_disk() as (asked, go_on):
             answers = [client.send('get_plan', request) for _ in range(5)]
             wait_until(asked.is_set, 'a recording')
             answers.append(client.send('get_plan', request))
@@ -139,17 +121,15 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
         paths = [path_from_ros(each.result().plan) for each in answers]
         assert all(np.array_equal(paths[0], each) for each in paths)
         drive.departures(1)
-        assert len(client.received['path']) == 1 == len(list(tmp_path.rglob('*.mcap')))
+        assert len(client.received['path']) == 1 == len(recorded(tmp_path, 1))
 
 
 def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(actions, tmp_path, monkeypatch):
     with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
         drive = Drive(running)
         goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
-        drive.robot.is_at(1.5, 5.5)
-        drive.client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
-        with slow_disk(monkeypatch) as (go_on, asked):
+        drive.arrive()
+        with slow_disk() as (asked, go_on):
             first = goals.send(start=None)
             wait_until(asked.is_set, 'a recording')
             second = goals.send(start=None, goal=pose(8.5, 2.0))
@@ -158,28 +138,26 @@ def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(actions, tmp
         for goal in (first, second):
             assert goals.result(goal)[0] == GoalStatus.STATUS_SUCCEEDED
         drive.departures(2)
-        assert len(drive.client.received['path']) == 2 == len(list(tmp_path.rglob('*.mcap')))
+        assert len(drive.client.received['path']) == 2 == len(recorded(tmp_path, 2))
 
 
 def test_a_departure_whose_required_recording_fails_is_not_under_way(tmp_path, monkeypatch):
     with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
         drive, client = Drive(running), running.client
-        drive.robot.is_at(1.5, 5.5)
-        client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
+        drive.arrive()
         with monkeypatch.context() as patch:
             patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
             assert not client.get_plan(HERE, GOAL).poses
             client.diagnostics(code='RECORDING_FAILED', departures='0')
         drive.ask('new')
-        assert len(client.received['path']) == 1 == len(list(tmp_path.rglob('*.mcap')))
+        assert len(client.received['path']) == 1 == len(recorded(tmp_path, 1))
 
 
 def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path, monkeypatch):
     with stage(tmp_path, parameters={'recording.required': True}) as running:
         client = running.give()
         assert client.call('new_route').success
-        with slow_disk(monkeypatch) as (go_on, asked):
+        with slow_disk() as (asked, go_on):
             waiting = client.send('new_route')
             wait_until(asked.is_set, 'a recording')
             running.planner.trigger_deactivate()
@@ -274,8 +252,7 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
             drive.robot.is_at(1.5, 5.5)
             drive.ask('new')
             drive.departures(count)
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 7, 'the recordings')
-    files = recordings_in(tmp_path)
+        files = recorded(tmp_path, 7)
     verdicts = list(map(Verifier().verify, files))
     assert [each.problems for each in verdicts] == [[]] * 7
     assert together(verdicts) == ([], [])
@@ -299,30 +276,21 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
         run_here(verify, tmp_path).out.split())
 
 
-def test_a_diversion_that_is_cancelled_in_time_is_none(actions, tmp_path, monkeypatch):
-    drawn, go_on, draw = Event(), Event(), departures.other_rest
-
-    def draws(*given):
-        result = draw(*given)
-        drawn.set()
-        assert go_on.wait(TIMEOUT)
-        return result
-
+def test_a_diversion_that_is_cancelled_in_time_is_none(actions, tmp_path):
     with stage(tmp_path, parameters=ROBOT) as running:
         drive = Drive(running)
         whole = drive.begin()
         goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
         drive.robot.is_at(*whole[len(whole) // 4, :2])
         drive.block(*cell(whole, len(whole) // 2))
-        monkeypatch.setattr(departures, 'other_rest', draws)
-        goal = goals.send(start=None)
-        wait_until(drawn.is_set, 'the draw')
-        assert goals.cancel(goal) == 1
-        go_on.set()
+        with held(departures, 'other_rest') as (drawn, _):
+            goal = goals.send(start=None)
+            wait_until(drawn.is_set, 'the draw')
+            assert goals.cancel(goal) == 1
         assert goals.result(goal)[0] == GoalStatus.STATUS_CANCELED
         drive.ask('diverted')
         assert len(drive.client.received['path']) == 2
-    assert len(recordings_in(tmp_path)) == 2
+    recorded(tmp_path, 2)
 
 
 def test_a_wall_across_all_routes_of_the_plan_makes_a_new_one(drive):
@@ -339,7 +307,10 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path):
     parameters = {**ROBOT, 'map.preset': 'costmap', 'game.ambush_radius': 0.5}
     with stage(tmp_path, parameters=parameters) as running:
         drive, client = Drive(running), running.client
-        path = drive.begin(risk_grid(values, 0.25))
+        drive.robot.is_at(1.5, 5.5)
+        client.publish('alpha_map', risk_grid(values, 0.25))
+        wait_until(lambda: running.planner._parts.inputs.map, 'the map')
+        path = drive.ask('new')
         assert tuple(path[0, :2]) == (1.5, 5.5)
         assert path[1, 0] > 2.0 and abs(path[1, 1] - 5.5) < 0.5
         assert (np.hypot(*np.diff(path[:2, :2], axis=0).T) <= 1.0).all()
@@ -349,8 +320,7 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path):
         drive.robot.is_at(0.5, 5.5)
         assert not client.get_plan(HERE, GOAL).poses, 'more than a metre from free ground'
         client.diagnostics(code='START_OCCUPIED')
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the recording')
-    (file,) = tmp_path.rglob('*.mcap')
+        (file,) = recorded(tmp_path, 1)
     assert Verifier().verify(file).problems == []
 
 
@@ -397,9 +367,7 @@ class Tour(Drive):
         super().__init__(running)
         self.goals = Goals(actions.ComputePathThroughPoses, running, 'compute_path_through_poses')
         self.poses = poses
-        self.robot.is_at(1.5, 5.5)
-        self.client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
+        self.arrive()
 
     def send(self):
         return self.goals.send(start=None, goals=list(self.poses))
@@ -446,18 +414,14 @@ def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(actions,
         tour.departures(1)
         assert len(list(tmp_path.rglob('*.mcap'))) == required
         tour.robot.is_at(*whole[len(whole) // 3, :2])
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the recording')
-    (file,) = tmp_path.rglob('*.mcap')
+        (file,) = recorded(tmp_path, 1)
     assert Verifier().verify(file).problems == []
 
 
 def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once(actions):
     with stage(parameters=ROBOT) as running:
-        robot = Robot(running)
+        Drive(running).arrive()
         goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
-        robot.is_at(1.5, 5.5)
-        running.client.publish('alpha_map', risk_grid(FLAT))
-        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
         handles = [goals.send(start=None) for _ in range(3)]
         said = [goals.result(each)[1].error_msg for each in handles]
         assert sorted(said) == ['', 'departure 1 continued', 'departure 1 continued']

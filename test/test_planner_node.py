@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rclpy.parameter import Parameter
 from ros_harness import MARKER_TOPICS, pose, risk_grid, stage
 from waiting import unstamped, wait_until
 
@@ -71,11 +70,11 @@ def test_departures_are_solved_once_for_each_goal_map_and_choice_of_parameters()
         client.last('edge_probabilities', 2)
         client.publish('alpha_map', risk_grid(np.full((20, 20), 20, dtype=np.int8)))
         client.call_until('new_route', lambda _: len(shown) == 3)
-        running.planner.set_parameters([Parameter('strategy.max_detour', value=1.3)])
+        running.use({'strategy.max_detour': 1.3})
         departures(client, 1)
         client.last('edge_probabilities', 4)
         # A parameter of the map is applied to the map that is there.
-        running.planner.set_parameters([Parameter('map.obstacle_threshold', value=10)])
+        running.use({'map.obstacle_threshold': 10})
         assert 'lies in an obstacle' in client.call('new_route').message
         client.last('/diagnostics', len(client.received['/diagnostics']) + 2)
 
@@ -87,7 +86,7 @@ def test_a_path_stays_when_map_goal_and_parameters_change():
         departure = client.diagnostics(departures='1')['departure_id']
         client.publish('alpha_map', risk_grid(np.full((20, 20), 7, dtype=np.int8)))
         client.publish('goal_pose', pose(2.5, 2.5))
-        running.planner.set_parameters([Parameter('game.secured_radius', value=1.0)])
+        running.use({'game.secured_radius': 1.0})
         # The answer comes after whatever the changes have set off.
         client.publish('alpha_map', risk_grid(np.array([[101]])))
         client.diagnostics(code='INVALID_MAP', departure_id=departure)
@@ -140,22 +139,20 @@ def test_a_goal_within_a_cell_of_the_start_is_a_path_of_one_pose():
     ('route.turning_radius', 50.0, 'tight_turns', 'route.turning_radius'),
 ])
 def test_warns_of_a_bottleneck_at_the_ends_and_of_tight_turns(running, name, value, counted, words):
-    client, before = running.client, running.planner.get_parameter(name)
-    running.planner.set_parameters([Parameter(name, value=value)])
+    client, before = running.client, running.planner.get_parameter(name).value
+    running.use({name: value})
     assert client.call('new_route').success
     wait_until(lambda: words in client.diagnostics(code='NONE', level=b'\1')['message'], words)
     report = client.diagnostics(code='NONE', level=b'\1')
     assert re.search(rf'\b{report[counted]} ', report['message'])
     assert 1 <= int(report['different_paths_of_1000']) <= 1000
     assert report['search_ended'] == 'complete'
-    running.planner.set_parameters([before])
+    running.use({name: before})
 
 
-def rows_with(running, **parameters):
-    """Poses (L, 3) of a path that the node plans with other parameters."""
-    changes = [Parameter(name.replace('__', '.'), value=value)
-               for name, value in parameters.items()]
-    assert running.planner.set_parameters_atomically(changes).successful
+def rows_with(running, spacing, path_spacing=0.0):
+    """Poses (L, 3) of a path that the node plans with other spacings."""
+    running.use({'network.spacing': spacing, 'route.path_spacing': path_spacing})
     return path_from_ros(running.client.get_plan(START, GOAL))
 
 
@@ -164,20 +161,20 @@ def steps(rows):
 
 
 def test_poses_are_as_far_apart_as_nodes_or_cells_or_the_parameter_say(running):
-    longest = steps(rows_with(running, network__spacing=1.0, route__path_spacing=0.0)).max()
+    longest = steps(rows_with(running, 1.0)).max()
     assert 0.5 < longest <= 1.0 + 1e-9, 'nodes lie further apart than cells'
-    longest = steps(rows_with(running, network__spacing=0.25)).max()
+    longest = steps(rows_with(running, 0.25)).max()
     assert 0.25 <= longest <= 0.5 + 1e-9, 'cells are larger'
-    longest = steps(rows_with(running, network__spacing=1.0, route__path_spacing=0.1)).max()
+    longest = steps(rows_with(running, 1.0, 0.1)).max()
     assert 0.05 < longest <= 0.1 + 1e-9
 
 
 @pytest.mark.parametrize('spacing', [1e-4, 5e-324])
 def test_a_path_of_too_many_poses_is_refused(running, spacing):
-    assert not len(rows_with(running, route__path_spacing=spacing))
+    assert not len(rows_with(running, 1.0, spacing))
     report = running.client.diagnostics(code='INVALID_OPTION')
     assert 'route.path_spacing' in report['message']
-    assert len(rows_with(running, route__path_spacing=0.0))
+    assert len(rows_with(running, 1.0))
     running.client.diagnostics(code='NONE')
 
 

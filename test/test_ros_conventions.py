@@ -7,6 +7,7 @@ from builtin_interfaces.msg import Time
 from ros_harness import (
     free_domain,
     pose,
+    recorded,
     risk_grid,
     stage,
     wait_until,
@@ -69,4 +70,4 @@ def test_simulated_time_stamps_what_is_published_and_does_not_hold_anything_up(t
         wait_until(lambda: running.planner.get_clock().now().to_msg().sec == 3, 'time gone back')
         assert client.call('new_route').success
         client.diagnostics(departures='3', recording='on', code='NONE')
-    assert len(list(tmp_path.rglob('*.mcap'))) == 3
+    recorded(tmp_path, 3)

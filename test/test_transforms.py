@@ -12,7 +12,7 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from robots import ROBOT, Robot, transform
-from ros_harness import free_domain, pose, risk_grid, ros_context, spinning, stage
+from ros_harness import free_domain, pose, recorded, risk_grid, ros_context, spinning, stage
 from rosgraph_msgs.msg import Clock
 from waiting import wait_until
 
@@ -202,7 +202,5 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
             assert path[0, :2] == pytest.approx(places[number - 1])
             report = client.diagnostics(departures=answer.message.split()[1])
             assert float(report['departure_value']) >= float(report['departure_gap']) >= 0.0
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == int(report['departures']),
-                   'the recordings')
-    verdicts = [Verifier().verify(file) for file in tmp_path.rglob('*.mcap')]
-    assert [each.problems for each in verdicts] == [[]] * len(verdicts)
+        files = recorded(tmp_path, int(report['departures']))
+    assert not any(Verifier().verify(file).problems for file in files)

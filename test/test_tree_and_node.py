@@ -14,7 +14,7 @@ import pytest
 from behaviour_trees import FAILURE, RUNNING, SUCCESS, Tree
 from nav_msgs.msg import Path
 from robots import ROBOT, Robot
-from ros_harness import pose, risk_grid, stage, wait_until
+from ros_harness import pose, stage
 from test_behaviour_trees import POSE, POSES, World
 from test_compute_path import Goals
 from waiting import TIMEOUT, answer_of
@@ -40,8 +40,7 @@ class Drive(World):
         self.validity = self.client.node.create_client(services.IsPathValid,
                                                        'ambush_planner/is_path_valid')
         self.robot.is_at(*xy)
-        self.client.publish('alpha_map', risk_grid(values))
-        wait_until(lambda: running.planner._parts.inputs.map is not None, 'the map')
+        running.know(values)
 
     def away(self, goal):
         return math.dist(self.place, goal)

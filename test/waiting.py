@@ -5,6 +5,8 @@ import os
 import re
 import time
 from contextlib import contextmanager, suppress
+from threading import Event
+from unittest import mock
 
 # s; discovery alone may take 3, on a busy machine a multiple. Only what fails waits so long.
 TIMEOUT = 60.0
@@ -18,6 +20,23 @@ def wait_until(condition, what, timeout=TIMEOUT):
             return value
         time.sleep(min(0.002 + 0.02 * waited, 0.01))
     raise AssertionError(f'not within {timeout} s: {what}')
+
+
+@contextmanager
+def held(owner, name):
+    """Hold each call of a function up; yield events: one is called, and the calls may go on."""
+    called, go_on, function = Event(), Event(), getattr(owner, name)
+
+    def waits(*given):
+        called.set()
+        assert go_on.wait(10.0 * TIMEOUT)
+        return function(*given)
+
+    with mock.patch.object(owner, name, waits):
+        try:
+            yield called, go_on
+        finally:
+            go_on.set()
 
 
 def answer_of(client, request):
