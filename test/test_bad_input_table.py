@@ -14,7 +14,7 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage, wait_until
 from test_conversions import turned
-from test_long_solves import NORTH, solving, use
+from test_long_solves import NORTH, solving
 
 interfaces.install('map_msgs')
 from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
@@ -149,7 +149,7 @@ def bad_updates(_):
 
 def full_queue(_):
     with solving() as (slow, _):
-        use(slow, {'queue.size': 1})
+        slow.use({'queue.size': 1})
         slow.client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(5.0, 50.0)))
         queue = slow.planner._parts.dispatcher._plans.queue
         wait_until(lambda: len(queue.keys) == 2, 'the request')

@@ -272,8 +272,7 @@ def test_a_node_logs_what_its_road_file_leaves_open(tmp_path):
     parameters = {'network.method': 'graph', 'network.graph': str(file)}
     with waiting.stderr_in(tmp_path / 'log') as said, ros.stage(parameters=parameters) as running:
         assert said().count('[WARN]') == 1 and 'roads cross' in said()
-        change = ros.Parameter('network.node_crossings', value=True)
-        assert running.planner.set_parameters([change])[0].successful
+        running.use({'network.node_crossings': True})
 
 
 def test_a_node_drives_on_roads_and_its_recordings_hold(tmp_path, capsys):
