@@ -39,15 +39,15 @@ class Robot:
         self._moving = self._node.create_publisher(TFMessage, '/tf', TF)
         wait_until(self._moving.get_subscription_count, 'a listener to /tf')
 
-    def moves_to(self, x, y):
-        """Say where it is now."""
+    def moves_to(self, x, y, stamp=None):
+        """Say where it is, by default now."""
         there = transform('map', self._frame, float(x), float(y))
-        there.header.stamp = self._node.get_clock().now().to_msg()
+        there.header.stamp = stamp or self._node.get_clock().now().to_msg()
         self._moving.publish(TFMessage(transforms=[there]))
 
-    def is_at(self, x, y):
+    def is_at(self, x, y, stamp=None):
         """Be somewhere, and wait until the planner knows it."""
-        self.moves_to(x, y)
+        self.moves_to(x, y, stamp)
         wait_until(lambda: self._known() == (float(x), float(y)), 'the move')
 
     def _known(self):

@@ -27,19 +27,6 @@ def test_rotated_map_in_its_own_frame():
         assert client.last('edge_probabilities').markers[0].header.frame_id == 'site'
 
 
-def test_topics_and_name_can_be_remapped():
-    remaps = ['alpha_map:=/global_costmap/costmap', 'path:=/plan', '__node:=planner_7']
-    arguments = ['--ros-args', *(word for remap in remaps for word in ('-r', remap))]
-    with stage(cli_args=arguments) as running:
-        client = running.client
-        client.publish('/global_costmap/costmap', risk_grid())
-        client.publish('start_pose', pose(1.5, 5.5))
-        client.publish('goal_pose', pose(8.5, 5.5))
-        client.diagnostics(state='ready')
-        assert client.call('new_route').message.endswith('is published on /plan')
-        assert client.received['/diagnostics'][-1].status[0].name == 'planner_7: planning'
-
-
 def test_several_nodes_side_by_side_in_one_domain():
     with free_domain() as domain, stage(domain=domain, namespace='/north') as north, stage(
             domain=domain, namespace='/south') as south:

@@ -2,17 +2,16 @@
 """Poses in other frames: transforms that travel over DDS, and clear errors without them."""
 
 import math
-from contextlib import ExitStack, closing, contextmanager, nullcontext
+import time
+from contextlib import closing, nullcontext
 
 import interfaces
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from robots import ROBOT, Robot, transform
-from ros_harness import free_domain, pose, recorded, risk_grid, ros_context, spinning, stage
+from ros_harness import free_domain, pose, recorded, risk_grid, ros_context, stage
 from rosgraph_msgs.msg import Clock
 from waiting import wait_until
 
@@ -20,7 +19,7 @@ from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.error_codes import FrameMismatch
-from ambush_planner.ros.topics import TF, TF_STATIC
+from ambush_planner.ros.topics import TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
 
@@ -28,131 +27,74 @@ interfaces.install('tf2_msgs')
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 
-@contextmanager
-def node_in(domain, name, **arguments):
-    with ros_context(domain) as context:
-        node = Node(name, context=context, **arguments)
-        with spinning(node, MultiThreadedExecutor(2, context=context)):
-            yield node
-
-
-class Tf:
-    """A node that listens to TF, and another one that publishes it."""
-
-    def __init__(self, listener, sender):
-        self.listener, self.sender = listener, sender
-        self.frames = FrameTransforms(listener)
-        self.close = self.frames.close
-        self.moving = sender.create_publisher(TFMessage, '/tf', TF)
-        self._static = sender.create_publisher(TFMessage, '/tf_static', TF_STATIC)
-
-    def send(self, *sent):
-        """Publish moving transforms, once, as soon as somebody listens."""
-        wait_until(self.moving.get_subscription_count, 'a listener to /tf')
-        self.moving.publish(TFMessage(transforms=sent))
-
-    def fix(self, *sent):
-        self._static.publish(TFMessage(transforms=sent))
-
-    def position(self, given, frame='map'):
-        """The transformed (x, y), or None before the transform is known."""
-        try:
-            return pose_from_ros(self.frames.to_frame(given, 'goal', frame, math.inf).pose)[:2]
-        except FrameMismatch:
-            return None
-
-    def wait_for(self, given, wanted, frame='map'):
-        """Wait until the transformed position is as wanted."""
-
-        def is_there():
-            found = self.position(given, frame)
-            return found is not None and np.allclose(found, wanted, rtol=0.0, atol=1e-9)
-
-        wait_until(is_there, f'{given.header.frame_id} at {wanted} in {frame}')
-
-
-@contextmanager
-def running_tf(**arguments):
-    with ExitStack() as stack:
-        domain = stack.enter_context(free_domain())
-        listener = stack.enter_context(node_in(domain, 'planner', **arguments))
-        sender = stack.enter_context(node_in(domain, 'robot'))
-        yield stack.enter_context(closing(Tf(listener, sender)))
-
-
 @pytest.fixture(scope='module')
-def tf():
-    with running_tf() as tf:
-        yield tf
+def frames():
+    with free_domain() as domain, ros_context(domain) as context:
+        node = Node('planner', context=context)
+        with closing(FrameTransforms(node)) as frames:
+            yield frames
+        node.destroy_node()
 
 
-def test_unknown_frames_and_invalid_orientations_are_errors(tf):
+def x_of(frames, frame, max_age=2.0):
+    """Where the origin of a frame is on the map."""
+    given = pose(0.0, 0.0, frame=frame)
+    return pose_from_ros(frames.to_frame(given, 'start', 'map', max_age).pose)[0]
+
+
+def test_unknown_frames_and_invalid_orientations_are_errors(frames):
     given = pose(1.0, 2.0)
-    assert tf.frames.to_frame(given, 'start', 'map', math.inf) is given
+    assert frames.to_frame(given, 'start', 'map', math.inf) is given
     for frame, words in (('', 'goal .*header.frame_id is empty'), ('moon', 'does not exist')):
         with pytest.raises(FrameMismatch, match=words):
-            tf.frames.to_frame(pose(1.0, 2.0, frame=frame), 'goal', 'map', math.inf)
-    tf.fix(transform('map', 'odom'))
+            frames.to_frame(pose(1.0, 2.0, frame=frame), 'goal', 'map', math.inf)
+    frames.receive(True, TFMessage(transforms=[transform('map', 'odom')]))
     given = pose(1.0, 2.0, frame='odom')
-    tf.wait_for(given, (1.0, 2.0))
     for number in (math.nan, 2.0):
         given.pose.orientation.w = number
         with pytest.raises(InvalidPose, match='goal: orientation'):
-            tf.frames.to_frame(given, 'goal', 'map', math.inf)
+            frames.to_frame(given, 'goal', 'map', math.inf)
 
 
-def test_invalid_transforms_and_unreadable_bytes_are_survived(tf):
-    wait_until(tf.moving.get_subscription_count, 'a listener to /tf')
-    for data in (b'', b'\0\1\0\0\5\0\0\0', b'\0\7\0\0' + bytes(40)):
-        tf.moving.publish(data)
-    tf.send(transform('map', 'cart', math.nan), transform('map', 'cart', 3.0))
-    tf.wait_for(pose(1.0, 0.0, frame='cart'), (4.0, 0.0))
+def test_a_moving_transform_far_from_now_is_an_error_with_its_age(frames):
+    """Localisation post-dates map -> odom by about a second, which is fine."""
+    now = time.time_ns() // 10**9
+    for parent, frame, ahead, words in (
+            ('map', 'late', -100, r'is 10\d s old, more than transform.max_age, 2 s'),
+            ('map', 'right', 2, ''),
+            ('map', 'early', 100, r'stamped (100|9\d\.?\d?) s ahead of now'),
+            ('early', 'camera', 0, r'stamped (100|9\d\.?\d?) s ahead of now')):
+        frames.receive(False, TFMessage(transforms=[
+            transform(parent, frame, 3.0, sec=now + ahead)]))
+        with pytest.raises(FrameMismatch, match=words) if words else nullcontext():
+            x_of(frames, frame)
+    frames.receive(True, TFMessage(transforms=[transform('map', 'depot', 1.0, sec=1)]))
+    assert x_of(frames, 'depot') == 1.0
+    # One that is right counts at once, whatever came before.
+    frames.receive(False, TFMessage(transforms=[transform('map', 'early', 5.0, sec=now + 1)]))
+    assert x_of(frames, 'early', 60.0) == 5.0
 
 
 def test_a_simulation_that_restarts_clears_the_buffer():
-    with running_tf(parameter_overrides=[Parameter('use_sim_time', value=True)]) as tf:
-        clock = tf.sender.create_publisher(Clock, '/clock', 1)
+    with stage(parameters={**ROBOT, 'use_sim_time': True}) as running:
+        robot, clock = Robot(running), running.planner.get_clock()
         for sec, x in ((1000, 7.0), (1, 3.0)):
             def time_is(sec=sec):
-                clock.publish(Clock(clock=Time(sec=sec)))
-                return tf.listener.get_clock().now().nanoseconds == sec * 10**9
+                running.client.publish('/clock', Clock(clock=Time(sec=sec)))
+                return clock.now().nanoseconds == sec * 10**9
 
             wait_until(time_is, f'{sec} s')
-            tf.send(transform('map', 'base_link', x, sec=sec))
-            tf.wait_for(pose(0.0, 0.0, frame='base_link'), (x, 0.0))
-
-
-def test_a_moving_transform_far_from_now_is_an_error_with_its_age(tf):
-    """Localisation post-dates map -> odom by about a second, which is fine."""
-    now = tf.listener.get_clock().now().nanoseconds // 10**9
-    for frame, ahead, words in (('late', -100, r'is 10\d s old, more than transform.max_age, 2 s'),
-                                ('right', 2, ''),
-                                ('early', 100, r'stamped (100|9\d\.?\d?) s ahead of now'),
-                                ('camera', 0, r'stamped (100|9\d\.?\d?) s ahead of now')):
-        given, parent = pose(0.0, 0.0, frame=frame), 'early' if frame == 'camera' else 'map'
-        tf.send(transform(parent, frame, 3.0, sec=now + ahead))
-        tf.wait_for(given, (6.0 if frame == 'camera' else 3.0, 0.0))
-        with pytest.raises(FrameMismatch, match=words) if words else nullcontext():
-            tf.frames.to_frame(given, 'start', 'map', 2.0)
-    tf.fix(transform('map', 'depot', 1.0, sec=1))
-    tf.wait_for(pose(0.0, 0.0, frame='depot'), (1.0, 0.0))
-    tf.frames.to_frame(pose(0.0, 0.0, frame='depot'), 'start', 'map', 2.0)
-    # One that is right counts at once, whatever came before.
-    tf.send(transform('map', 'early', 5.0, sec=now + 1))
-    wait_until(lambda: _x(tf, 'early') == 5.0, 'the right transform')
-
-
-def _x(tf, frame):
-    try:
-        return tf.frames.to_frame(pose(0.0, 0.0, frame=frame), 'start', 'map', 60.0).pose.position.x
-    except FrameMismatch:
-        return None
+            robot.is_at(x, 0.0, Time(sec=sec))
 
 
 def test_a_departure_starts_where_the_robot_is_now():
     with stage(parameters=ROBOT) as running:
         client = running.client
         robot = Robot(running)
+        for data in (b'', b'\0\1\0\0\5\0\0\0', b'\0\7\0\0' + bytes(40)):
+            client.publish('/tf', data, TFMessage)  # unreadable
+        fixed = client.node.create_publisher(TFMessage, '/tf_static', TF_STATIC)
+        fixed.publish(TFMessage(transforms=[transform('map', 'yard', 1.0)]))
         client.publish('alpha_map', risk_grid())
         client.publish('goal_pose', pose(8.5, 5.5))
         client.diagnostics(state='ready', level=b'\0')
@@ -169,8 +111,9 @@ def test_a_departure_starts_where_the_robot_is_now():
                 client.publish('start_pose', pose(0.0, 0.0, frame=start))
             robot.is_at(x, 5.5)
             wait_until(lambda x=x: departs_at(x), f'a departure at {x}')
-        path = client.get_plan(pose(0.0, 0.0, frame=''), pose(8.5, 5.5))
-        assert path_from_ros(path)[0, :2] == pytest.approx((3.5, 5.5))
+        path = path_from_ros(client.get_plan(pose(0.0, 0.0, frame=''),
+                                             pose(7.5, 5.5, frame='yard')))
+        assert path[[0, -1], :2] == pytest.approx(np.array(((3.5, 5.5), (8.5, 5.5))))
 
 
 def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):

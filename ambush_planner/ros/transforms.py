@@ -50,7 +50,7 @@ class FrameTransforms:
             self._listener = Listener(node, 'tf')
             for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
                 self._listener.node.create_subscription(
-                    tf_message, node.resolve_topic_name(topic), partial(self._receive, static), qos)
+                    tf_message, node.resolve_topic_name(topic), partial(self.receive, static), qos)
             self._listener.start()
 
     def close(self) -> None:
@@ -101,7 +101,8 @@ class FrameTransforms:
             "this node's clock"
         )
 
-    def _receive(self, static: bool, message: Any) -> None:
+    def receive(self, static: bool, message: Any) -> None:
+        """Take the transforms of a tf2_msgs/TFMessage."""
         for each in message.transforms:
             p, q = each.transform.translation, each.transform.rotation
             stamp = each.header.stamp
