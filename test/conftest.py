@@ -47,6 +47,15 @@ def pytest_xdist_auto_num_workers():
     return len(os.sched_getaffinity(0)) + 2
 
 
+@pytest.fixture(scope='module')
+def nav2():
+    """The types of Nav2's actions and services, which nodes then offer."""
+    import interfaces  # builds them
+    interfaces.install('nav2_msgs')
+    yield
+    interfaces.uninstall('nav2_msgs')
+
+
 @pytest.fixture
 def submitted(monkeypatch):
     """The keys of all solves that are submitted in this process."""

@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from importlib import import_module
 from types import SimpleNamespace
 
-import interfaces
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
@@ -17,28 +16,23 @@ from ros_harness import LONG, pose, recorded, risk_grid, stage, wait_until
 from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
-from ambush_planner.ros.compute_path import poses_of
+from ambush_planner.ros.compute_path import ACTIONS, poses_of
 from ambush_planner.ros.requests import validity
 
+pytestmark = pytest.mark.usefixtures('nav2')
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
-
-
-@pytest.fixture(scope='module')
-def action():
-    """The action's type."""
-    interfaces.install('nav2_msgs')
-    yield import_module('nav2_msgs.action').ComputePathToPose
-    interfaces.uninstall('nav2_msgs')
 
 
 class Goals:
     """Sends goals as BasicNavigator does, without waiting for results."""
 
-    def __init__(self, action, running, name):
-        self.action, self.planner, self.client = action, running.planner, running.client
+    def __init__(self, running, to='pose'):
+        name = f'compute_path_{"through" if to == "poses" else "to"}_{to}'
+        kind = getattr(import_module('nav2_msgs.action'), ACTIONS[f'~/{name}'])
+        self.action, self.client = kind, running.client
         # It ends with its node: to destroy it while that spins would end the executor.
         self._client = ActionClient(
-            running.client.node, action, f'ambush_planner/{name}')
+            running.client.node, kind, f'ambush_planner/{name}')
         wait_until(self._client.server_is_ready, 'the action')
 
     def send(self, start=START, **fields):
@@ -87,17 +81,17 @@ class Goals:
 
 
 @contextmanager
-def asking(action, *arguments, name='compute_path_to_pose', **options):
-    with stage(*arguments, **options) as running:
+def asking(*arguments, to='pose'):
+    with stage(*arguments) as running:
         running.give()
-        yield Goals(action, running, name)
+        yield Goals(running, to)
 
 
 @pytest.fixture(scope='module')
-def goals(action, tmp_path_factory):
+def goals(nav2, tmp_path_factory):
     """Goals of a node that records, and answers for another planner."""
     folder = tmp_path_factory.mktemp('runs')
-    with asking(action, folder, {'planner_ids': ['', 'GridBased']}) as goals:
+    with asking(folder, {'planner_ids': ['', 'GridBased']}) as goals:
         goals.folder = folder
         yield goals
 
@@ -132,9 +126,8 @@ def test_a_goal_that_fails_has_nav2s_code_and_a_reason(goals):
     assert goals.result(goals.send())[0] == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_a_goal_through_poses_is_a_trip(action):
-    through = import_module('nav2_msgs.action').ComputePathThroughPoses
-    with asking(through, name='compute_path_through_poses') as goals:
+def test_a_goal_through_poses_is_a_trip():
+    with asking(to='poses') as goals:
         stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
         status, result = goals.result(goals.send(goals=[*stops, GOAL]))
         assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
@@ -166,8 +159,8 @@ def test_goals_and_answers_of_later_distributions_are_understood():
         assert (got.success, got.is_valid) == (True, is_valid)
 
 
-def test_a_path_that_is_not_published_is_in_the_result(action):
-    with asking(action, None, {'path.publish': False}) as goals:
+def test_a_path_that_is_not_published_is_in_the_result():
+    with asking(None, {'path.publish': False}) as goals:
         status, result = goals.result(goals.send())
         assert status == GoalStatus.STATUS_SUCCEEDED
         assert result.path.poses[-1].pose == GOAL.pose
@@ -175,8 +168,8 @@ def test_a_path_that_is_not_published_is_in_the_result(action):
         assert not any(path.poses for path in goals.client.received['path'])
 
 
-def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(action, submitted):
-    with asking(action, None, LONG) as goals:
+def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submitted):
+    with asking(None, LONG) as goals:
         old, one = goals.send(goal=pose(8.0, 1.0)), goals.send()
         asked = goals.client.send('new_route')  # another client's
         newest = goals.send()

@@ -70,20 +70,7 @@ def test_everything_else_answers_during_a_solve(submitted):
         assert not any(each.done() for each in waiting)
         assert client.call('cancel').success
         assert {answer(each).message for each in waiting} == {'the solve was cancelled'}
-
-
-def test_cancel_ends_the_solve_and_reports_it():
-    with solving() as (running, future):
-        client = running.client
-        cancelled = client.call('cancel')
-        assert (cancelled.success, cancelled.message) == (True, 'the solve was cancelled')
-        assert answer(future).message == 'the solve was cancelled'
         client.diagnostics(code='CANCELLED', level=b'\1', state='ready')
-        again = client.call('cancel')
-        assert (again.success, again.message) == (False, 'no solve is running')
-        running.use(QUICK)
-        assert client.call('new_route').success
-        client.diagnostics(code='NONE')
 
 
 def test_the_time_limit_ends_a_solve():

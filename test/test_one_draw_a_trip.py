@@ -2,11 +2,9 @@
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json
-from importlib import import_module
 from itertools import pairwise
 from unittest.mock import Mock
 
-import interfaces
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
@@ -23,6 +21,7 @@ from ambush_planner.recordings import durable_files, read_departures
 from ambush_planner.recordings.verify import Verifier, together
 from ambush_planner.ros import departures
 
+pytestmark = pytest.mark.usefixtures('nav2')
 FLAT = np.full((20, 20), 10, dtype=np.int8)
 HERE, GOAL = pose(0.0, 0.0, frame='base_link'), pose(8.5, 5.5)
 BY_CHANCE = 'far more or less often'  # a finding of one honest audit in a thousand
@@ -104,8 +103,7 @@ def slow_disk():
     return held(durable_files.os, 'fsync')
 
 
-def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
-        tmp_path, monkeypatch):
+def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(tmp_path):
     request = GetPlan.Request(start=HERE, goal=GOAL)
     with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
         drive, client = Drive(running), running.client
@@ -124,10 +122,10 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(
         assert len(client.received['path']) == 1 == len(recorded(tmp_path, 1))
 
 
-def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(actions, tmp_path, monkeypatch):
+def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(tmp_path):
     with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
         drive = Drive(running)
-        goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
+        goals = Goals(running)
         drive.arrive()
         with slow_disk() as (asked, go_on):
             first = goals.send(start=None)
@@ -153,7 +151,7 @@ def test_a_departure_whose_required_recording_fails_is_not_under_way(tmp_path, m
         assert len(client.received['path']) == 1 == len(recorded(tmp_path, 1))
 
 
-def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path, monkeypatch):
+def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path):
     with stage(tmp_path, parameters={'recording.required': True}) as running:
         client = running.give()
         assert client.call('new_route').success
@@ -276,11 +274,11 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
         run_here(verify, tmp_path).out.split())
 
 
-def test_a_diversion_that_is_cancelled_in_time_is_none(actions, tmp_path):
+def test_a_diversion_that_is_cancelled_in_time_is_none(tmp_path):
     with stage(tmp_path, parameters=ROBOT) as running:
         drive = Drive(running)
         whole = drive.begin()
-        goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
+        goals = Goals(running)
         drive.robot.is_at(*whole[len(whole) // 4, :2])
         drive.block(*cell(whole, len(whole) // 2))
         with held(departures, 'other_rest') as (drawn, _):
@@ -324,19 +322,12 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path):
     assert Verifier().verify(file).problems == []
 
 
-@pytest.fixture
-def actions():
-    interfaces.install('nav2_msgs')
-    yield import_module('nav2_msgs.action')
-    interfaces.uninstall('nav2_msgs')
-
-
-def test_a_trip_with_stops_is_continued_through_those_that_remain(actions):
+def test_a_trip_with_stops_is_continued_through_those_that_remain():
     """As Nav2's trees ask: the goals that have been passed are left out."""
     stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
     with stage(parameters={**ROBOT, 'route.path_spacing': 0.25}) as running:
         drive = Drive(running)
-        goals = Goals(actions.ComputePathThroughPoses, running, 'compute_path_through_poses')
+        goals = Goals(running, 'poses')
         drive.begin()
 
         def asked(*poses):
@@ -363,9 +354,9 @@ def test_a_trip_with_stops_is_continued_through_those_that_remain(actions):
 class Tour(Drive):
     """A robot that asks for paths through stops, by the action."""
 
-    def __init__(self, running, actions, *poses):
+    def __init__(self, running, *poses):
         super().__init__(running)
-        self.goals = Goals(actions.ComputePathThroughPoses, running, 'compute_path_through_poses')
+        self.goals = Goals(running, 'poses')
         self.poses = poses
         self.arrive()
 
@@ -381,10 +372,10 @@ class Tour(Drive):
         return self.running.planner._parts.dispatcher._undecided
 
 
-def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end(actions):
+def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end():
     """The last requests of Nav2's trees still name stops; who asks at once for a tour waits."""
     with stage(parameters=ROBOT) as running:
-        tour = Tour(running, actions, pose(5.0, 8.0), GOAL)
+        tour = Tour(running, pose(5.0, 8.0), GOAL)
         whole, _ = tour.take(tour.send())
         for at in (len(whole) // 4, len(whole) // 2, 3 * len(whole) // 4):
             tour.robot.is_at(*whole[at, :2])
@@ -403,12 +394,11 @@ def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end(actions):
 
 
 @pytest.mark.parametrize('required', [False, True])
-def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(actions, tmp_path,
-                                                                        required):
+def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(tmp_path, required):
     """Nav2's controllers can take the robot to be at the end at once."""
     parameters = {**ROBOT, 'recording.required': required}
     with stage(tmp_path, parameters=parameters) as running:
-        tour = Tour(running, actions, pose(5.0, 8.0), pose(1.6, 5.5))
+        tour = Tour(running, pose(5.0, 8.0), pose(1.6, 5.5))
         whole, _ = tour.take(tour.send())
         assert np.array_equal(tour.take(tour.send())[0][1:], whole[1:]), 'the same tour'
         tour.departures(1)
@@ -418,10 +408,10 @@ def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(actions,
     assert Verifier().verify(file).problems == []
 
 
-def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once(actions):
+def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once():
     with stage(parameters=ROBOT) as running:
         Drive(running).arrive()
-        goals = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
+        goals = Goals(running)
         handles = [goals.send(start=None) for _ in range(3)]
         said = [goals.result(each)[1].error_msg for each in handles]
         assert sorted(said) == ['', 'departure 1 continued', 'departure 1 continued']

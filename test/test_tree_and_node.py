@@ -8,7 +8,6 @@ import math
 import time
 from importlib import import_module
 
-import interfaces
 import numpy as np
 import pytest
 from behaviour_trees import FAILURE, RUNNING, SUCCESS, Tree
@@ -19,7 +18,7 @@ from test_behaviour_trees import POSE, POSES, World
 from test_compute_path import Goals
 from waiting import TIMEOUT, answer_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('nav2')]
 SPEED, PERIOD, REACHED = 4.0, 0.02, 0.25  # m/s, s, m: Nav2's goal checker
 FAR = np.full((40, 40), 10, dtype=np.int8)
 QUICK = {'network.spacing': 2.0, 'strategy.solver': 'simplex', 'strategy.max_gap': 1.0,
@@ -33,12 +32,9 @@ class Drive(World):
         super().__init__()
         self.client, self.robot = running.client, Robot(running)
         self.place, self.path_message, self.answers = np.array(xy), Path(), []
-        actions, services = import_module('nav2_msgs.action'), import_module('nav2_msgs.srv')
-        self.to_pose = Goals(actions.ComputePathToPose, running, 'compute_path_to_pose')
-        self.through_poses = Goals(actions.ComputePathThroughPoses, running,
-                                   'compute_path_through_poses')
-        self.validity = self.client.node.create_client(services.IsPathValid,
-                                                       'ambush_planner/is_path_valid')
+        self.to_pose, self.through_poses = Goals(running), Goals(running, 'poses')
+        self.validity = self.client.node.create_client(
+            import_module('nav2_msgs.srv').IsPathValid, 'ambush_planner/is_path_valid')
         self.robot.is_at(*xy)
         running.know(values)
 
@@ -109,13 +105,6 @@ class Drive(World):
             self.now += PERIOD
             time.sleep(PERIOD)
         raise AssertionError(f'the tree still runs at {self.place}')
-
-
-@pytest.fixture(scope='module', autouse=True)
-def nav2():
-    interfaces.install('nav2_msgs')
-    yield
-    interfaces.uninstall('nav2_msgs')
 
 
 def test_a_new_goal_shortly_before_the_old_one_is_driven_to():
