@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import ctypes
 import os
 import signal
 import sys
@@ -47,7 +46,6 @@ from .transforms import FrameTransforms
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # of the diagnostics [s]
 _SPIN_PERIOD = 0.25  # time until a signal is noticed if nothing else happens [s]
-_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # from glibc's malloc.h
 _LAST_ANSWERS_TIME = 0.5  # for which the node stays to send its last answers [s]
 _LAST_RECORDINGS_TIME = 0.5  # for which it then stays to write its last recordings [s]
 _HELP_EPILOG = """topics, services, actions and parameters: docs/ros_interface.md, or
@@ -302,15 +300,10 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def main(args: list[str] | None = None) -> int:
+def run(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
     os.umask(0o077)  # for logs, and whatever else libraries write
-    with suppress(AttributeError):  # not glibc
-        # One heap for all threads, without large arrays: freed memory is used again or given back.
-        # With glibc's defaults the node grew by 10 % in half an hour.
-        for option, value in ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 2**18)):
-            ctypes.CDLL(None).mallopt(option, value)
     came = noted_signals()
     try:
         with ExitStack() as ending:
@@ -338,7 +331,3 @@ def main(args: list[str] | None = None) -> int:
         print(f'{NODE_NAME}: cannot start: {error}', file=sys.stderr)
         return 1
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait
 from select import POLLHUP, poll
-from threading import TIMEOUT_MAX, Lock, Timer
+from threading import Lock
 
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan, PlanRequest
@@ -24,6 +24,7 @@ from .solve_errors import WorkerFailed, no_plan_in
 _MAX_START = 60.0
 # Grace period before killing a solve that overran its limit: a factor, and seconds to add.
 _GRACE, _MARGIN = 1.2, 2.0
+_LONGEST = 2e6  # time-out that a socket takes [s]
 # The worker uses one thread; the solver gains nothing from more, and the node needs the cores.
 _ONE_THREAD = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL')}
 _KILLED = ('the worker process was killed; a new one is started. If memory ran out, choose a '
@@ -165,24 +166,13 @@ class WorkerProcess:
     @contextmanager
     def _killed_after(self, seconds: float, late: AmbushPlannerError,
                       died: str) -> Iterator[None]:
-        """Kill the process and raise ``late`` if the exchange takes longer than ``seconds``.
+        """Kill the process and raise ``late`` if it does not answer within ``seconds``.
 
         WorkerFailed says ``died`` if the process ends before.
         """
-        expired = False
-
-        def expire() -> None:
-            nonlocal expired
-            expired = True
-            self.kill()
-
-        timer = Timer(min(seconds, TIMEOUT_MAX), expire)
-        timer.start()
+        self._socket.settimeout(min(seconds, _LONGEST))
         try:
             yield
         except (OSError, EOFError, pickle.UnpicklingError) as error:
             self.kill()
-            raise (late if expired else WorkerFailed(died)) from error
-        finally:
-            timer.cancel()
-            timer.join()  # an expiring timer must not kill the next solve
+            raise (late if isinstance(error, TimeoutError) else WorkerFailed(died)) from error
