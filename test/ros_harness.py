@@ -160,6 +160,13 @@ class Client:
         wait_until(wanted, f'a wanted answer of {name}')
         return answers[-1]
 
+    def give(self, grid=None, start=(1.5, 5.5), goal=(8.5, 5.5), **wanted):
+        """Give the planner all inputs, and wait until its diagnostics are as wanted."""
+        self.publish('alpha_map', risk_grid() if grid is None else grid)
+        self.publish('start_pose', pose(*start))
+        self.publish('goal_pose', pose(*goal))
+        self.diagnostics(**(wanted or {'state': 'ready'}))
+
     def get_plan(self, start, goal, tolerance=0.0):
         """Ask for a plan between two stamped poses."""
         request = GetPlan.Request(start=start, goal=goal, tolerance=float(tolerance))
@@ -224,12 +231,9 @@ class Stage:
         inputs = self.planner._parts.inputs
         wait_until(lambda: inputs.map and np.array_equal(inputs.map.values, values), 'the map')
 
-    def give(self, grid=None, start=(1.5, 5.5), goal=(8.5, 5.5)):
-        """Give the planner all inputs, and wait until it has them."""
-        self.client.publish('alpha_map', risk_grid() if grid is None else grid)
-        self.client.publish('start_pose', pose(*start))
-        self.client.publish('goal_pose', pose(*goal))
-        self.client.diagnostics(state='ready')
+    def give(self, *inputs, **wanted):
+        """Give the planner all inputs, and return the client once it has them."""
+        self.client.give(*inputs, **wanted)
         return self.client
 
 
@@ -278,3 +282,8 @@ def risk_grid(values=None, resolution=0.5, origin=(0.0, 0.0, 0.0), frame=FRAME):
 
 def pose(x, y, yaw=0.0, frame=FRAME):
     return PoseStamped(header=header(frame), pose=pose_to_ros(x, y, yaw))
+
+
+# Where most tests' trips lead on their maps of 10 m x 10 m, and such a map without obstacles.
+START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
+FLAT = np.full((20, 20), 10, dtype=np.int8)

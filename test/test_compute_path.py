@@ -12,7 +12,7 @@ from handed_on import halt_workers
 from nav_msgs.msg import Goals as GoalsMessage
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
-from ros_harness import LONG, pose, recorded, risk_grid, stage, wait_until
+from ros_harness import GOAL, LONG, START, pose, recorded, risk_grid, stage, wait_until
 from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
@@ -20,7 +20,6 @@ from ambush_planner.ros.compute_path import ACTIONS, poses_of
 from ambush_planner.ros.requests import validity
 
 pytestmark = pytest.mark.usefixtures('nav2')
-START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 
 
 class Goals:

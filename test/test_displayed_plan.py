@@ -6,7 +6,7 @@ import re
 import interfaces
 import numpy as np
 import pytest
-from ros_harness import header, pose, recorded, risk_grid, stage, wait_until
+from ros_harness import FLAT, GOAL, START, header, pose, recorded, risk_grid, stage, wait_until
 from waiting import TIMEOUT, held
 
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -18,9 +18,7 @@ from ambush_planner.worker.process import WorkerProcess
 interfaces.install('map_msgs')
 from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
 
-FLAT = np.full((20, 20), 10, dtype=np.int8)
 WALL = np.full((14, 1), 100)
-START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from drive_samples import STEP, distance_to, excess
 from nav_msgs.srv import GetPlan
-from ros_harness import pose, risk_grid, stage
+from ros_harness import GOAL, START, pose, risk_grid, stage
 
 from ambush_planner import GameOptions, PlanningOptions, StrategyOptions, TimeLimit
 from ambush_planner.game.strategy import solve_game
@@ -16,8 +16,6 @@ from ambush_planner.planning.options import tube as default_tube
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.worker.process import WorkerProcess
-
-START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 
 
 @pytest.mark.parametrize('tube', [0.0, 0.9])

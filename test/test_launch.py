@@ -17,6 +17,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_harness import Client, free_domain, ros_context, spinning, stage
+from test_node_process import exit_code, node_process
 from waiting import TIMEOUT, answer_of, wait_until
 
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'
@@ -53,8 +54,7 @@ def process(element, values):
     def read(tag, name):
         return substituted(tag.get(name), values)
 
-    result = ['--ros-args', *read(element, 'ros_args').split(), '-r',
-              f'__node:={read(element, "name")}']
+    result = [*read(element, 'ros_args').split(), '-r', f'__node:={read(element, "name")}']
     if namespace := read(element, 'namespace'):
         result += ['-r', f'__ns:=/{namespace}']
     for each in element.findall('param'):
@@ -74,23 +74,16 @@ def node_of(executable):
 
 @contextmanager
 def launched(tmp_path, environment=None, **given):
-    """The planner as the launch file starts it, in a process of its own, and a client's node."""
+    """A client's node next to the planner as the launch file starts it, which ends well."""
     values = arguments(**given)
-    command = [sys.executable, '-m', 'ambush_planner.ros.planner_node',
-               *process(node_of('ambush_planner'), values), '-p',
-               f'recording.directory:={json.dumps(str(tmp_path))}']
-    with free_domain() as domain, ros_context(domain) as context:
+    with free_domain() as domain, ros_context(domain) as context, node_process(
+            domain, tmp_path, f'recording.directory:={json.dumps(str(tmp_path))}',
+            arguments=process(node_of('ambush_planner'), values),
+            environment=environment) as running:
         node = Node('client', context=context, namespace=values['namespace'])
-        with (tmp_path / 'output').open('w') as output:
-            running = subprocess.Popen(command, stdout=output, stderr=output,
-                                       env={**os.environ, **(environment or {}),
-                                            'ROS_DOMAIN_ID': str(domain)})
-        try:
-            with spinning(node, SingleThreadedExecutor(context=context)):
-                yield node, running
-        finally:
-            running.send_signal(signal.SIGINT)
-            assert running.wait(TIMEOUT) == 0
+        with spinning(node, SingleThreadedExecutor(context=context)):
+            yield node
+        assert exit_code(running, signal.SIGINT) == 0
 
 
 def parameters(node, planner, *names):
@@ -112,7 +105,7 @@ def test_start_and_goal_are_not_nav2s_and_all_topics_of_rviz_are_remapped():
 
 def test_arguments_reach_the_node(tmp_path):
     with launched(tmp_path, namespace='convoy', map='/risk', autostart='false',
-                  use_sim_time='true', params_file=str(NAV2)) as (node, running):
+                  use_sim_time='true', params_file=str(NAV2)) as node:
         autostart, sim_time, spacing, preset = parameters(
             node, '/convoy/ambush_planner', 'autostart', 'use_sim_time', 'route.path_spacing',
             'map.preset')
@@ -130,7 +123,7 @@ def test_arguments_reach_the_node(tmp_path):
 def test_costmap_and_log_level_reach_the_node(tmp_path):
     (tmp_path / 'costmap.yaml').write_text('/**: {ros__parameters: {map.costmap: true}}')
     with launched(tmp_path, costmap='/global_costmap/costmap', log_level='error',
-                  params_file=str(tmp_path / 'costmap.yaml')) as (node, _):
+                  params_file=str(tmp_path / 'costmap.yaml')) as node:
         wait_until(lambda: node.count_subscribers('/global_costmap/costmap'), 'the costmap')
         wait_until(lambda: node.count_subscribers('/ambush/via_poses'), 'the stops')
     assert 'publish /alpha_map' not in (tmp_path / 'output').read_text(), 'it is information'
@@ -190,7 +183,7 @@ def test_the_planner_takes_the_names_of_the_planner_server(tmp_path):
         'is_path_valid')}
     built = [str(interfaces.BUILT / package) for package in ('nav2_msgs', 'tf2_msgs')]
     with launched(tmp_path, {'PYTHONPATH': os.pathsep.join(built)}, namespace='convoy',
-                  replace_planner_server='true', params_file=str(NAV2)) as (node, _):
+                  replace_planner_server='true', params_file=str(NAV2)) as node:
         wait_until(lambda: own <= {name for name, _ in node.get_service_names_and_types()},
                    'the services')
         wait_until(lambda: node.count_subscribers('/convoy/tf'), 'a listener to tf')

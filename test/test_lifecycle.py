@@ -7,14 +7,22 @@ from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
-from ros_harness import LATCHED, LONG, pose, recorded, risk_grid, stage, threads, wait_until
+from ros_harness import (
+    GOAL,
+    LATCHED,
+    LONG,
+    START,
+    recorded,
+    stage,
+    threads,
+    wait_until,
+)
 from waiting import TIMEOUT, answer_of, held
 
 from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.recordings import durable_files
 from ambush_planner.ros import planner_node, recordings
 
-START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 WAITING = {'autostart': False}
 
 
@@ -73,9 +81,7 @@ def test_without_autostart_it_waits_and_refuses_in_each_state():
         assert not client.get_plan(START, GOAL).poses
         client.diagnostics(state='unconfigured', code='INACTIVE')
         manager.go(configure='inactive')
-        client.publish('alpha_map', risk_grid())
-        client.publish('start_pose', START)
-        client.publish('goal_pose', GOAL)
+        client.give(state='inactive')
         client.call_until('new_route', lambda answer: 'is inactive' in answer.message)
         assert not client.get_plan(START, GOAL).poses
         client.diagnostics(state='inactive', code='INACTIVE')

@@ -10,15 +10,13 @@ from pathlib import Path
 import pytest
 from nav_msgs.srv import GetPlan
 from recording_samples import read_with_rosbags
-from ros_harness import free_domain, pose, risk_grid, stage, wait_until
+from ros_harness import GOAL, START, free_domain, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
 from waiting import TIMEOUT, held, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
-
-START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 
 
 def recordings(directory):

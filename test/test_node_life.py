@@ -30,7 +30,6 @@ from ambush_planner.ros.diagnostics import Problem, Status, status_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.worker.solve_errors import SolveCancelled
 
-START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 SMALL = [Parameter('network.spacing', value=1.0), Parameter('recording.enabled', value=False)]
 
 
@@ -41,10 +40,7 @@ def test_an_executor_with_several_threads_works():
         with spinning(planner, MultiThreadedExecutor(3, context=own)):
             client = Client(node)
             with spinning(node, SingleThreadedExecutor(context=other)):
-                client.publish('alpha_map', risk_grid())
-                client.publish('start_pose', START)
-                client.publish('goal_pose', GOAL)
-                client.diagnostics(state='ready')
+                client.give()
                 futures = [client.send('new_route') for _ in range(5)]
                 assert not client.call('cancel').message.startswith('internal')
                 wait_until(lambda: all(each.done() for each in futures), 'the answers')

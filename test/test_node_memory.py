@@ -10,8 +10,8 @@ from weakref import ref
 
 import pytest
 from robots import ROBOT
-from ros_harness import pose, risk_grid, stage, wait_until
-from test_one_draw_a_trip import FLAT, Drive, diverted
+from ros_harness import FLAT, pose, risk_grid, stage, wait_until
+from test_one_draw_a_trip import Drive, diverted
 
 from ambush_planner.ros import plan_cache
 

@@ -34,10 +34,11 @@ SEED = '987654321'
 
 
 @contextmanager
-def node_process(domain, tmp_path, *parameters):
+def node_process(domain, tmp_path, *parameters, arguments=(), environment=None):
     """Start the node as a user does, with its output in a file, and kill it at the end."""
-    arguments = [word for parameter in parameters for word in ('-p', parameter)]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(tmp_path / 'log')}
+    arguments = [*arguments, *(word for parameter in parameters for word in ('-p', parameter))]
+    environment = {**os.environ, **(environment or {}), 'ROS_DOMAIN_ID': str(domain),
+                   'ROS_LOG_DIR': str(tmp_path / 'log')}
     with (tmp_path / 'output').open('w') as output:
         process = subprocess.Popen(
             [sys.executable, '-m', 'ambush_planner.ros.planner_node', '--ros-args', *arguments],
@@ -71,10 +72,7 @@ def test_departures_and_a_clean_exit(tmp_path):
                   'game.alpha_threshold:=.inf')
     with free_domain() as domain, node_process(domain, tmp_path, *parameters) as process:
         with client_in(domain) as client:
-            client.publish('alpha_map', risk_grid())
-            client.publish('start_pose', pose(1.5, 5.5))
-            client.publish('goal_pose', pose(8.5, 5.5, 1.0))
-            client.diagnostics(state='ready')
+            client.give()
             for number in (1, 2):
                 answer = client.call('new_route')
                 assert answer.success, answer.message
@@ -141,10 +139,7 @@ def test_a_signal_during_a_solve_ends_node_and_worker_at_once(tmp_path, number):
                   f'recording.directory:={tmp_path / "runs"}')
     with free_domain() as domain, node_process(domain, tmp_path, *parameters) as process:
         with client_in(domain) as client:
-            client.publish('alpha_map', risk_grid(np.zeros((300, 300), dtype=np.int8)))
-            client.publish('start_pose', pose(5.0, 75.0))
-            client.publish('goal_pose', pose(145.0, 75.0))
-            client.diagnostics(state='ready')
+            client.give(risk_grid(np.zeros((300, 300), dtype=np.int8)), (5.0, 75.0), (145.0, 75.0))
             futures = [client.send('new_route') for _ in range(10)]
             client.diagnostics(state='solving')
             # The node answers requests in order, so these answers come after the node has those.

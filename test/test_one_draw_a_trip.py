@@ -11,7 +11,7 @@ from action_msgs.msg import GoalStatus
 from commands import run_here
 from nav_msgs.srv import GetPlan
 from robots import ROBOT, Robot
-from ros_harness import pose, recorded, risk_grid, stage, wait_until
+from ros_harness import FLAT, GOAL, pose, recorded, risk_grid, stage, wait_until
 from test_compute_path import Goals
 from waiting import held
 
@@ -22,8 +22,7 @@ from ambush_planner.recordings.verify import Verifier, together
 from ambush_planner.ros import departures
 
 pytestmark = pytest.mark.usefixtures('nav2')
-FLAT = np.full((20, 20), 10, dtype=np.int8)
-HERE, GOAL = pose(0.0, 0.0, frame='base_link'), pose(8.5, 5.5)
+HERE = pose(0.0, 0.0, frame='base_link')
 BY_CHANCE = 'far more or less often'  # a finding of one honest audit in a thousand
 
 

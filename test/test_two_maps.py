@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import OccupancyGrid
 from robots import ROBOT, Robot
-from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
+from ros_harness import FLAT, LATCHED, risk_grid, stage, wait_until
 
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.overlay import with_obstacles_of
@@ -52,10 +52,7 @@ def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
     monkeypatch.setattr(subscriptions, '_STOPPED', 0.3)
     with stage(parameters=BOTH) as running:
         client = running.client
-        client.publish('alpha_map', risk_grid(np.full((20, 20), 20, np.int8)))
-        client.publish('start_pose', pose(1.5, 5.5))
-        client.publish('goal_pose', pose(8.5, 5.5))
-        client.diagnostics(message='waiting for /costmap')
+        client.give(risk_grid(FLAT), message='waiting for /costmap')
         wait_until(lambda: 'no costmap yet' in client.call('new_route').message, 'the reason')
         wall = np.zeros((40, 4), np.int8)
         wall[:36] = 99
@@ -77,9 +74,7 @@ def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
 def test_a_costmap_that_comes_once_is_used_when_its_transform_comes(capfd):
     with stage(parameters={**BOTH, **ROBOT}) as running:
         client, robot = running.client, Robot(running, 'odom')
-        client.publish('alpha_map', risk_grid(np.full((20, 20), 20, np.int8)))
-        client.publish('start_pose', pose(1.5, 5.5))
-        client.publish('goal_pose', pose(8.5, 5.5))
+        client.give(risk_grid(FLAT), message='waiting for /costmap')
         wall = np.zeros((40, 4), np.int8)
         wall[:36] = 99
         client.publish('costmap', risk_grid(wall, 0.25, (4.5, 0.0, 0.0), frame='odom'))
@@ -99,10 +94,9 @@ def test_a_costmap_that_comes_once_is_used_when_its_transform_comes(capfd):
 
 
 def test_every_map_without_risk_is_warned_of_as_long_as_it_is_used():
-    flat = np.full((20, 20), 20, np.int8)
     with stage() as running:
         client = running.client
-        for values, warned in ((None, False), (flat, True), (None, False), (flat + 1, True)):
+        for values, warned in ((None, False), (FLAT, True), (None, False), (FLAT + 1, True)):
             client.publish('alpha_map', risk_grid(values))
             wait_until(lambda warned=warned: warned == (
                 'carries no risk' in client.diagnostics()['message']), 'the report')
