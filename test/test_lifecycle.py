@@ -7,16 +7,7 @@ from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
-from ros_harness import (
-    GOAL,
-    LATCHED,
-    LONG,
-    START,
-    recorded,
-    stage,
-    threads,
-    wait_until,
-)
+from ros_harness import GOAL, LATCHED, LONG, START, recorded, stage, threads, wait_until
 from waiting import TIMEOUT, answer_of, held
 
 from ambush_planner.errors import AmbushPlannerError

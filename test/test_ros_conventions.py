@@ -4,14 +4,7 @@
 import math
 
 from builtin_interfaces.msg import Time
-from ros_harness import (
-    free_domain,
-    pose,
-    recorded,
-    risk_grid,
-    stage,
-    wait_until,
-)
+from ros_harness import free_domain, pose, recorded, risk_grid, stage, wait_until
 from rosgraph_msgs.msg import Clock
 
 
