@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def node_process(domain, tmp_path, *parameters, arguments=(), environment=None):
                    'ROS_LOG_DIR': str(tmp_path / 'log')}
     with (tmp_path / 'output').open('w') as output:
         process = subprocess.Popen(
-            [sys.executable, '-m', 'ambush_planner.ros.planner_node', '--ros-args', *arguments],
+            [sys.executable, '-m', 'ambush_planner.ros.program', '--ros-args', *arguments],
             env=environment, stdout=output, stderr=subprocess.STDOUT)
         try:
             yield process
@@ -121,13 +122,23 @@ def test_a_signal_may_interrupt_the_handler_of_another():
     assert done.stdout == f'{[signal.SIGINT.value, signal.SIGTERM.value]}\n'
 
 
-def test_other_users_cannot_read_messages_in_shared_memory(tmp_path, monkeypatch):
+def other_heaps(pid):
+    """The heaps of glibc besides the main one: 64 MB, of which the end is not in use yet."""
+    maps = [re.match(r'(\w+)-(\w+) (\S+)', line).groups()
+            for line in Path(f'/proc/{pid}/maps').read_text().splitlines()]
+    spans = [(int(begin, 16), int(end, 16), mode) for begin, end, mode in maps]
+    return [one[0] for one, other in pairwise(spans) if one[0] % 2**26 == 0
+            and other == (one[1], one[0] + 2**26, '---p')]
+
+
+def test_a_node_has_one_heap_and_other_users_cannot_read_its_shared_memory(tmp_path, monkeypatch):
     monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE')  # which switches it off
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with free_domain() as domain, node_process(domain, tmp_path) as process:
         wait_until(lambda: 'version' in (tmp_path / 'output').read_text(), 'the node')
         (own,) = segments(process.pid)
         assert stat.S_IMODE(own.stat().st_mode) == 0o600
+        assert other_heaps(process.pid) == []
         assert exit_code(process, signal.SIGINT) == 0
     assert not own.exists()
 

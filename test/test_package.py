@@ -129,7 +129,7 @@ def test_executables():
     scripts = setup_arguments()['entry_points']['console_scripts']
     targets = dict(re.split(r'\s*=\s*', script) for script in scripts)
     entry = f'{NAME}.commands.cli:main'
-    assert targets == {NAME: f'{NAME}.ros.planner_node:main', 'ambush': entry}
+    assert targets == {NAME: f'{NAME}.ros.program:main', 'ambush': entry}
 
 
 def test_all_package_folders_and_data_files_are_installed():

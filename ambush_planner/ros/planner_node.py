@@ -300,7 +300,7 @@ def _ignore_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def run(args: list[str] | None = None) -> int:
+def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
     os.umask(0o077)  # for logs, and whatever else libraries write

@@ -77,7 +77,7 @@ class NodeProcess:
     def __enter__(self) -> NodeProcess:
         with self._log.open('wb') as log:
             self._process = subprocess.Popen(
-                [sys.executable, '-m', 'ambush_planner.ros.planner_node', *self._arguments],
+                [sys.executable, '-m', 'ambush_planner.ros.program', *self._arguments],
                 env=self._environment, stdin=subprocess.DEVNULL, stdout=log,
                 stderr=subprocess.STDOUT,
                 # Ctrl-C goes to the caller only, which then stops the node.

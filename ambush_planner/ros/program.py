@@ -18,7 +18,7 @@ def main(args: list[str] | None = None) -> int:
         for option, value in ((_M_ARENA_MAX, 1), (_M_MMAP_THRESHOLD, 2**18)):
             ctypes.CDLL(None).mallopt(option, value)
     # Not before: rclpy's libraries start threads, and heaps that these had first would be shared.
-    from .planner_node import run
+    from .planner_node import main as run
     return run(args)
 
 
