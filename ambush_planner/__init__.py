@@ -23,7 +23,8 @@ from .errors import (
     TimeLimit,
 )
 from .game.game import GameOptions
-from .game.strategy import Strategy, StrategyOptions, solve
+from .game.solver import solve
+from .game.strategy import Strategy, StrategyOptions
 from .maps.coordinates import Coordinates, InvalidCoordinates
 from .maps.elevation import InvalidTerrain
 from .maps.occupancy import OccupancyOptions, risk_from_occupancy

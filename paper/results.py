@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ambush_planner.game.game import GameOptions
-from ambush_planner.game.strategy import Strategy, StrategyOptions, solve
+from ambush_planner.game.solver import solve
+from ambush_planner.game.strategy import Strategy, StrategyOptions
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.network.network import Network
 from ambush_planner.planning.evaluation import evaluate

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner.game.game import GameOptions
-from ambush_planner.game.strategy import solve
+from ambush_planner.game.solver import solve
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.network.construction import NetworkOptions

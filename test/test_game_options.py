@@ -10,7 +10,7 @@ from nav_msgs.srv import GetPlan
 from ros_harness import GOAL, START, pose, risk_grid, stage
 
 from ambush_planner import GameOptions, PlanningOptions, StrategyOptions, TimeLimit
-from ambush_planner.game.strategy import solve_game
+from ambush_planner.game.solver import solve_game
 from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import tube as default_tube
 from ambush_planner.planning.trip import plan_from_request

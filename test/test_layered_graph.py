@@ -16,7 +16,8 @@ from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Search, SearchProblem
-from ambush_planner.game.strategy import make_budgets, solve
+from ambush_planner.game.solver import solve
+from ambush_planner.game.strategy import make_budgets
 from ambush_planner.game.trip_search import find_trip
 from ambush_planner.game.value.routes import Routes
 

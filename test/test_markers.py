@@ -8,7 +8,7 @@ from ros_harness import header, risk_grid
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.game.game import GameOptions
-from ambush_planner.game.strategy import solve
+from ambush_planner.game.solver import solve
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 from ambush_planner.network.construction import NetworkOptions

@@ -12,7 +12,8 @@ from ..arrays import IndexArray, frozen_array
 from .certificate.best_response import NEGLIGIBLE
 from .discs import secured_area
 from .revaluation import budgets_in_game
-from .solver import least_value
+from .search import SearchProblem
+from .solver import find_value
 from .strategy import Strategy
 
 # Sites are near the source, a stop or the target within this many median edge lengths.
@@ -54,5 +55,6 @@ def secured_bound(strategy: Strategy, distance: float,
     """
     near = secured_area(strategy.network, distance).covers(strategy.network.points)
     game = strategy.game.without_layers().without_sites(near)
-    found = least_value(game, budgets_in_game(game, strategy), SECURED_TOLERANCE, deadline)
-    return None if found is None else min(found, strategy.value)
+    search = find_value(SearchProblem(game, budgets_in_game(game, strategy), SECURED_TOLERANCE,
+                                      deadline))
+    return min(search.lp.bound, strategy.value) if search.reason == 'stalled' else None

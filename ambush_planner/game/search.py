@@ -24,7 +24,8 @@ from .faces import Faces
 from .game import Game
 from .hits import worst_loss
 from .layered_graph import LayeredGraph
-from .slack import Reason, ceiling
+from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, within
+from .strategy import Multipliers, Strategy, strategy_of
 from .value.routes import Progress, no_progress
 
 # Largest number of rounds in which sites join a search, or of a route distribution.
@@ -111,14 +112,6 @@ class ValueLP(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of the Gibbs distribution: per hit of each site (N,), per unit of each budget."""
-
-    sites: FloatArray
-    budgets: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class SearchProblem:
     """A game, its budgets, and how far and how long to search.
 
@@ -139,6 +132,11 @@ class SearchProblem:
     def late(self) -> bool:
         """Whether the time is up."""
         return time.monotonic() > self.deadline
+
+    @property
+    def binding(self) -> tuple[Budget, ...]:
+        """The budgets that bind."""
+        return tuple(b for b in self.budgets if b.binds)
 
     def keeps_budgets(self, p: FloatArray) -> bool:
         """Whether p (M,) is within all budgets."""
@@ -165,26 +163,6 @@ class Incumbent:
     entropy_bound: float = np.nan
     layers: LayeredGraph | None = None
     rating: tuple[bool, float] = (False, -np.inf)
-
-
-class Solution(NamedTuple):
-    """An incumbent as a strategy p (M,) in a game with the sites that matter for it or its bound.
-
-    On a trip the game's network can have a layered graph's nodes and edges, after the trip's.
-    ``value`` is the strategy's, ``bound`` what the ambusher proves, ``reason`` why the search
-    ended.
-    """
-
-    game: Game
-    budgets: tuple[Budget, Budget]
-    p: FloatArray
-    value: float
-    bound: float
-    ambusher: Ambusher
-    multipliers: Multipliers | None
-    evaluations: int
-    entropy_bound: float
-    reason: Reason
 
 
 class Search:
@@ -261,8 +239,12 @@ class Search:
         return Incumbent(chain, value, distribution.worst, *distribution.unscaled_multipliers(),
                          most, layers, rating)
 
-    def solution(self, best: Incumbent | None) -> Solution:
-        """The best strategy, by default the LP's, with its value at any place."""
+    def strategy(self, best: Incumbent | None) -> Strategy:
+        """The best strategy, by default the LP's, with its value at any place.
+
+        In a game with the sites that matter for it or its bound; on a trip its network can have a
+        layered graph's nodes and edges, after the trip's.
+        """
         if best is None:
             p = self.lp.flow
             best = Incumbent(chain_of(self.game.network, p), worst_loss(self.game, p))
@@ -288,9 +270,12 @@ class Search:
         per_hit[game.sites] = weights[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64),
                                   self._of_all_budgets(best.prices))
-        return Solution(game, budgets, p, best.value, bound, ambusher,
-                        None if best.layers else multipliers, self.evaluations, best.entropy_bound,
-                        self._why())
+        found = replace(strategy_of(game, p, ambusher, budgets, bound),
+                        multipliers=None if best.layers else multipliers,
+                        iterations=self.evaluations, entropy_bound=best.entropy_bound)
+        if within(found.value, found.lower_bound, self.problem.slack + CERTIFICATE_TOLERANCE):
+            return found
+        return replace(found, reason='time' if self.problem.late else self.reason)
 
     def _proof(self, game: Game, kept: BoolArray, budgets: tuple[Budget, Budget],
                enough: float) -> tuple[float, Ambusher]:
@@ -328,6 +313,3 @@ class Search:
         """Numbers of the budgets that bind, with 0 for the others."""
         number = iter(binding.tolist())
         return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.problem.budgets)
-
-    def _why(self) -> Reason:
-        return 'time' if self.problem.late else self.reason

@@ -1,30 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The default strategy: least value within the budgets, then the most unpredictable routes.
+"""Solve the game: the least value within the budgets, then the most unpredictable routes.
 
 One of three linear programs (LPs) finds the least value (``value``): a cut without a reach while no
 budget binds, face potentials on a planar network whose links cost the same both ways, whole routes
 otherwise. A search makes a strategy of it: a chain (``chain_search``), or on a trip one on a
-layered graph (``trip_search``).
+layered graph (``trip_search``). The paper's linear programs are another choice.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
 
 import numpy as np
 
-from ..errors import SolverFailed, TimeLimit
-from .budget import Budget
+from ..errors import InvalidNetwork, TimeLimit, warn
+from ..maps.risk_map import MAX_LOSS, MIN_LOSS
+from ..network.network import Network
 from .chain_search import find_chain, find_flow
 from .faces import make_faces
-from .game import Game
+from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
-from .search import Search, SearchProblem, Solution, ValueLP
-from .slack import MIN_SLACK, within
+from .search import Search, SearchProblem, SiteSearch
+from .slack import MIN_SLACK
+from .strategy import Multipliers, Strategy, StrategyOptions, make_budgets
 from .trip_search import find_legs, find_mixture, find_trip
 from .value.cut import Cut
+from .value.linear_program import linear_program_strategy
 from .value.potential import Potential
-from .value.routes import Routes
+from .value.routes import Progress, Routes, no_progress
 
 # Relative optimality gaps of an LP in potentials, and of one over routes, in slacks.
 POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
@@ -33,101 +36,176 @@ POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
 MAX_OVERRUN = 0.07
 # Cap at which an LP in potentials begins, as a multiple of the value without budgets.
 FIRST_CAP = 2.0
+# A search ends before its time limit by a share of it or by a time [s], whichever is less; its
+# judge ends at most half of the greater after it. On a trip the judge takes seconds.
+RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
+# Share of the routes that a single ambush hits from which they count as all.
+ALL_ROUTES = 0.99
 
 
-def most_unpredictable(problem: SearchProblem) -> Solution:
-    """Find value and route distribution; at the deadline, the best strategy so far is returned.
+def solve(network: Network, game: GameOptions | None = None, options: StrategyOptions | None = None,
+          warm: Multipliers | None = None) -> Strategy:
+    """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
 
-    Raises BudgetInfeasible if no strategy is within all budgets.
+    ``plan_trip`` also considers ambushers between the nodes, the driven paths and the secured area.
+
+    Parameters
+    ----------
+    network
+        As ``build_network`` makes it, or any other.
+    game
+        What the ambusher can do.
+    options
+        The budgets, the solver, the time limit.
+    warm
+        Multipliers of a strategy for the same nodes with other losses, budgets or slack, to start
+        the search from.
+
+    Returns
+    -------
+    Strategy
+        With its value, its lower bound and the ambusher who proves it.
+
+    Raises
+    ------
+    InvalidNetwork
+        A loss is too large or too small to compute with.
+    NoRoute
+        No route leads from the source to the target.
+    BudgetInfeasible
+        Every playable route is longer, or more exposed, than the budget.
+    TimeLimit
+        The time limit passed before the value was within the slack of its bound; the error's
+        ``strategy`` is the best so far.
+
+    Examples
+    --------
+    Two ways, past losses of 1 and 3: the ambusher gains most if both cost the same.
+
+    >>> from ambush_planner import Network, StrategyOptions, solve
+    >>> network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 3, 0],
+    ...                   edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
+    >>> strategy = solve(network, options=StrategyOptions(risk_slack=0.0))
+    >>> round(strategy.value, 3), strategy.edge_probability.round(2).tolist()
+    (0.75, [0.75, 0.25, 0.75, 0.25])
     """
-    if problem.game.network.legs > 1 or hits_can_differ(problem.game):
-        return find_distribution(find_value(problem))
-    slack, best = max(problem.slack, MIN_SLACK), None
-    for lp in _value_lps(problem, slack):
-        search = Search(problem, lp, slack)
-        find_flow(search)
-        chain = find_chain(search)
-        if chain is None and not problem.keeps_budgets(lp.flow):
-            continue  # a cut's flow is over a budget
-        found = search.solution(chain)
-        if best is None or found.value < best.value or within(found.value, found.bound, slack):
-            best = found
-        if within(best.value, best.bound, slack) or problem.late:
-            break
-    assert best is not None  # the flow of the last LP is within the budgets
-    return best
+    if not isinstance(network, Network):
+        raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
+                             'build_network makes one of a RiskMap, and plan_trip does it all')
+    found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
+                       warm=warm)
+    loss = found.game.loss
+    certain = (found.ambush_probability > 0.0) & (ALL_ROUTES * loss <= found.value) & (loss > 0.0)
+    if not found.value > 0.0:
+        warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
+             'secured area (secured_radius)')
+    elif found.reason == 'complete' and found.game.options.ambushers == 1 and certain.any():
+        warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
+             f'costs {found.value:.4g}')
+    return found
 
 
-def find_value(problem: SearchProblem) -> Search:
-    """Find the least value within the budgets, and an ambusher who nearly proves it."""
+def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
+               warm: Multipliers | None = None, progress: Progress = no_progress) -> Strategy:
+    """Find the optimal strategy against an ambusher at a game's sites and those of ``site_search``.
+
+    Raises the errors of ``solve``.
+    """
+    if options.solver != 'max_entropy':
+        _check_losses(game.network)
+        deadline = time.monotonic() + options.time_limit
+        return linear_program_strategy(game, options, make_budgets(game, options), deadline)
+    problem = make_problem(game, options, site_search, warm, progress)
+    return _in_time(_most_unpredictable(problem), options)
+
+
+def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
+                 warm: Multipliers | None = None,
+                 progress: Progress = no_progress) -> SearchProblem:
+    """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
+    _check_losses(game.network)
+    deadline, judged = _search_ends(time.monotonic() + options.time_limit, options,
+                                    game.network)
+    return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
+                         site_search, warm, progress, judged)
+
+
+def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
+    """The strategy of a search whose value has been found, by ``end``; raises TimeLimit."""
+    search.go_on_until(*_search_ends(end, options, search.problem.game.network))
+    return _in_time(_find_distribution(search), options)
+
+
+def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
+    """Find the least value within the budgets, and an ambusher who nearly proves it.
+
+    A cut's flow may exceed a budget by the share ``overrun``: its value is then a lower bound.
+    """
     slack = max(problem.slack, MIN_SLACK)
     if problem.game.network.legs > 1:
         routes = _routes(problem, slack)
         search = Search(problem, routes, slack)
         (find_legs if routes.planar else find_mixture)(search, routes)
-    else:
-        search = Search(problem, _within_budgets(problem, slack, _cut_of(problem)), slack)
-        find_flow(search)
+        return search
+    cut = None if hits_can_differ(problem.game) else Cut(problem.game, problem.binding)
+    if cut and cut.overrun <= overrun:
+        return Search(problem, cut, slack)
+    first = FIRST_CAP * cut.bound if cut else np.inf
+    search = Search(problem, _potential(problem, slack, first) or _routes(problem, slack), slack)
+    find_flow(search)
     return search
 
 
-def find_distribution(search: Search) -> Solution:
+def _most_unpredictable(problem: SearchProblem) -> Strategy:
+    """Find value and route distribution; at the deadline, the best strategy so far is returned.
+
+    Raises BudgetInfeasible if no strategy is within all budgets.
+    """
+    search = find_value(problem, MAX_OVERRUN)
+    if not isinstance(search.lp, Cut):
+        return _find_distribution(search)
+    chain, found = find_chain(search), None
+    if chain or problem.keeps_budgets(search.lp.flow):
+        found = search.strategy(chain)
+        if found.reason == 'complete' or problem.late:
+            return found
+    # All distributions near the cut's flow exceed a budget, or cost more.
+    other = _find_distribution(find_value(problem, -np.inf))
+    return found if found and found.value <= other.value and other.reason != 'complete' else other
+
+
+def _find_distribution(search: Search) -> Strategy:
     """Find the route distribution of a search whose value has been found."""
     best, lp = None, search.lp
-    if search.problem.game.network.legs > 1:
-        assert isinstance(lp, Routes)  # see find_value
+    if isinstance(lp, Routes) and search.game.network.legs > 1:
         if lp.planar:
             find_mixture(search, lp)
         best = find_trip(search, lp)
         if best is None:
             find_flow(search)
-    return search.solution(best or find_chain(search))
+    return search.strategy(best or find_chain(search))
 
 
-def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float,
-                deadline: float) -> float | None:
-    """A lower bound of the least value within the budgets, too low by at most the share ``gap``.
-
-    On trips it is what separate legs prove. None if the deadline passes before.
-    """
-    problem = SearchProblem(game, budgets, gap, deadline)
-    try:
-        if game.network.legs > 1:
-            routes = _routes(problem, gap)
-            routes.prove_by_legs()
-            return routes.bound
-        cut = _cut_of(problem)
-        if cut and cut.overrun == 0.0:
-            return cut.bound
-        lp = _within_budgets(problem, gap, cut)
-        lp.solve()
-    except (TimeLimit, SolverFailed):
-        return None
-    return lp.bound
+def _search_ends(end: float, options: StrategyOptions, network: Network) -> tuple[float, float]:
+    """When a search and its judge end if the time limit passes at ``end``."""
+    share, most = RESERVE_ON_TRIPS if network.legs > 1 else RESERVE
+    later = max(RESERVE[0] * options.time_limit, RESERVE[1]) / 2.0
+    return end - min(share * options.time_limit, most), end + later
 
 
-def _value_lps(problem: SearchProblem, slack: float) -> Iterator[ValueLP]:
-    """The LP without budgets if its flow nearly keeps them, then the one within them."""
-    cut = _cut_of(problem)
-    if cut and cut.overrun <= MAX_OVERRUN:
-        yield cut
-    yield _within_budgets(problem, slack, cut)
-
-
-def _cut_of(problem: SearchProblem) -> Cut | None:
-    """The value without budgets, if a cut finds it."""
-    return None if hits_can_differ(problem.game) else Cut(problem.game, _binding(problem))
-
-
-def _within_budgets(problem: SearchProblem, slack: float, cut: Cut | None) -> Potential | Routes:
-    """The fastest LP that finds the value within budgets, perhaps from that without."""
-    found = _potential(problem, slack, FIRST_CAP * cut.bound if cut else np.inf)
-    return found or _routes(problem, slack)
+def _in_time(strategy: Strategy, options: StrategyOptions) -> Strategy:
+    """The strategy; raises TimeLimit if the time passed before it was within the slack."""
+    if strategy.reason != 'time':
+        return strategy
+    raise TimeLimit(
+        f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
+        f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time', strategy
+    )
 
 
 def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> Potential | None:
     """The LP in potentials if the network is planar and at most one budget binds."""
-    game, binding = problem.game, _binding(problem)
+    game, binding = problem.game, problem.binding
     if game.ambushers > 1 or len(binding) > 1 or game.options.loads:
         return None
     faces, budget = make_faces(game), (*binding, problem.budgets[0])[0]
@@ -139,9 +217,15 @@ def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> P
 def _routes(problem: SearchProblem, slack: float) -> Routes:
     """The LP over whole routes; on a trip, its bound comes from potentials if there can be any."""
     planar = _potential(problem, slack) if problem.game.network.legs > 1 else None
-    return Routes(problem.game, _binding(problem), ROUTES_GAP * slack, problem.deadline,
+    return Routes(problem.game, problem.binding, ROUTES_GAP * slack, problem.deadline,
                   problem.progress, planar)
 
 
-def _binding(problem: SearchProblem) -> tuple[Budget, ...]:
-    return tuple(b for b in problem.budgets if b.binds)
+def _check_losses(network: Network) -> None:
+    """Raise InvalidNetwork if a loss is out of range."""
+    odd = (network.alpha > MAX_LOSS) | ((network.alpha > 0.0) & (network.alpha < MIN_LOSS))
+    if odd.any():
+        node = int(np.argmax(odd))
+        raise InvalidNetwork(f'alpha must be 0 or in {MIN_LOSS:g}..{MAX_LOSS:g}, got '
+                             f'{network.alpha[node]:g} at node {node}; scale the losses, or '
+                             'set the smallest to 0')

@@ -1,39 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The convoy's mixed strategy: its options, the record with its certificate, and ``solve``."""
+"""The convoy's mixed strategy: its options, and the record with its certificate."""
 
 from __future__ import annotations
 
 import math
-import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
-from ..errors import InvalidNetwork, InvalidOption, TimeLimit, warn
-from ..maps.risk_map import MAX_LOSS, MIN_LOSS, RiskMap
+from ..errors import InvalidOption
+from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_at_least
 from .ambusher import Ambusher
 from .budget import Budget
 from .certificate.certificate import Certificate, certify
-from .game import Game, GameOptions, make_game
-from .hits import hits_can_differ
+from .game import Game
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .search import Multipliers, Search, SearchProblem, SiteSearch, Solution
 from .slack import CERTIFICATE_TOLERANCE, Reason, within
-from .solver import find_distribution, most_unpredictable
-from .value.linear_program import linear_program_strategy
-from .value.routes import Progress, no_progress
 
-# A search ends before its time limit by a share of it or by a time [s], whichever is less; its
-# judge ends at most half of the greater after it. On a trip the judge takes seconds.
-RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
-# Share of the routes that a single ambush hits from which they count as all.
-ALL_ROUTES = 0.99
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
 
@@ -100,6 +89,14 @@ class StrategyOptions:
     def slack(self) -> float:
         """The risk slack of the solver: 0 for linear programs."""
         return self.risk_slack if self.solver == 'max_entropy' else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers of the Gibbs distribution: per hit of each site (N,), per unit of each budget."""
+
+    sites: FloatArray
+    budgets: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -289,122 +286,6 @@ class Strategy(Shown):
         return mean
 
 
-def solve(network: Network, game: GameOptions | None = None, options: StrategyOptions | None = None,
-          warm: Multipliers | None = None) -> Strategy:
-    """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
-
-    ``plan_trip`` also considers ambushers between the nodes, the driven paths and the secured area.
-
-    Parameters
-    ----------
-    network
-        As ``build_network`` makes it, or any other.
-    game
-        What the ambusher can do.
-    options
-        The budgets, the solver, the time limit.
-    warm
-        Multipliers of a strategy for the same nodes with other losses, budgets or slack, to start
-        the search from.
-
-    Returns
-    -------
-    Strategy
-        With its value, its lower bound and the ambusher who proves it.
-
-    Raises
-    ------
-    InvalidNetwork
-        A loss is too large or too small to compute with.
-    NoRoute
-        No route leads from the source to the target.
-    BudgetInfeasible
-        Every playable route is longer, or more exposed, than the budget.
-    TimeLimit
-        The time limit passed before the value was within the slack of its bound; the error's
-        ``strategy`` is the best so far.
-
-    Examples
-    --------
-    Two ways, past losses of 1 and 3: the ambusher gains most if both cost the same.
-
-    >>> from ambush_planner import Network, StrategyOptions, solve
-    >>> network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 3, 0],
-    ...                   edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
-    >>> strategy = solve(network, options=StrategyOptions(risk_slack=0.0))
-    >>> round(strategy.value, 3), strategy.edge_probability.round(2).tolist()
-    (0.75, [0.75, 0.25, 0.75, 0.25])
-    """
-    if not isinstance(network, Network):
-        raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
-                             'build_network makes one of a RiskMap, and plan_trip does it all')
-    found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
-                       warm=warm)
-    loss = found.game.loss
-    certain = (found.ambush_probability > 0.0) & (ALL_ROUTES * loss <= found.value) & (loss > 0.0)
-    if not found.value > 0.0:
-        warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
-             'secured area (secured_radius)')
-    elif found.reason == 'complete' and found.game.options.ambushers == 1 and certain.any():
-        warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
-             f'costs {found.value:.4g}')
-    return found
-
-
-def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-               warm: Multipliers | None = None, progress: Progress = no_progress) -> Strategy:
-    """Find the optimal strategy against an ambusher at a game's sites and those of ``site_search``.
-
-    Raises the errors of ``solve``.
-    """
-    if options.solver != 'max_entropy':
-        _check_losses(game.network)
-        deadline = time.monotonic() + options.time_limit
-        return _by_linear_program(game, make_budgets(game, options), options, deadline)
-    problem = make_problem(game, options, site_search, warm, progress)
-    return _strategy_within(most_unpredictable(problem), options)
-
-
-def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-                 warm: Multipliers | None = None,
-                 progress: Progress = no_progress) -> SearchProblem:
-    """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
-    _check_losses(game.network)
-    deadline, judged = _search_ends(time.monotonic() + options.time_limit, options,
-                                    game.network)
-    return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
-                         site_search, warm, progress, judged)
-
-
-def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
-    """The strategy of a search whose value has been found, by ``end``; raises TimeLimit."""
-    search.go_on_until(*_search_ends(end, options, search.problem.game.network))
-    return _strategy_within(find_distribution(search), options)
-
-
-def _search_ends(end: float, options: StrategyOptions, network: Network) -> tuple[float, float]:
-    """When a search and its judge end if the time limit passes at ``end``."""
-    share, most = RESERVE_ON_TRIPS if network.legs > 1 else RESERVE
-    later = max(RESERVE[0] * options.time_limit, RESERVE[1]) / 2.0
-    return end - min(share * options.time_limit, most), end + later
-
-
-def _strategy_within(found: Solution, options: StrategyOptions) -> Strategy:
-    """The strategy; raises TimeLimit if the time passed before it was within the slack."""
-    strategy = strategy_of(found.game, found.p, found.ambusher, found.budgets, found.bound)
-    strategy = replace(strategy, iterations=found.evaluations, multipliers=found.multipliers,
-                       entropy_bound=found.entropy_bound)
-    if within_slack(strategy, options):
-        return strategy
-    strategy = replace(strategy, reason=found.reason)
-    if found.reason != 'time':
-        return strategy
-    raise TimeLimit(
-        f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
-        f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time', strategy
-    )
-
-
 def strategy_of(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, Budget],
                 bound: float | None = None) -> Strategy:
     """The strategy p (M,) with its certificate; ``bound`` is the ambusher's, if it is known.
@@ -429,25 +310,3 @@ def within_slack(strategy: Strategy, options: StrategyOptions) -> bool:
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
     return within(strategy.value + weighed, strategy.lower_bound + weighed,
                   options.slack + CERTIFICATE_TOLERANCE)
-
-
-def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: StrategyOptions,
-                       deadline: float) -> Strategy:
-    """The strategy of one of the paper's linear programs."""
-    found = linear_program_strategy(game, options.solver, budgets[0], options.length_weight,
-                                    deadline)
-    own = found.budget, budgets[1]
-    strategy = replace(strategy_of(game, found.p, found.ambusher, own), iterations=found.iterations)
-    if within_slack(strategy, options):
-        return strategy
-    return replace(strategy, reason='stalled' if hits_can_differ(game) else 'solver')
-
-
-def _check_losses(network: Network) -> None:
-    """Raise InvalidNetwork if a loss is out of range."""
-    odd = (network.alpha > MAX_LOSS) | ((network.alpha > 0.0) & (network.alpha < MIN_LOSS))
-    if odd.any():
-        node = int(np.argmax(odd))
-        raise InvalidNetwork(f'alpha must be 0 or in {MIN_LOSS:g}..{MAX_LOSS:g}, got '
-                             f'{network.alpha[node]:g} at node {node}; scale the losses, or '
-                             'set the smallest to 0')

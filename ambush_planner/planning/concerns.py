@@ -9,7 +9,8 @@ import numpy as np
 
 from ..game.game import Game
 from ..game.slack import Reason
-from ..game.strategy import ALL_ROUTES, within_slack
+from ..game.solver import ALL_ROUTES
+from ..game.strategy import within_slack
 from ..words import distance, ends
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan

@@ -14,7 +14,8 @@ from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
 from ..game.slack import within
-from ..game.strategy import Strategy, StrategyOptions, solve
+from ..game.solver import solve
+from ..game.strategy import Strategy, StrategyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from .options import PlanningOptions, grading

@@ -12,9 +12,9 @@ from ..arrays import FloatArray, frozen_array
 from ..errors import TimeLimit
 from ..game.game import Game, GameOptions, make_game
 from ..game.revaluation import open_gap
-from ..game.search import Multipliers, Search
-from ..game.solver import find_value
-from ..game.strategy import Strategy, finish, make_problem, solve_game
+from ..game.search import Search
+from ..game.solver import find_value, finish, make_problem, solve_game
+from ..game.strategy import Multipliers, Strategy
 from ..game.value.routes import Progress, no_progress
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_hiding_places, with_places

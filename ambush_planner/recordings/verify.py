@@ -23,7 +23,8 @@ from ..game.distribution.acyclic import is_acyclic
 from ..game.distribution.chain import chain_of
 from ..game.revaluation import open_gap
 from ..game.slack import CERTIFICATE_TOLERANCE
-from ..game.strategy import Strategy, make_budgets, solve_game
+from ..game.solver import solve_game
+from ..game.strategy import Strategy, make_budgets
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network

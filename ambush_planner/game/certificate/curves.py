@@ -29,6 +29,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
+from ..distribution.acyclic import simple_cycles
 from ..faces import Circulation, Faces
 from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
 
@@ -202,44 +203,15 @@ def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
 def _curves(arcs: _Arcs) -> tuple[float, FloatArray, list[_Winding]]:
     """Take a circulation apart into simple cycles.
 
-    Returns the weight and the flow (K,) of those of gain 1 or -1, and those of a larger gain. What
-    rounding leaves unbalanced ends a walk and is lost.
+    Returns the weight and the flow (K,) of those of gain 1 or -1, and those of a larger gain.
     """
-    order = np.argsort(arcs.tail, kind='stable')
-    tail, heads = arcs.tail[order], arcs.head[order].tolist()
-    gains, left = arcs.gain[order].tolist(), arcs.size[order].tolist()
-    nodes = int(max(tail.max(initial=0), arcs.head.max(initial=0))) + 1
-    first = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
-    free, ends, once = first[:-1], first[1:], 0.0
+    once, used = 0.0, np.zeros(len(arcs.size))
     winding: list[_Winding] = []
-    used = np.zeros(len(left))
-    for start in np.unique(tail).tolist():
-        walk: list[int] = []
-        node, place = start, {start: 0}
-        while True:
-            while free[node] < ends[node] and left[free[node]] <= 0.0:
-                free[node] += 1
-            if free[node] == ends[node]:  # nothing leads on
-                if not walk:
-                    break
-                left[walk.pop()] = 0.0
-                del place[node]
-                node = start if not walk else heads[walk[-1]]
-                continue
-            walk.append(free[node])
-            node = heads[walk[-1]]
-            if node in place:
-                cycle = walk[place[node] :]
-                least = min(left[arc] for arc in cycle)
-                winds = abs(sum(gains[arc] for arc in cycle))
-                if winds == 1:
-                    once += least
-                    used[order[cycle]] += least
-                elif winds > 1:
-                    winding.append(_Winding(least, winds, order[cycle]))
-                for arc in cycle:
-                    left[arc] -= least
-                    del place[heads[arc]]
-                del walk[len(walk) - len(cycle) :]
-            place[node] = len(walk)
+    for cycle, least in simple_cycles(arcs.tail, arcs.head, arcs.size):
+        winds = abs(int(arcs.gain[cycle].sum()))
+        if winds == 1:
+            once += least
+            used[cycle] += least
+        elif winds > 1:
+            winding.append(_Winding(least, winds, cycle))
     return once, used, winding

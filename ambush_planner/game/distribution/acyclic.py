@@ -12,6 +12,7 @@ forward, and the potential only orders the nodes that these leave free.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.sparse import coo_matrix, diags
@@ -98,10 +99,49 @@ def acyclic_subnetwork(game: Game, position: IndexArray) -> Game | None:
 
 def without_cycles(network: Network, p: FloatArray) -> FloatArray:
     """Return p (M,) without the flow around cycles; no node is visited more often."""
-    p = p.copy()
-    while len(circling := _circling_edges(network, p)):
-        _cancel_cycles(network.edges, p, circling)
+    component, used = _strong_components(network, p), np.flatnonzero(p > 0.0)
+    tails, heads = network.edges[used].T
+    circling, p = used[component[tails] == component[heads]], p.copy()
+    for cycle, least in simple_cycles(*network.edges[circling].T, p[circling]):
+        p[circling[cycle]] -= least
     return p
+
+
+def simple_cycles(tail: IndexArray, head: IndexArray,
+                  flow: FloatArray) -> Iterator[tuple[IndexArray, float]]:
+    """The simple cycles, as arcs, into which ``flow`` (K,) comes apart, and the flow of each.
+
+    Nodes are numbers >= 0. What is not in balance ends a walk along the arcs and is lost.
+    """
+    order = np.argsort(tail, kind='stable')
+    heads, left = head[order].tolist(), flow[order].tolist()
+    nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
+    first = np.searchsorted(tail[order], np.arange(nodes + 1)).tolist()
+    free, ends = first[:-1], first[1:]
+    for start in np.unique(tail).tolist():
+        walk: list[int] = []
+        node, place = start, {start: 0}
+        while True:
+            while free[node] < ends[node] and left[free[node]] <= 0.0:
+                free[node] += 1
+            if free[node] == ends[node]:  # nothing leads on
+                if not walk:
+                    break
+                left[walk.pop()] = 0.0
+                del place[node]
+                node = heads[walk[-1]] if walk else start
+                continue
+            walk.append(free[node])
+            node = heads[walk[-1]]
+            if node in place:
+                cycle = walk[place[node] :]
+                least = min(left[arc] for arc in cycle)
+                yield order[cycle], least
+                for arc in cycle:
+                    left[arc] -= least
+                    del place[heads[arc]]
+                del walk[len(walk) - len(cycle) :]
+            place[node] = len(walk)
 
 
 def is_acyclic(network: Network, p: FloatArray) -> bool:
@@ -116,13 +156,6 @@ def order_along(network: Network, p: FloatArray) -> IndexArray | None:
     return number if (number[tails] < number[heads]).all() else None
 
 
-def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
-    """Edges with p > 0 on a cycle of such edges: both ends are in one strong component."""
-    component, used = _strong_components(network, p), np.flatnonzero(p > 0.0)
-    tails, heads = network.edges[used].T
-    return np.asarray(used[component[tails] == component[heads]])
-
-
 def _strong_components(network: Network, p: FloatArray) -> IndexArray:
     """The strong component (N,) of each node by the edges with p > 0.
 
@@ -132,35 +165,3 @@ def _strong_components(network: Network, p: FloatArray) -> IndexArray:
     graph = edge_matrix(edges, np.ones(len(edges)), len(network.points))
     _, component = connected_components(graph, directed=True, connection='strong')
     return np.asarray(component, dtype=np.int64)
-
-
-def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> None:
-    """Walk along the circling edges; cancel each cycle that the walk closes."""
-    leaving: dict[int, list[int]] = {}
-    for k in circling.tolist():
-        leaving.setdefault(int(edges[k, 0]), []).append(k)
-    while leaving:
-        node = next(iter(leaving))
-        position, walk = {node: 0}, []
-        while leaving.get(node):
-            k = leaving[node][-1]
-            walk.append(k)
-            node = int(edges[k, 1])
-            if node in position:
-                _cancel_cycle(edges, p, walk[position[node] :], leaving)
-                break
-            position[node] = len(walk)
-        else:
-            # A dead end: the edge that led here is no longer on a cycle.
-            leaving.pop(node, None)
-            if walk:
-                leaving[int(edges[walk[-1], 0])].pop()
-
-
-def _cancel_cycle(edges: IndexArray, p: FloatArray, cycle: list[int],
-                  leaving: dict[int, list[int]]) -> None:
-    """Subtract the least p of the cycle's edges from all of them."""
-    p[cycle] -= p[cycle].min()
-    for k in cycle:
-        if p[k] <= 0.0:
-            leaving[int(edges[k, 0])].remove(k)

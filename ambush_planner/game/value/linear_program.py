@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
@@ -17,8 +17,9 @@ from ..budget import BUDGET_TOLERANCE, Budget
 from ..certificate.certificate import entry_bound
 from ..distribution.chain import NO_FLOW
 from ..game import Game
-from ..hits import entry_value
+from ..hits import entry_value, hits_can_differ
 from ..route_sampler import shortest_route_strategy
+from ..strategy import Strategy, StrategyOptions, strategy_of, within_slack
 from . import highs
 from .cut import MAX_ROUNDS, solve_by_min_cut
 
@@ -81,17 +82,8 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
-class LPSolution(NamedTuple):
-    """p (M,), the ambusher, the budget that his price belongs to, and the solver's iterations."""
-
-    p: FloatArray
-    ambusher: Ambusher
-    budget: Budget
-    iterations: int
-
-
-def linear_program_strategy(game: Game, solver: str, length: Budget, length_weight: float,
-                            deadline: float) -> LPSolution:
+def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple[Budget, Budget],
+                            deadline: float) -> Strategy:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only if the solution without it is too long; otherwise the LP is
@@ -99,6 +91,8 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     InvalidOption if the game has several ambushers, and BudgetInfeasible, TimeLimit or SolverFailed
     as HiGHS reports.
     """
+    whole, solver, length_weight = game, options.solver, options.length_weight
+    length, exposure = budgets
     if game.ambushers > 1:
         raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
@@ -117,8 +111,11 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
-    return LPSolution(p, Ambusher(q, (price, 0.0)), length if limited else own,
-                           int(result.nit))
+    found = replace(strategy_of(whole, p, Ambusher(q, (price, 0.0)),
+                                (length if limited else own, exposure)), iterations=int(result.nit))
+    if within_slack(found, options):
+        return found
+    return replace(found, reason='stalled' if hits_can_differ(game) else 'solver')
 
 
 def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
