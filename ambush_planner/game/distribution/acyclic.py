@@ -101,10 +101,11 @@ def without_cycles(network: Network, p: FloatArray) -> FloatArray:
     """Return p (M,) without the flow around cycles; no node is visited more often."""
     component, used = _strong_components(network, p), np.flatnonzero(p > 0.0)
     tails, heads = network.edges[used].T
-    circling, p = used[component[tails] == component[heads]], p.copy()
-    for cycle, least in simple_cycles(*network.edges[circling].T, p[circling]):
-        p[circling[cycle]] -= least
-    return p
+    circling, less = used[component[tails] == component[heads]], p.copy()
+    tails, heads = network.edges[circling].T
+    for cycle, least in simple_cycles(tails, heads, p[circling]):
+        less[circling[cycle]] -= least
+    return less
 
 
 def simple_cycles(tail: IndexArray, head: IndexArray,

@@ -14,6 +14,7 @@ vertex would jump from one extreme ambusher to another.
 from __future__ import annotations
 
 import math
+from copy import copy
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -42,6 +43,22 @@ class Mixture(NamedTuple):
     prices: FloatArray
 
 
+class _Column(NamedTuple):
+    """A route, given by its edges, in a group.
+
+    ``met`` are the sites that it meets, ``counts`` what each of them counts, ``reduced_cost`` (B,)
+    is in budget slacks. It leads ``between`` two stops, numbered from the source on; no leg ends at
+    the source.
+    """
+
+    route: IndexArray
+    met: IndexArray
+    counts: FloatArray
+    reduced_cost: FloatArray
+    group: int
+    between: tuple[int, int]
+
+
 class Mixtures:
     """Routes in groups, each with the sites (S,) that it meets and its reduced costs (B,).
 
@@ -52,30 +69,23 @@ class Mixtures:
     def __init__(self, groups: int) -> None:
         self.loss, self.ambushers, self.limit, self._groups = np.zeros(0), 0, 1.0, groups
         self._unit, self._near = 0.0, np.zeros((groups, 0), dtype=bool)
-        self.routes: list[IndexArray] = []
-        self._met: list[IndexArray] = []
-        self._counts: list[FloatArray] = []  # what each of them counts
-        self._reduced_cost: list[FloatArray] = []
-        self._group: list[int] = []
-        self._between: list[tuple[int, int]] = []
+        self._columns: list[_Column] = []
         self._known: set[bytes] = set()
+
+    @property
+    def routes(self) -> list[IndexArray]:
+        """The routes, as edges."""
+        return [each.route for each in self._columns]
 
     def add(self, route: IndexArray, met: FloatArray, reduced_cost: FloatArray, group: int = 0,
             between: tuple[int, int] = (0, 1)) -> bool:
-        """Add a route, given by its edges and what each site counts; return whether it is new.
-
-        It leads ``between`` two stops, numbered from the source on; no leg ends at the source.
-        """
+        """Add a route, given by its edges and what each site counts; return whether it is new."""
         key = route.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
-        self._between.append(between)
-        self.routes.append(route)
-        self._met.append(np.flatnonzero(met))
-        self._counts.append(met[self._met[-1]])
-        self._reduced_cost.append(reduced_cost)
-        self._group.append(group)
+        sites = np.flatnonzero(met)
+        self._columns.append(_Column(route, sites, met[sites], reduced_cost, group, between))
         return True
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -83,33 +93,27 @@ class Mixtures:
         met_by, count = csr_matrix(entering.T), len(self.loss)
         self.loss = np.append(self.loss, loss)
         self._near = np.pad(self._near, ((0, 0), (0, len(loss))))
-        for k, route in enumerate(self.routes):
-            some, counts = met_by[route], np.zeros(len(loss))
+        for k, each in enumerate(self._columns):
+            some, counts = met_by[each.route], np.zeros(len(loss))
             np.maximum.at(counts, some.indices, some.data)
             met = np.flatnonzero(counts)
-            self._met[k] = np.append(self._met[k], count + met)
-            self._counts[k] = np.append(self._counts[k], counts[met])
+            self._columns[k] = each._replace(met=np.append(each.met, count + met),
+                                             counts=np.append(each.counts, counts[met]))
 
     def among(self, columns: IndexArray) -> Mixtures:
         """The LP over some of the routes, by their numbers."""
-        some = Mixtures(self._groups)
-        some.loss, some.ambushers, some.limit = self.loss, self.ambushers, self.limit
-        some._near = self._near
-        for k in columns.tolist():
-            some.routes.append(self.routes[k])
-            some._met.append(self._met[k])
-            some._counts.append(self._counts[k])
-            some._reduced_cost.append(self._reduced_cost[k])
-            some._group.append(self._group[k])
-            some._between.append(self._between[k])
+        some = copy(self)
+        some._unit, some._known = 0.0, set()
+        some._columns = [self._columns[k] for k in columns.tolist()]
         return some
 
     def losses(self, shares: FloatArray) -> FloatArray:
         """Mean loss (S,) that each site causes a mixture."""
-        known = len(shares)  # routes may have joined since
-        sites, counts = (np.concatenate(each[:known]) for each in (self._met, self._counts))
-        weight = np.repeat(shares, list(map(len, self._met[:known]))) * counts
-        return self.loss * np.bincount(sites, weight, len(self.loss))
+        known = self._columns[: len(shares)]  # routes may have joined since
+        weight = np.concatenate([share * each.counts
+                                 for share, each in zip(shares, known, strict=True)])
+        return self.loss * sums(np.concatenate([each.met for each in known]), weight,
+                                len(self.loss))
 
     def caps(self, shares: FloatArray, gap: float) -> FloatArray:
         """Caps (S,): loss that each site may cause; the k largest add up to the mixture's value.
@@ -137,12 +141,8 @@ class Mixtures:
 
         Its prices are how much each budget counts in it.
         """
-        reduced_cost = np.array(self._reduced_cost).T
-        rows = np.column_stack((reduced_cost, -np.ones(len(reduced_cost))))
-        cost, each = np.zeros(rows.shape[1]), np.ones((1, rows.shape[1]))
-        cost[-1], each[0, -1] = 1.0, 0.0
-        result = _solved(highs.LP(cost, csr_matrix(rows), np.zeros(len(reduced_cost)),
-                                       csr_matrix(each), np.ones(1)), highs.OPTIMALITY[0], math.inf)
+        costs = csr_matrix(self._reduced_costs)
+        result = self._solve_on(costs, 1, costs[:0], highs.OPTIMALITY[0], math.inf)
         weights = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
         return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
                        np.zeros((self._groups, len(self.loss))), weights)
@@ -153,7 +153,8 @@ class Mixtures:
         A site has a row in the LP once its losses have come near the value. Raises TimeLimit
         at ``deadline`` (``time.monotonic``), or SolverFailed.
         """
-        group, near, cap = np.array(self._group), self._near.ravel(), math.inf
+        group = np.array([each.group for each in self._columns])
+        near, cap, costs = self._near.ravel(), math.inf, csr_matrix(self._reduced_costs)
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > NEGLIGIBLE * most else most
@@ -163,7 +164,7 @@ class Mixtures:
             largest = np.sort(losses)[-self.ambushers :]
             if cap < math.inf or not near.any():
                 near = near | (losses > min(NEAR * largest.min(initial=math.inf), cap))
-            result = self._solve_on(hit[near], group, precision, deadline)
+            result = self._solve_on(hit[near], self.ambushers, costs, precision, deadline)
             shares, cap = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
             shares /= np.bincount(group, shares)[group]
             losses = hit @ shares
@@ -175,31 +176,36 @@ class Mixtures:
         q[near], prices = np.split(duals, [np.count_nonzero(near)])
         return Mixture(self._unit, shares, q.reshape(self._groups, -1), prices * unit)
 
+    @property
+    def _reduced_costs(self) -> FloatArray:
+        """The reduced costs (B, C) of the routes."""
+        return np.array([each.reduced_cost for each in self._columns]).T
+
     def _hits(self, group: IndexArray) -> csr_matrix:
         """The loss (groups * S, C) that each route has at each site of its group."""
-        size, sites = list(map(len, self._met)), np.concatenate(self._met)
-        column, count = np.repeat(np.arange(len(size)), size), len(self.loss)
-        losses = self.loss[sites] * np.concatenate(self._counts)
+        met, count = [each.met for each in self._columns], len(self.loss)
+        sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
+        losses = self.loss[sites] * np.concatenate([each.counts for each in self._columns])
         return csr_matrix((losses, (group[column] * count + sites, column)),
-                          (self._groups * count, len(size)))
+                          (self._groups * count, len(met)))
 
-    def _solve_on(self, hit: csr_matrix, group: IndexArray, precision: float,
-                  deadline: float) -> OptimizeResult:
-        """Solve the LP with the rows (R, C) of some sites."""
-        (rows, count), extra = hit.shape, hit.shape[0] * (self.ambushers > 1)
+    def _solve_on(self, hit: csr_matrix, ambushers: int, reduced_costs: csr_matrix,
+                  precision: float, deadline: float) -> OptimizeResult:
+        """Solve the LP with the rows (R, C) of some sites, and those of the budgets (B, C)."""
+        (rows, count), extra = hit.shape, hit.shape[0] * (ambushers > 1)
         limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
                                     -identity(rows, format='csr')[:, :extra]]))
-        reduced_cost = csr_matrix(np.array(self._reduced_cost).T)
-        reduced_cost.resize(reduced_cost.shape[0], limits.shape[1])
-        begin, end = np.array(self._between).T
+        costs = reduced_costs.copy()
+        costs.resize(costs.shape[0], limits.shape[1])
+        begin, end = np.array([each.between for each in self._columns]).T
         stops, inner = end.max(), np.flatnonzero(end < end.max())
         flow = csr_matrix((np.append(np.ones(count), -np.ones(len(inner))),
                            (np.append(begin, end[inner]), np.append(np.arange(count), inner))),
                           (stops, limits.shape[1]))
-        cost = np.repeat([0.0, self.ambushers, 1.0], [count, 1, extra])
-        bounds = np.repeat([0.0, self.limit], [rows, reduced_cost.shape[0]])
-        return _solved(highs.LP(cost, csr_matrix(vstack([limits, reduced_cost])), bounds, flow,
-                                     np.eye(1, stops)[0]), precision, deadline)
+        objective = np.repeat([0.0, ambushers, 1.0], [count, 1, extra])
+        bounds = np.repeat([0.0, self.limit], [rows, costs.shape[0]])
+        return _solved(highs.LP(objective, csr_matrix(vstack([limits, costs])), bounds, flow,
+                                np.eye(1, stops)[0]), precision, deadline)
 
 
 def _solved(lp: highs.LP, precision: float, deadline: float) -> OptimizeResult:
