@@ -124,7 +124,7 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
     start = np.zeros(len(limits))
     found = maximize_entropy(acyclic, scaled, np.zeros(scaled.shape[1]), start,
-                             Accuracy(-1.0, 5e-4, 1e-5), NEVER)
+                             Accuracy(-1.0, 5e-4), NEVER)
     most = most_route_entropy(network, acyclic.edge, rows, limits)
     if found.infeasible:
         assert np.isnan(most)
@@ -146,11 +146,11 @@ def test_infeasible_limits_are_proved_infeasible(network, tightness, heaviest):
     out = (network.tails[acyclic.edge] == network.source) / tightness
     weights = np.random.default_rng(0).uniform(0.0, heaviest, len(acyclic.edge))
     found = maximize_entropy(acyclic, csr_matrix(out), weights, np.zeros(1),
-                             Accuracy(0.0, 5e-4, 1e-5), NEVER)
+                             Accuracy(0.0, 5e-4), NEVER)
     assert found.infeasible
     # And limits that can be kept are never called infeasible.
     kept = maximize_entropy(acyclic, csr_matrix(out * tightness), weights, np.zeros(1),
-                            Accuracy(1e-9, 5e-4, 1e-5), NEVER)
+                            Accuracy(1e-9, 5e-4), NEVER)
     assert not kept.infeasible and kept.violation <= 1e-9
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from test_routes import games
 
-from ambush_planner import GameOptions, Network, StrategyOptions
+from ambush_planner import GameOptions, Network, SolverFailed, StrategyOptions, TimeLimit
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
 from ambush_planner.game.route_sampler import route_entropy
@@ -101,6 +101,20 @@ def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     entropy = route_entropy(network, p)
     assert entropy <= of_places + 1e-9
     assert entropy >= of_places - math.log(len(routes.routes) + 1.0) - 1e-9
+
+
+def test_a_search_says_why_it_ended_last():
+    game = make_game(_bridges(), GameOptions(secured_radius=0.0))
+    budgets = make_budgets(game, StrategyOptions(max_detour=math.inf))
+    search = Search(SearchProblem(game, budgets, SLACK, math.inf),
+                    Routes(game, budgets, 1e-3, math.inf), SLACK)
+    for error, reason in ((SolverFailed(''), 'solver'), (None, 'stalled'), (TimeLimit(''), 'time')):
+        with search.keep_incumbent():
+            if error:
+                raise error
+        assert search.reason == reason
+    search.go_on_until(math.inf, math.inf)
+    assert search.reason == 'stalled'
 
 
 def _bridges():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The value with a reach, against all routes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from games import (
@@ -22,6 +24,7 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
+from ambush_planner.game.ambusher import Ambusher
 from ambush_planner.game.certificate.best_response import TripNetworks, best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import entry_value
@@ -77,7 +80,7 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     met = np.array([(game.hits[:, route].getnnz(axis=1) > 0) for route in routes])
     over = np.array([budgets[0].reduced_cost[route].sum() - budgets[0].slack for route in routes])
     costs = met @ (game.loss * q)[game.sites] + price * over
-    bound = best_response(game, q, budgets, (price,))
+    bound = best_response(game, Ambusher(q, (price,)), budgets)
     assert bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
     # A search that is cut short proves no more.
     base, dual_weights = price * budgets[0].reduced_cost, (game.loss * q)[None, game.sites]
@@ -96,6 +99,15 @@ def test_a_route_that_comes_back_to_a_disc_is_hit_once():
     strategy = solve(network, GameOptions(ambush_radius=1.0), EXACT)
     assert entry_value(strategy.game, strategy.edge_probability) == pytest.approx(6.0)
     assert strategy.value == pytest.approx(3.0) and strategy.lower_bound == pytest.approx(3.0)
+
+
+def test_places_may_be_numbered_in_any_order():
+    network = terrain_network(3, cells=12)
+    places = np.random.default_rng(1).permutation(len(network.points))
+    one, other = (solve(each, GameOptions(ambush_radius=2.0))
+                  for each in (network, replace(network, places=places)))
+    assert other.reason == 'complete'
+    assert other.lower_bound == pytest.approx(one.lower_bound, rel=1e-3)
 
 
 @examples(12)

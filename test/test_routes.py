@@ -20,7 +20,6 @@ from ambush_planner import (
     StrategyOptions,
     TimeLimit,
 )
-from ambush_planner.game.ambusher import on_nodes
 from ambush_planner.game.certificate.best_response import best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
@@ -85,7 +84,8 @@ def test_the_bound_is_below_every_mixture_and_the_value_is_one(seed, stops, reac
     check(found, budgets, least)
     # The judge reproduces the bound.
     binding = tuple(b for b in budgets if b.binds)
-    judged = best_response(game, on_nodes(game, found.by_leg), binding, found.prices)
+    him = found.ambusher(game, np.ones(len(game.sites), dtype=bool))
+    judged = best_response(game, him, binding)
     assert judged >= found.bound * (1.0 - 1e-9) - 1e-12
     if reach == 0.0 and stops == 0:
         assert found.value <= found.bound * (1.0 + GAP) + 1e-9

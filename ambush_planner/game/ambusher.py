@@ -56,6 +56,15 @@ class Ambusher:
             if not price >= 0.0:
                 raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
 
+    def paid(self, game: Game, budgets: tuple[Budget, ...]) -> tuple[FloatArray, float]:
+        """What each edge (M,) pays for the budgets, and what they are worth to the convoy."""
+        cost, worth = np.zeros(len(game.network.edges)), 0.0
+        for budget, price in zip(budgets, self.prices, strict=True):
+            if price > 0.0:
+                cost = cost + price * budget.reduced_cost
+                worth += price * budget.slack
+        return cost, worth
+
 
 def padded(shares: FloatArray, count: int) -> FloatArray:
     """Shares (..., K) of the first sites as those (..., count) of all, 0 for the others."""

@@ -70,18 +70,19 @@ def find_chain(search: Search) -> Incumbent | None:
     It is found in rounds around the LP's flow; each strategy on the way counts. Rounds can lead to
     a chain from which no distribution keeps the limits of sites that joined: then they begin again.
     """
-    lp, distribution, before = search.lp, _distribution_around(search, search.lp.flow), 0.0
+    lp, distribution, before = search.lp, _around_flow(search), 0.0
     best: Incumbent | None = None
     end, begin = search.problem.deadline, time.monotonic()
     latest = begin + CHAIN.rounds * (end - begin)
-    distribution.measure(search.caps())
     if search.problem.site_search is None:  # otherwise other sites may cost the flow more
         best = search.better(best, distribution)
     for _ in range(ROUNDS):
-        distribution.deadline = end if best and best.rating[0] else latest
-        late = time.monotonic() > distribution.deadline
-        found, feasible = None, not late and distribution.round()
-        if not feasible and (late or not distribution.rounds):
+        distribution.deadline = end if best and best.good else latest
+        if time.monotonic() > distribution.deadline:
+            break
+        found, feasible = None, distribution.round()
+        search.evaluations += distribution.evaluations
+        if not feasible and not distribution.rounds:
             break
         if feasible:
             above = ceiling(lp.bound, CHAIN.joining * search.slack)
@@ -93,27 +94,23 @@ def find_chain(search: Search) -> Incumbent | None:
         if not feasible or (found and lp.bound == 0.0):
             # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
             # without edges that they hit.
-            search.evaluations += distribution.evaluations
-            distribution = _distribution_around(search, lp.flow)
-            distribution.measure(search.caps())
+            distribution = _around_flow(search)
             continue
         distribution.measure(search.caps())
         best = search.better(best, distribution)
         grew, before = distribution.entropy > before * (1.0 + CHAIN.growth), distribution.entropy
-        kept = best is not None and best.rating[0]  # one that was over a budget is not
+        kept = best is not None and best.good  # one that was over a budget is not
         if distribution.good and (distribution.exact or kept and not grew):
             break
-    search.evaluations += distribution.evaluations
-    if best and not best.rating[0]:
+    if best and not best.good:
         find_flow(search, ROUNDS)
-        distribution = _distribution_around(search, lp.flow)
-        distribution.measure(search.caps())
-        best = search.better(best, distribution)
+        best = search.better(best, _around_flow(search))
     return best
 
 
-def _distribution_around(search: Search, flow: FloatArray) -> RouteDistribution:
-    problem = search.problem
+def _around_flow(search: Search) -> RouteDistribution:
+    """The LP's flow as the first strategy of rounds."""
+    problem, flow = search.problem, search.lp.flow
     game = _noticeable(search, flow)
     safe = game.avoiding(search.entering) if search.lp.bound == 0.0 else None
     if safe and not flow[~safe.playable].any():  # no route is hit at all
@@ -130,6 +127,7 @@ def _distribution_around(search: Search, flow: FloatArray) -> RouteDistribution:
         prices = zip(problem.warm.budgets, problem.budgets, strict=True)
         distribution.start_from(problem.warm.sites[search.game.sites],
                                 np.array([price for price, b in prices if b.binds]), search.caps())
+    distribution.measure(search.caps())
     return distribution
 
 

@@ -73,7 +73,8 @@ class ExposedEdges:
         self._tails, self._from_exposed = network.points[tails], exposed[tails]
         self._at_tail = self._from_exposed & (parts.begin == self._tails).all(axis=1)
         self._length = np.hypot(*(parts.end - parts.begin).T)
-        self._begins = _begins(parts, self._length, self._at_tail)
+        self._longest = float(self._length.max(initial=0.0))
+        self._tree = cKDTree(parts.begin)
 
     def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
         """(K, M): what edges count that bring a route into the discs of radius ``reach`` [m].
@@ -85,8 +86,7 @@ class ExposedEdges:
         rows = [csr_matrix((0, self._count))]
         for first in range(0, len(centres), _CENTRES_AT_ONCE):
             some = centres[first : first + _CENTRES_AT_ONCE]
-            part, site, unsure = _close_pairs(self._begins, some, reach, self._length,
-                                              self._at_tail)
+            part, site, unsure = self._close_pairs(some, reach)
             enters = self._enters(part, some[site], reach, unsure)
             places = site[enters], self._parts.edge[part[enters]]
             rows.append(csr_matrix((np.ones(len(places[0])), places), (len(some), self._count)))
@@ -94,6 +94,22 @@ class ExposedEdges:
         found.data[:] = self._counts[found.indices]  # once, however many exposed parts
         found.eliminate_zeros()
         return found
+
+    def _close_pairs(self, centres: FloatArray,
+                     reach: float) -> tuple[IndexArray, IndexArray, IndexArray]:
+        """(part, centre) pairs that may meet, without parts that the route enters the disc before.
+
+        They begin at an exposed node in the disc. The third array has the indices of the pairs
+        whose part may begin in the disc all the same.
+        """
+        far = (reach + self._longest) * (1.0 + ROUNDING)
+        pairs = self._tree.sparse_distance_matrix(cKDTree(centres), far, output_type='ndarray')
+        part, centre, distance = pairs['i'], pairs['j'], pairs['v']
+        at_tail = self._at_tail[part]
+        near = distance <= (reach + self._length[part]) * (1.0 + ROUNDING)
+        near &= ~(at_tail & (distance < reach * (1.0 - ROUNDING)))
+        unsure = ~at_tail | (distance <= reach * (1.0 + ROUNDING))
+        return part[near], centre[near], np.flatnonzero(unsure[near])
 
     def _enters(self, part: IndexArray, centre: FloatArray, reach: float,
                 unsure: IndexArray) -> BoolArray:
@@ -148,59 +164,6 @@ def _inside_interval(tail: FloatArray, head: FloatArray,
     half = np.sqrt(np.maximum(rest, 0.0))
     met = (rest > 0.0) & (middle - half < 1.0) & (middle + half > 0.0)
     return np.where(met, middle - half, 1.0), np.where(met, middle + half, 1.0)
-
-
-class _Begins(NamedTuple):
-    """Where parts begin: ``points`` (P, 2), each with its parts ``order[first : first + parts]``.
-
-    ``longest`` is the length of its longest part [m]; ``at_tails``: all of them begin at an exposed
-    node.
-    """
-
-    points: FloatArray
-    order: IndexArray
-    first: IndexArray
-    parts: IndexArray
-    longest: FloatArray
-    at_tails: BoolArray
-
-
-def _begins(parts: _Parts, length: FloatArray, at_tail: BoolArray) -> _Begins:
-    """Group the parts (K,), of which there are about six for each place, by where they begin."""
-    points, place = np.unique(parts.begin, axis=0, return_inverse=True)
-    place = place.ravel()
-    count = np.bincount(place, minlength=len(points))
-    longest = np.zeros(len(points))
-    np.maximum.at(longest, place, length)
-    others = np.bincount(place, weights=~at_tail, minlength=len(points))
-    return _Begins(points, np.argsort(place, kind='stable'), np.cumsum(count) - count, count,
-                   longest, others == 0.0)
-
-
-def _close_pairs(begins: _Begins, centres: FloatArray, reach: float, length: FloatArray,
-                 at_tail: BoolArray) -> tuple[IndexArray, IndexArray, IndexArray]:
-    """(part, centre) pairs that may meet; without parts that begin at an exposed node in the disc.
-
-    The edge before such a part has brought the route there. The third array has the indices of the
-    pairs whose part may begin in the disc all the same.
-    """
-    if not len(length):
-        return (np.empty(0, dtype=np.int64),) * 3
-    far = (reach + float(length.max())) * (1.0 + ROUNDING)
-    pairs = cKDTree(begins.points).sparse_distance_matrix(cKDTree(centres), far,
-                                                          output_type='ndarray')
-    place, centre, distance = pairs['i'], pairs['j'], pairs['v']
-    near = distance <= (reach + begins.longest[place]) * (1.0 + ROUNDING)
-    near &= ~(begins.at_tails[place] & (distance < reach * (1.0 - ROUNDING)))
-    place, centre, distance = place[near], centre[near], distance[near]
-    count = begins.parts[place]
-    each = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    part = begins.order[np.repeat(begins.first[place], count) + each]
-    centre, distance = np.repeat(centre, count), np.repeat(distance, count)
-    near = distance <= (reach + length[part]) * (1.0 + ROUNDING)
-    near &= ~(at_tail[part] & (distance < reach * (1.0 - ROUNDING)))
-    unsure = ~at_tail[part] | (distance <= reach * (1.0 + ROUNDING))
-    return part[near], centre[near], np.flatnonzero(unsure[near])
 
 
 def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:

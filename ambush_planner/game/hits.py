@@ -15,9 +15,7 @@ from ..arrays import FloatArray, IndexArray
 from .distribution.acyclic import is_acyclic
 from .distribution.chain import chain_of
 from .game import Game
-
-# Most sites whose probabilities are computed before the others are screened again.
-_SITES_AT_ONCE = 64
+from .slack import sum_of_largest
 
 
 def worst_loss(game: Game, p: FloatArray) -> float:
@@ -58,14 +56,12 @@ def largest(bounds: FloatArray, exact: Callable[[IndexArray], FloatArray],
     k = min(k, len(bounds))
     order = np.argsort(-bounds, kind='stable')
     order = order[bounds[order] > 0.0]
-    found = np.zeros(len(bounds))
-    least, done, size = 0.0, 0, max(8, k)
-    while done < len(order) and bounds[order[done]] > least:
-        some = order[done : done + size]
+    found, least, done = np.zeros(len(bounds)), 0.0, 0
+    while k and done < len(order) and bounds[order[done]] > least:
+        some = order[done : 2 * done + k]  # twice as many
         found[some] = exact(some)
         done += len(some)
-        size = min(2 * size, _SITES_AT_ONCE)
-        least = float(np.partition(found, -k)[-k]) if k else np.inf
+        least = float(np.partition(found, -k)[-k])
     some = np.argsort(-found, kind='stable')[:k]
     return found[some], some
 
@@ -93,8 +89,7 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 def entry_value(game: Game, p: FloatArray) -> float:
     """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
-    losses = game.site_losses(p)
-    return float(np.sort(losses)[len(losses) - min(game.ambushers, len(losses)) :].sum())
+    return sum_of_largest(game.site_losses(p), game.ambushers)
 
 
 def hits_can_differ(game: Game) -> bool:

@@ -46,8 +46,8 @@ def worst_informant(strategy: Strategy) -> Informant | None:
         return None
     chain = chain_of(game.network, p)
     rows, alpha = chain.network.columns(game.hits), game.loss[game.sites]
-    hits = chain.hits(rows)
-    some = np.flatnonzero((hits > ROUNDING) & (hits < 1.0 - ROUNDING))
+    hits, passing = chain.hits(rows), chain.hits((rows > 0.0).astype(np.float64))
+    some = np.flatnonzero((passing > ROUNDING) & (passing < 1.0 - ROUNDING))
     some = some[:: -(-len(some) // MAX_PLACES) or 1]
     if not len(some):
         return None
@@ -61,7 +61,7 @@ def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatAr
           ambushers: int) -> float:
     """Mean loss if the ambusher knows whether ``site`` is hit.
 
-    ``rows`` (S, m) are the edges that enter each disc, ``hits`` (S,) is how likely it is hit.
+    ``rows`` (S, m) are what edges count that enter each disc, ``hits`` (S,) what it is hit.
     """
     clear, share = chain.avoiding(rows[site].indices)
 
@@ -73,6 +73,6 @@ def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatAr
 
     # Entries bound the hits.
     without = np.minimum(rows @ (share * clear.p), share)
-    along = np.minimum(rows @ np.maximum(chain.p - share * clear.p, 0.0), hits[site])
+    along = np.minimum(rows @ np.maximum(chain.p - share * clear.p, 0.0), 1.0 - share)
     return sum(float(largest(alpha * most, exact, ambushers)[0].sum())
                for most, exact in ((without, missed), (along, passed)))

@@ -12,6 +12,7 @@ from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, NoRoute
 from .ambusher import Ambusher, at_nodes
 from .budget import Budget, least_cost
+from .certificate.best_response import NEGLIGIBLE
 from .certificate.certificate import Certificate, lower_bound
 from .faces import Circulation
 from .game import Game, SecuredPlace, make_game
@@ -86,5 +87,5 @@ def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
     # With a length weight, the weighted sum is minimal and sets the scale.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
     gap = strategy.value / ceiling(1.0, options.slack) - strategy.lower_bound
-    scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
+    scale = max(strategy.value + weighed, NEGLIGIBLE * float(strategy.game.loss.max(initial=0.0)))
     return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0

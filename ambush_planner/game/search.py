@@ -24,7 +24,7 @@ from .faces import Faces
 from .game import Game
 from .hits import worst_loss
 from .layered_graph import LayeredGraph
-from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, within
+from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, sum_of_largest, within
 from .strategy import Multipliers, Strategy, strategy_of
 from .value.routes import Progress, no_progress
 
@@ -164,6 +164,11 @@ class Incumbent:
     layers: LayeredGraph | None = None
     rating: tuple[bool, float] = (False, -np.inf)
 
+    @property
+    def good(self) -> bool:
+        """Whether it is within the slack."""
+        return self.rating[0]
+
 
 class Search:
     """A problem, an LP for its value, and the sites that are known so far.
@@ -188,11 +193,14 @@ class Search:
             self.reason = 'time'
         except SolverFailed:
             self.reason = 'solver'
+        else:
+            if self.reason == 'solver':
+                self.reason = 'stalled'
 
     def go_on_until(self, deadline: float, judged: float) -> None:
         """Move the ends of the search and of its judge (``time.monotonic``)."""
         self.problem = replace(self.problem, deadline=deadline, judged=judged)
-        self.lp.deadline = deadline
+        self.lp.deadline, self.reason = deadline, 'stalled'
 
     def join_worst(self, drawn: Drawn, above: float, apart: float,
                    rough: bool = False) -> FoundSites | None:
@@ -217,10 +225,10 @@ class Search:
 
     def caps(self) -> FloatArray:
         """What each site (S,) may cause; the k largest add up to the value at a slack of 0."""
-        caps, k = self.lp.caps, min(self.game.ambushers, len(self.loss))
-        if not k or not caps.any():
+        caps = self.lp.caps
+        if not caps.any():
             return caps
-        value = float(np.sort(caps)[-k:].sum())
+        value = sum_of_largest(caps, self.game.ambushers)
         least = ceiling(value, FLOW_SLACK * self.slack) / ceiling(1.0, self.slack)
         most = max(self.lp.bound, least)
         return caps * (most / value)
@@ -233,11 +241,9 @@ class Search:
         if best and rating <= best.rating or not self.problem.keeps_budgets(
                 chain.uses(len(self.game.playable))):
             return best
-        # With a reach, the rows are those of the chain before.
-        most = distribution.entropy_bound if distribution.exact else np.nan
         self.problem.progress(value, self.lp.bound)
         return Incumbent(chain, value, distribution.worst, *distribution.unscaled_multipliers(),
-                         most, layers, rating)
+                         distribution.entropy_bound, layers, rating)
 
     def strategy(self, best: Incumbent | None) -> Strategy:
         """The best strategy, by default the LP's, with its value at any place.

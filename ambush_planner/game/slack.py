@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a value counts as near enough to its lower bound."""
+"""What ambushes cost together, and when that counts as near enough to its lower bound."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from ..arrays import ROUNDING
+import numpy as np
+
+from ..arrays import ROUNDING, FloatArray
 
 # Why a search ended: its value is within the slack of the bound, the time was up, a numerical
 # solver failed, or no method finds a better strategy or bound.
@@ -14,7 +16,12 @@ Reason = Literal['complete', 'time', 'solver', 'stalled']
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
 # Least slack of a search, so that it ends within the tolerance if none is asked for.
-MIN_SLACK = 0.9 * CERTIFICATE_TOLERANCE
+MIN_SLACK = 0.5 * CERTIFICATE_TOLERANCE
+
+
+def sum_of_largest(losses: FloatArray, count: int) -> float:
+    """What as many ambushers cost: the sum of the ``count`` largest of some losses (S,)."""
+    return float(np.sort(losses)[max(len(losses) - count, 0) :].sum())
 
 
 def ceiling(bound: float, slack: float) -> float:

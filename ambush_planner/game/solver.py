@@ -208,7 +208,7 @@ def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> P
     game, binding = problem.game, problem.binding
     if game.ambushers > 1 or len(binding) > 1 or game.options.loads:
         return None
-    faces, budget = make_faces(game), (*binding, problem.budgets[0])[0]
+    faces, budget = make_faces(game), binding[0] if binding else problem.budgets[0]
     if faces is None or not faces.same_both_ways(budget.cost):
         return None
     return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)

@@ -37,7 +37,7 @@ class StrategyOptions:
         'interior_point' and 'simplex': the paper's linear program by HiGHS' interior point method
         without crossover or by its dual simplex method; their solutions may have cycles.
     max_detour
-        Limit of the expected length, as a multiple of the shortest route's; ``inf``: no limit.
+        Limit of the expected length, as a multiple of ``shortest_length``; ``inf``: no limit.
         The most unpredictable strategy usually uses all of it.
     max_exposure
         Limit of the expected exposure (the integral of alpha along the route), as a multiple of
@@ -200,7 +200,10 @@ class Strategy(Shown):
 
     @property
     def shortest_length(self) -> float:
-        """Length of the whole network's shortest route [m or s]."""
+        """Length of the shortest way over the ground, or on the network [m or s].
+
+        The latter if that over the ground is not known (``Network.ground_length``).
+        """
         return self.budgets[0].least
 
     @property

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from typing import NamedTuple
@@ -49,7 +50,9 @@ def find_mixture(search: Search, lp: Routes) -> None:
     """Let sites join a mixture of routes, then prove its value: a proof takes seconds."""
     begin, end = time.monotonic(), search.problem.deadline
     if not lp.planar and search.game.reach > 0.0 and end < math.inf:
-        _prove_until(search, lp, begin + TRIP.proof * (end - begin))
+        lp.deadline = begin + TRIP.proof * (end - begin)
+        with contextlib.suppress(TimeLimit, SolverFailed):
+            lp.prove_by_legs(end)
     lp.deadline = begin + (1.0 - 2.0 * TRIP.proof) * (end - begin)
     with search.keep_incumbent():
         if lp.planar:
@@ -68,19 +71,14 @@ def find_mixture(search: Search, lp: Routes) -> None:
             if within(lp.value, before, FLOW_SLACK / 2.0 * search.slack):  # the bound may be near
                 lp.prove_by_legs()
         apart, before = max(apart / 2.0, ROUTES.apart), lp.value
-    if time.monotonic() > lp.deadline:
-        _prove_until(search, lp, begin + (1.0 - TRIP.proof) * (end - begin))
-    else:
-        with search.keep_incumbent():
-            lp.prove_by_legs()
+    late = time.monotonic() > lp.deadline
+    if late:
+        lp.deadline = begin + (1.0 - TRIP.proof) * (end - begin)
+    with search.keep_incumbent():
+        lp.prove_by_legs(end)
+        if not late:
             lp.solve()
     lp.deadline = end
-
-
-def _prove_until(search: Search, lp: Routes, deadline: float) -> None:
-    lp.deadline = deadline
-    with search.keep_incumbent():
-        lp.prove_by_legs()
 
 
 def find_trip(search: Search, lp: Routes) -> Incumbent | None:
@@ -142,11 +140,14 @@ def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers:
         distribution.measure(few.caps(shares, lp.gap) * share)
         best = search.better(best, distribution, layers)
         done = distribution.rounds and distribution.good
-        if done or search.problem.late or not distribution.round() or search.problem.late:
-            break  # a round that is cut short costs much at other sites
+        if done or search.problem.late:
+            break
+        feasible = distribution.round()
+        search.evaluations += distribution.evaluations
+        if not feasible or search.problem.late:  # a round cut short costs much at other sites
+            break
         found = search.join_worst(distribution.chain, limit, ROUTES.apart)
         if found:
             distribution.add_sites(found.entering, found.alpha)
             few.add_sites(found.entering, found.alpha)
-    search.evaluations += distribution.evaluations
     return best

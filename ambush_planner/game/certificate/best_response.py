@@ -5,8 +5,8 @@ For q >= 0 and prices of the budgets, the least of
 
     sum over sites j that the route meets of q_j alpha_j + sum over budgets of price * reduced cost
 
-over all routes, less price * room, bounds from below what any strategy within the budgets can
-reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
+over all routes, less price * budget slack, bounds from below what any strategy within the budgets
+can reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
 node, label A dominates label B if A costs no more than B even after paying for every site that only
 B has met: whatever follows, A ends no worse. Many labels at a node may not dominate each other, so
 a search keeps only a few of them. A further label replaces the one most similar to it, and counts
@@ -33,12 +33,13 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from ...arrays import BoolArray, FloatArray, IndexArray
+from ..ambusher import Ambusher
 from ..budget import Budget
 from ..game import Game
 
 # For each search, the most labels that it keeps at a node, and the comparisons of labels after
 # which it stops: a second or two each. The cost reached by then is still a lower bound.
-SEARCHES = tuple((kept, 3_000_000) for kept in (1, 9, 81, math.inf))
+SEARCHES = tuple((9.0**k, 3_000_000) for k in (0, 1, 2, math.inf))
 Searches = Sequence[tuple[float, int]]
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
@@ -46,23 +47,18 @@ _ROUNDING = 1e-12
 NEGLIGIBLE = 1e-7
 
 
-def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
-                  prices: Sequence[float] | FloatArray,
-                  deadline: float = math.inf) -> float:
-    """A lower bound of what any strategy costs against q with each site counted once.
+def best_response(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
+                  deadline: float = math.inf, enough: float = math.inf) -> float:
+    """A lower bound of what any strategy costs against an ambusher with each site counted once.
 
-    It is as great as the searches prove until ``deadline`` (``time.monotonic``).
-
-    q is (N,) by node; or (stops + 1, N) by the leg for which the ambusher waits, and the node.
+    It is as great as the searches prove until ``deadline`` (``time.monotonic``), or ``enough``.
     """
-    base, paid = np.zeros(len(game.network.edges)), 0.0
-    for budget, price in zip(budgets, prices, strict=True):
-        if price > 0.0:
-            base = base + price * budget.reduced_cost
-            paid += price * budget.slack
-    dual_weights = game.loss[game.sites] * [game.at_sites(each) for each in np.atleast_2d(q)]
-    least, _ = TripNetworks(game, game.hits).least_cost(base, dual_weights, SEARCHES, deadline)
-    return max(least - paid, 0.0)
+    base, worth = ambusher.paid(game, budgets)
+    waits = ambusher.q[None] if ambusher.by_leg is None else ambusher.by_leg
+    dual_weights = game.loss[game.sites] * [game.at_sites(each) for each in waits]
+    least, _ = TripNetworks(game, game.hits).least_cost(base, dual_weights, SEARCHES, deadline,
+                                                        enough + worth)
+    return max(least - worth, 0.0)
 
 
 class Leg(NamedTuple):
@@ -109,13 +105,16 @@ class TripNetworks:
                           for end in ends]
 
     def least_cost(self, base: FloatArray, dual_weights: FloatArray, searches: Searches,
-                   deadline: float = math.inf) -> tuple[float, IndexArray | None]:
+                   deadline: float = math.inf,
+                   enough: float = math.inf) -> tuple[float, IndexArray | None]:
         """A lower bound of the least base cost (M,) plus dual weights (stops + 1, S); a route near.
 
-        If the ambusher waits for several legs, the bound and the route are those of the legs.
+        If the ambusher waits for several legs, the bound and the route are those of the legs, else
+        a bound of ``enough`` ends the searches.
         """
         if np.count_nonzero(dual_weights.any(axis=1)) < 2:
-            return self.whole.least_cost(base, dual_weights.sum(axis=0), searches, deadline)
+            return self.whole.least_cost(base, dual_weights.sum(axis=0), searches, deadline,
+                                         enough)
         ways: dict[int, IndexArray | None] = {}
 
         def cost(k: int) -> float:

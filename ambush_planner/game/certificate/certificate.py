@@ -11,8 +11,9 @@ prices >= 0,
 
 where an edge's reduced cost is how much it lengthens (or exposes) the route beyond the best one,
 and the slack is the budget minus the best route's cost. The left side follows from p (``hits``),
-the right side is a shortest path (``best_response``); neither depends on the solver that found p, q
-and the prices.
+the right side is a shortest path if no route can come back to a site, else labels
+(``best_response``) or closed curves (``curves``) bound it from below. Neither depends on the solver
+that found p, q and the prices.
 """
 
 from __future__ import annotations
@@ -31,9 +32,6 @@ from ..game import Game
 from ..hits import hits_can_differ, worst_loss
 from .best_response import best_response
 from .curves import curve_bound
-
-# Largest imbalance of the flow at a node: ten times what solvers round to.
-CONSERVATION_TOLERANCE = 10.0 * ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +80,14 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
 
     By the closed curves of his circulation if he has one, else by the best response, as far as that
     is found by ``deadline`` (``time.monotonic``). ``faces`` are the network's, if they are known.
-    The proof by curves ends at a bound of ``enough``. Raises SolverFailed if he is no ambusher of
-    the game.
+    The proof ends at a bound of ``enough``. Raises SolverFailed if he is no ambusher of the game.
     """
     ambusher.check(game, budgets)
     game = game.without_layers()  # whatever can be driven can be driven on the trip's own nodes
     if not hits_can_differ(game):
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:
-        waits = ambusher.q if ambusher.by_leg is None else ambusher.by_leg
-        return best_response(game, waits, budgets, ambusher.prices, deadline)
+        return best_response(game, ambusher, budgets, deadline, enough)
     same = faces is not None and len(faces.link) == len(game.network.edges)
     faces = replace(faces, game=game) if faces and same else make_faces(game)
     used = [k for k, price in enumerate(ambusher.prices) if price > 0.0]
@@ -108,11 +104,8 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
     """The bound by the route of least cost if every entry is counted: one Dijkstra."""
-    weights, paid = game.mean_loss_on_edges(ambusher.q), 0.0
-    for budget, price in zip(budgets, ambusher.prices, strict=True):
-        if price > 0.0:
-            weights = weights + price * budget.reduced_cost
-            paid += price * budget.slack
+    weights, paid = ambusher.paid(game, budgets)
+    weights = weights + game.mean_loss_on_edges(ambusher.q)
     return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
 
 
@@ -125,7 +118,7 @@ def _check_flow(game: Game, p: FloatArray) -> None:
     balance[network.source] -= 1.0
     balance[network.target] += 1.0
     residual = float(np.abs(balance).max())
-    if not residual <= CONSERVATION_TOLERANCE:
+    if not residual <= ROUNDING:
         raise SolverFailed(f'p is not a flow from source to target: residual {residual:.1e}')
     if p[~game.playable].any():
         raise SolverFailed('p uses edges that are not playable')

@@ -56,7 +56,9 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: Floa
     fits = np.minimum(dual_weights, passed) / np.where(passed > 0.0, passed, 1.0)
     inside = np.where(given.flow > 0.0, given.flow * fits[given.site], given.flow)
     site, row = np.unique(given.site, return_inverse=True)
-    entering = csr_matrix(game.hits[np.searchsorted(game.sites, site)])
+    row_of = np.zeros(len(dual_weights), dtype=np.int64)
+    row_of[game.sites] = np.arange(len(game.sites))
+    entering = csr_matrix(game.hits[row_of[site]])
     arcs = _arcs(faces, np.clip(given.through, -most, most), inside, entering, row.ravel(),
                  given.face)
     once, used, winding = _curves(arcs)

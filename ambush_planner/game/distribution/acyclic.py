@@ -19,7 +19,7 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ...arrays import FloatArray, IndexArray
+from ...arrays import ROUNDING, FloatArray, IndexArray
 from ...network.network import Network
 from ...network.shortest_paths import edge_matrix
 from ..game import Game
@@ -30,7 +30,7 @@ def order_potential(game: Game) -> FloatArray:
     network, edges = game.network, game.network.edges[game.playable]
     driven = np.unique(edges)
     lengths = network.lengths[game.playable]
-    conductance = 1.0 / np.maximum(lengths, 1e-9 * float(lengths.mean()) or 1.0)
+    conductance = 1.0 / np.maximum(lengths, ROUNDING * float(lengths.mean()) or 1.0)
     place = np.full(game.node_count, -1)
     place[driven] = np.arange(len(driven))
     tail, head = place[edges].T
@@ -45,10 +45,9 @@ def order_potential(game: Game) -> FloatArray:
         rows = laplacian.tocsr()[place[inner]]
         pull = -rows[:, [place[network.target]]].toarray().ravel()
         system = rows[:, place[inner]].tocsc()
-        # The system is positive definite, so diagonal pivots keep the order with the least
-        # fill-in. Narrow panels are the fastest when there is so little of it.
+        # The system is positive definite: diagonal pivots keep the order with the least fill-in.
         factor = splu(system, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, relax=1,
-                      panel_size=4, options={'SymmetricMode': True})
+                      options={'SymmetricMode': True})
         potential[inner] = factor.solve(pull)
     return potential
 

@@ -34,22 +34,21 @@ class EntropySearch(NamedTuple):
     evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
     newton_limits: int = 500  # that Newton's method moves at once
     damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
-    max_weight: float = 1e16  # of an edge; beyond, sums along a route lose all decimals
-    max_scaled: float = 1e10  # multiplier in a line search; enough to prove limits infeasible
+    max_weight: float = 1.0 / np.finfo(float).eps  # of an edge: sums along a route lose all digits
+    max_scaled: float = 1.0 / ROUNDING  # multiplier in a line search: proves limits infeasible
 
 
 ENTROPY = EntropySearch()
 
 
 class Accuracy(NamedTuple):
-    """When a search ends: the share by which limits may be exceeded, and two more, in nats.
+    """When a search ends: the share by which limits may be exceeded, and the missing entropy.
 
-    These are the missing entropy and the gain of a round of both methods, as shares of 1 + value.
+    The latter as a share of 1 + value [nats].
     """
 
     excess: float
     missing: float
-    gain: float
 
 
 class _SearchEnded(Exception):
@@ -129,8 +128,9 @@ class _DualSearch:
     def run(self, start: FloatArray) -> None:
         """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
         self.quasi_newton(start)
-        before = np.inf
-        while self.least < before - self.accuracy.gain * (1.0 + abs(self.least)):
+        # If evaluations gain less than this each, a round of them does not find what is missing.
+        before, gain = np.inf, self.accuracy.missing / ENTROPY.evaluations
+        while self.least < before - gain * (1.0 + abs(self.least)):
             before = self.least
             self.newton()
             self.quasi_newton(self.found.multipliers)
@@ -146,7 +146,7 @@ class _DualSearch:
 
         most = ENTROPY.evaluations  # and correction pairs
         fmin_l_bfgs_b(function, start / self.unit, bounds=[(0.0, None)] * len(start), m=most,
-                      factr=5.0, pgtol=1e-12, maxfun=most, maxiter=most)
+                      factr=0.0, pgtol=0.0, maxfun=most, maxiter=most)
 
     def newton(self) -> None:
         """Take damped Newton steps while they gain, in a limited number of limits.
@@ -186,9 +186,9 @@ def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,
                   damping: float) -> FloatArray:
     """Step (K,) to the minimum of the damped model that keeps v + step >= 0."""
     diagonal = np.diag(hessian)
-    damped = hessian + np.diag(damping * (diagonal + 1e-3 * diagonal.mean()))
+    damped = hessian + np.diag(damping * np.maximum(diagonal, damping * diagonal.mean()))
     step, free = np.zeros(len(v)), np.ones(len(v), dtype=bool)
-    for _ in range(6):
+    while free.any():
         inner = np.flatnonzero(free)
         try:
             factor = cho_factor(damped[np.ix_(inner, inner)])
@@ -201,6 +201,4 @@ def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,
             break
         step[below] = -v[below]
         free &= ~below
-        if not free.any():
-            break
     return np.maximum(step, -v)

@@ -23,6 +23,8 @@ from ...arrays import FloatArray, IndexArray, sums
 from ...network.network import Network
 from .triangular import Recursion
 
+# Partition functions below this, or above its inverse, are scaled by their logarithms.
+TINY = float(np.finfo(float).tiny / np.finfo(float).eps)
 # Right sides of one triangular solve: bounds its memory, and they stay in the processor's cache.
 CHUNK = 32
 
@@ -80,7 +82,7 @@ class AcyclicNetwork:
             share /= partition[self.tail]
         if not partition.min() > 0.0:
             share[partition[self.tail] <= 0.0] = 0.0
-        self._log_scale = self._log_scale + np.log(np.maximum(partition, 1e-290))
+        self._log_scale = self._log_scale + np.log(np.maximum(partition, TINY))
         p = self._forward(share)[self.tail]
         p *= share
         return float(self._log_scale[0]), p, share
@@ -117,7 +119,7 @@ class AcyclicNetwork:
             if not np.isfinite(factor).all():
                 return None
             partition = self._behind(factor, last)
-        good = np.isfinite(partition).all() and partition[0] > 1e-280 and partition.max() < 1e280
+        good = np.isfinite(partition).all() and partition[0] > TINY and partition.max() < 1.0 / TINY
         return (factor, partition) if good else None
 
     def _exact_choice(self, weights: FloatArray) -> FloatArray:

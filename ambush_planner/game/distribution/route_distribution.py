@@ -9,7 +9,7 @@ before: it maximises
 
     H(p) + w sum of p ln(share before),    share: the probability of an edge at its tail,
 
-with the weight w of the past (greater later, as rounds can swing back and forth).
+with the weight w of the past.
 Where rounds stand still, the chain before is the new one, so p has the greatest entropy (theory.md,
 Proposition 8.5). Where no route can meet a site twice, the rows are exact for every chain, and one
 round does it.
@@ -25,7 +25,7 @@ from scipy.sparse import csr_matrix, diags, vstack
 
 from ...arrays import FloatArray
 from ..budget import Budget, budget_rows
-from ..slack import ceiling, within
+from ..slack import ceiling, sum_of_largest, within
 from .chain import NO_FLOW, MarkovChain
 from .entropy_search import Accuracy, maximize_entropy
 from .gibbs import AcyclicNetwork
@@ -36,14 +36,12 @@ class DistributionRounds(NamedTuple):
 
     aim: float = 0.95  # share of the slack that a distribution uses, if rows are always exact
     early_aim: float = 0.7  # the same if rows are exact only at the chain before
-    # How accurate a round is, and a rough one; the excess is a share of the slack, or of the
-    # missing entropy if that is less.
-    accuracy: Accuracy = Accuracy(0.04, 5e-4, 1e-5)
-    early_accuracy: Accuracy = Accuracy(0.2, 1e-2, 1e-3)
+    # How accurate a round is, and a rough one; here, the excess is a share of the slack, and at
+    # most the missing entropy.
+    accuracy: Accuracy = Accuracy(0.04, 5e-4)
+    early_accuracy: Accuracy = Accuracy(0.2, 1e-2)
     near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
     past: float = 0.5  # weight of the cross entropy to the chain before, after the first round
-    later_past: float = 0.8  # the same after ``swings`` rounds
-    swings: int = 8
 
 
 DISTRIBUTION = DistributionRounds()
@@ -53,10 +51,12 @@ class RouteDistribution:
     """Rounds on one acyclic network, from a first strategy p (m,).
 
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
-    ``caps`` (S,) are what each site may cause; the k largest add up to the limit of the value.
-    ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
-    and budgets. If it is ``rough``, rounds from a chain that is not within the slack are less
-    accurate, as sites will join; on layers of a trip that costs more than it gains.
+    Sites have losses (S,) and edges (S, M) that enter their discs. ``caps`` (S,) are what each may
+    cause; the k largest add up to the limit of the value. If rows are ``exact`` for every chain,
+    ``entropy_bound`` [nats] is the most that the whole slack and the budgets allow, else NaN. If it
+    is ``rough``, rounds from a chain that is not within the slack are less accurate, as sites will
+    join; on layers of a trip that costs more than it gains. ``evaluations`` are those of the latest
+    round.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
@@ -66,7 +66,7 @@ class RouteDistribution:
         self.chain = MarkovChain(network, p)
         self.deadline, self._k, self._rough = deadline, ambushers, rough
         self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
-        self._tolerance = min(DISTRIBUTION.accuracy.excess * slack, DISTRIBUTION.accuracy.missing)
+        self._tolerance = self._accuracy(DISTRIBUTION.accuracy).excess
         binding = [b for b in budgets if b.binds]
         # A distribution may exceed its limits by the tolerance, but not a budget.
         self._budget_slack = np.array([b.slack * (1.0 - self._tolerance) for b in binding])
@@ -98,29 +98,19 @@ class RouteDistribution:
     def measure(self, caps: FloatArray) -> None:
         """Find the value of p, and rows that are exact at p, for new ``caps`` (S,)."""
         self.caps, limit = caps, caps / self._loss
-        self._capped_value = self._sum_of_largest(caps)
-        counts = self._entering.getnnz(axis=1)
-        self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
-        hits = self._most_hits(self.chain)
+        self._capped_value = sum_of_largest(caps, self._k)
+        self._could = np.flatnonzero((self._entering.getnnz(axis=1) > 0) & (limit < 1.0))
+        hits = np.asarray(np.minimum(self._entering @ self.chain.p, 1.0))
         self._near = near = self._could[hits[self._could] > DISTRIBUTION.near * limit[self._could]]
         self._rows = self._entering[near]
         if not self.exact:
             hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
         losses, self.entropy = self._loss * hits, self.chain.entropy
-        self.value = self._sum_of_largest(losses)
+        self.value = sum_of_largest(losses, self._k)
         self.worst = int(losses.argmax()) if len(losses) else -1
 
-    def _most_hits(self, chain: MarkovChain) -> FloatArray:
-        """Bounds (S,) of the hits, from the entries."""
-        return np.asarray(np.minimum(self._entering @ chain.p, 1.0))
-
-    def _sum_of_largest(self, losses: FloatArray) -> float:
-        return float(np.sort(losses)[max(len(losses) - self._k, 0) :].sum())
-
-    @property
-    def limit(self) -> float:
-        """Value at which the distribution is within the slack."""
-        return ceiling(self._capped_value, self.slack)
+    def _accuracy(self, relative: Accuracy) -> Accuracy:
+        return relative._replace(excess=min(relative.excess * self.slack, relative.missing))
 
     @property
     def good(self) -> bool:
@@ -132,33 +122,31 @@ class RouteDistribution:
 
         Returns False if no distribution is within the rows.
         """
-        near, most = self._near, self.caps * ceiling(1.0, self._aim * self.slack) / self._loss
+        self.evaluations, near = 0, self._near
+        most = self.caps * ceiling(1.0, self._aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
         if not most[sites].all():  # an LP that proved nothing allows no hits
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
-        later = 0.0 if self.exact or not self.rounds else (
-            DISTRIBUTION.past if self.rounds <= DISTRIBUTION.swings else DISTRIBUTION.later_past)
+        later = DISTRIBUTION.past if self.rounds and not self.exact else 0.0
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
-        accuracy = DISTRIBUTION.accuracy._replace(excess=self._tolerance)
-        if self._rough and not self.exact and not (self.good and self.rounds):
-            accuracy = DISTRIBUTION.early_accuracy
-            accuracy = accuracy._replace(excess=accuracy.excess * min(self.slack, accuracy.missing))
+        early = self._rough and not self.exact and not (self.good and self.rounds)
+        accuracy = self._accuracy(DISTRIBUTION.early_accuracy if early else DISTRIBUTION.accuracy)
         limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
         found = maximize_entropy(self.network, limits, past, start, accuracy, self.deadline)
-        self.evaluations += found.evaluations
+        self.evaluations = found.evaluations
         if found.infeasible or not len(found.p):
             return False
         # Where rounds stand still, the chain before stands for this share of the multipliers.
         multipliers = found.multipliers / (1.0 - later)
         self.multipliers, self.prices = np.zeros(len(self._loss)), multipliers[len(sites) :]
         self.multipliers[sites] = multipliers[: len(sites)]
-        whole = np.append(
-            np.full(len(sites), ceiling(1.0, self.slack) / ceiling(1.0, self._aim * self.slack)),
-            np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
-        log_z = self.network.distribution(limits.T @ multipliers)[0]
-        self.entropy_bound = log_z + float(whole @ multipliers)
+        if self.exact:
+            whole = ceiling(1.0, self.slack) / ceiling(1.0, self._aim * self.slack)
+            log_z = self.network.distribution(limits.T @ multipliers)[0]
+            self.entropy_bound = float(log_z + whole * self.multipliers.sum()
+                                       + self.prices.sum() / (1.0 - self._tolerance))
         self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1
         return True

@@ -14,7 +14,7 @@ from ...arrays import FloatArray, IndexArray
 
 try:
     from scipy.sparse._sparsetools import csr_matvecs
-except ImportError:
+except ImportError:  # it is private, a version of scipy may lack it
     csr_matvecs = None
 
 
@@ -37,23 +37,10 @@ class Recursion:
 
     def add_rows(self, entries: FloatArray, y: FloatArray, begin: int, end: int) -> None:
         """Add the rows ``begin`` to ``end`` - 1 of A y to y, one by one; entries sorted by row."""
-        if IN_PLACE:
+        if csr_matvecs:
             csr_matvecs(end - begin, len(y), y.size // len(y), self._first[begin : end + 1],
                         self._column, entries, y.ravel(), y[begin:end].ravel())
             return
         for row in range(begin, end):
             some = slice(self._first[row], self._first[row + 1])
             y[row] += entries[some] @ y[self._column[some]]
-
-
-def _goes_row_by_row() -> bool:
-    """Whether scipy's product, a private function, still works in place."""
-    y, index = np.array([1.0, 0.0, 0.0]), np.array([0, 0, 1, 2, 0, 1], dtype=np.intc)
-    try:
-        csr_matvecs(3, 3, 1, index[:4], index[4:], np.ones(2), y, y)
-    except (TypeError, ValueError):
-        return False
-    return bool(y.min() == 1.0)
-
-
-IN_PLACE = _goes_row_by_row()

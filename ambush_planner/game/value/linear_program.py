@@ -14,6 +14,7 @@ from ...arrays import ROUNDING, FloatArray, IndexArray
 from ...errors import BudgetInfeasible, InvalidOption
 from ..ambusher import Ambusher, at_nodes
 from ..budget import BUDGET_TOLERANCE, Budget
+from ..certificate.best_response import NEGLIGIBLE
 from ..certificate.certificate import entry_bound
 from ..distribution.chain import NO_FLOW
 from ..game import Game
@@ -27,10 +28,8 @@ if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 # Upper limit of a node's visits where its loss is so small that its row does not matter.
-MAX_VISITS = 1e6
-# The unit of loss is lowered until the value is above this many units.
-NEAR_UNIT = 1e-3
-# Values up to this many times larger or smaller than 1 are solved in the unit 1.
+MAX_VISITS = 1.0 / NEGLIGIBLE
+# Values up to this many times larger or smaller than the unit of loss are solved in this unit.
 ORDINARY = 1e2
 
 
@@ -153,9 +152,9 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
         lp = linear_program(game, length_weight, length.limit, unit)
         result = _run(lp, solver, deadline)
         value = float(result.x[-1])
-        if value > NEAR_UNIT:
+        if value > 1.0 / ORDINARY:
             break
-        unit *= max(value, NEAR_UNIT**2)
+        unit *= max(value, NEGLIGIBLE)
     return lp, result
 
 
@@ -166,7 +165,7 @@ def _conserved(lp: LinearProgram, p: FloatArray) -> FloatArray:
         missing = lp.rhs - rows @ p
         if np.abs(missing).max() < NO_FLOW:
             break
-        weight = np.maximum(p, 1e-12)
+        weight = np.maximum(p, NO_FLOW)
         change = rows.T @ spsolve((rows @ diags(weight) @ rows.T).tocsc(), missing)
         p = p + weight * np.clip(change, -0.5, 0.5)
     return np.maximum(p, 0.0)
@@ -186,13 +185,13 @@ def _ambusher(game: Game, lp: LinearProgram, result: OptimizeResult,
 def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> float:
     """A price of the length at which q (N,) proves more than at the LP's.
 
-    Without a price, routes over edges that are no shortest ones would lower the bound.
+    Without one, routes over edges that are no shortest ones would lower the bound: the least of
+    these costs a route all that it could save.
     """
-    scale = entry_value(game, shortest_route_strategy(game)) / length.slack
-    prices = [price, *(scale * 10.0**k for k in range(-9, 1))]
-    unlimited = replace(length, limit=np.inf, game=game)
-    return max(prices, key=lambda each: entry_bound(game, Ambusher(q, (each, 0.0)),
-                                                    (length, unlimited)))
+    longer = length.reduced_cost[length.reduced_cost > ROUNDING * length.limit]
+    enough = entry_value(game, shortest_route_strategy(game)) / longer.min(initial=np.inf)
+    return max((price, float(enough)),
+               key=lambda each: entry_bound(game, Ambusher(q, (each,)), (length,)))
 
 
 def _run(lp: LinearProgram, solver: str, deadline: float) -> OptimizeResult:

@@ -23,6 +23,7 @@ from scipy.sparse import csr_matrix, hstack, identity, vstack
 from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..certificate.best_response import NEGLIGIBLE
+from ..slack import sum_of_largest
 from . import highs
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ class Mixtures:
 
     def value(self, shares: FloatArray) -> float:
         """The sum of the k largest losses."""
-        return float(np.sort(self.losses(shares))[len(self.loss) - self.ambushers :].sum())
+        return sum_of_largest(self.losses(shares), self.ambushers)
 
     def flow(self, shares: FloatArray, edges: int) -> FloatArray:
         """Expected uses (M,) of the edges."""

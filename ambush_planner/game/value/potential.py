@@ -247,7 +247,7 @@ class Potential:
         ambush = np.bincount(self._site[joined], flow / 2.0 / loss, len(self._loss))
         total, gain = float(ambush.sum()), float(np.abs(self._bridges).sum()) - found.cost
         self._potential = found.potential[: self.faces.count]
-        endless = bool((flow > 0.99 * POTENTIAL.endless).any())
+        endless = bool((flow > POTENTIAL.endless * (1.0 - ROUNDING)).any())
         if gain <= 1.0 + self._precision and not endless:
             self._kept = self._potential
         proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0

@@ -78,7 +78,7 @@ class Routes:
         That of the mixture found.
     by_leg : (stops + 1, S)
         The ambusher who proves the bound: how likely he waits at each site for each leg. What he
-        proves is ``best_response(game, by_leg, budgets, prices)``.
+        proves is the ``best_response`` to him.
     prices : (binding budgets,)
         His prices of the budgets [loss per unit of cost].
     routes, shares
@@ -96,7 +96,7 @@ class Routes:
                  progress: Progress = no_progress, planar: Potential | None = None) -> None:
         self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
         self.planar, self._by_planar = planar, False
-        self._progress, self._end = progress, deadline
+        self._progress = progress
         self._newest: Mixture | None = None  # of the legs
         binding = [b for b in budgets if b.binds]
         shares = [np.minimum(b.reduced_cost / b.slack, 1.0 / NEGLIGIBLE) for b in binding]
@@ -345,8 +345,11 @@ class Routes:
         ends = [(network.tails[way[0]], network.heads[way[-1]]) for way in ways]
         return self._networks.trip(ends), ways
 
-    def prove_by_legs(self) -> None:
-        """Improve the bound by the LP in which each leg has sites of its own."""
+    def prove_by_legs(self, end: float = -math.inf) -> None:
+        """Improve the bound by the LP in which each leg has sites of its own.
+
+        If none is proved by the deadline, its newest ambusher proves one until ``end``.
+        """
         if self.planar:
             self._prove_by_potential(self.planar)
             return
@@ -359,7 +362,7 @@ class Routes:
             self._solve_legs()
         except TimeLimit:
             if self._newest and self.bound == 0.0:
-                self._proof_by_legs(self._newest)
+                self._proof_by_legs(self._newest, end)
             raise
 
     def add_level_lines(self, count: int) -> None:
@@ -395,7 +398,11 @@ class Routes:
         """Solve the legs' LP in rounds, in which ways join, until its value is proved."""
         precision, self._newest = ROUTES.loose, None
         centre: Mixture | None = None
-        quick = self._add_entering_ways if self.game.reach > 0.0 else self._proof_by_legs
+
+        def prove(mixture: Mixture) -> int:
+            return self._proof_by_legs(mixture, self.deadline)
+
+        quick = self._add_entering_ways if self.game.reach > 0.0 else prove
         for rounds in itertools.count():
             mixture, added = self._of_legs.solve(precision, self.deadline), 0
             if not mixture.q.any():  # no site needs to be met
@@ -409,7 +416,7 @@ class Routes:
             was_tight = precision == ROUTES.tight
             precision = precision if added else ROUTES.tight
             if not added or _proved(rounds):
-                added += self._proof_by_legs(mixture)
+                added += prove(mixture)
             if (self._ended() or within(mixture.value, self.bound, self.gap / 2.0)
                     or was_tight and not added):
                 return
@@ -421,15 +428,15 @@ class Routes:
         return sum(self._add_way(k, leg.network.shortest(base, dual_weights[leg.number]))
                    for k, leg in enumerate(self._legs))
 
-    def _proof_by_legs(self, mixture: Mixture) -> int:
-        """Note the bound of a mixture's ambusher; return the number of new ways."""
+    def _proof_by_legs(self, mixture: Mixture, end: float) -> int:
+        """Note what a mixture's ambusher proves by ``end``; return the number of new ways."""
         q, prices = self._ambusher(mixture, ROUTES.small_on_leg * (self.game.reach > 0.0))
         base, dual_weights, added = prices @ self.reduced_cost, q * self.loss, 0
 
         def cost(k: int) -> float:
             nonlocal added
             network, own = self._legs[k].network, dual_weights[self._legs[k].number]
-            low, way = network.least_cost(base, own, LEG_SEARCH, self._end)
+            low, way = network.least_cost(base, own, LEG_SEARCH, end)
             added += self._add_way(k, network.shortest(base, own) if way is None else way)
             return low
 
