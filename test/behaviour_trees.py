@@ -94,7 +94,7 @@ class Fallback(Sequence):
     stop, end = SUCCESS, FAILURE
 
 
-class ReactiveSequence(Sequence):
+class ReactiveFallback(Fallback):
     """Asks all children again at each tick."""
 
     def step(self):
@@ -108,10 +108,6 @@ class ReactiveSequence(Sequence):
             if status == self.stop:
                 return self.finish(status)
         return self.finish(self.end)
-
-
-class ReactiveFallback(ReactiveSequence):
-    stop, end = SUCCESS, FAILURE
 
 
 class PipelineSequence(Sequence):
@@ -205,7 +201,7 @@ class RateController(Decorator):
 
 # Children of each control node, None for any number from 1 on.
 CONTROLS = {each.__name__: (each, count) for each, count in (
-    (Sequence, None), (Fallback, None), (ReactiveSequence, None), (ReactiveFallback, None),
+    (Sequence, None), (Fallback, None), (ReactiveFallback, None),
     (PipelineSequence, None), (RoundRobin, None), (RecoveryNode, 2), (Inverter, 1),
     (ForceSuccess, 1), (KeepRunningUntilFailure, 1), (RateController, 1))}
 CONTROLS |= {'Script': (Script, 0), 'ScriptCondition': (Script, 0)}

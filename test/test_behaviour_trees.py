@@ -11,9 +11,6 @@ from behaviour_trees import FAILURE, RUNNING, SUCCESS, Tree
 ROOT = Path(__file__).resolve().parent.parent
 POSE = (ROOT / 'config/ambush_tree.xml').read_text()
 POSES = (ROOT / 'config/ambush_tree_through_poses.xml').read_text()
-# As Nav2's trees do: what the controller ends is the end.
-NAIVE = re.sub(r'<Fallback name="Drive">.*?(<RecoveryNode.*?</RecoveryNode>).*?</Fallback>', r'\1',
-               POSE.replace('\n', ' '), count=1)
 TICK, SPEED = 2.0**-7, 2.0  # s, m/s
 OCCUPIED, NO_PATH, STUCK = 206, 208, 105
 
@@ -152,14 +149,6 @@ def test_success_is_reported_only_at_the_newest_goal(tree, solve):
         world = World(solve)
         assert world.run(tree, [10.0], [(at, [-5.0]), (at + 0.7, [4.0])]) == SUCCESS
         assert world.place == 4.0, at
-
-
-def test_a_tree_that_ends_with_its_controller_reports_what_was_not_driven():
-    """Which is why the trees do not: 2 s before the old goal, with a solve of 3 s and one of 1."""
-    for solve, driven in (3.0, 10.0), (0.9, 30.0):
-        world = World(solve)
-        assert world.run(NAIVE, [10.0], [(solve + 3.0, [30.0])]) == SUCCESS
-        assert world.place == driven
 
 
 def test_stops_are_passed_and_left_out_of_later_requests():
