@@ -32,7 +32,7 @@ from ambush_planner.maps.risk_map import RiskMap
 
 from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
 from .report import NAMES
-from .results import METHOD_3, SOLVERS, Results, Say
+from .results import METHOD_3, SECURED, SOLVERS, WEIGHTED, Results, Say
 
 # Share of the busiest square's visits below which a square gets no arrow.
 MIN_SHARE = 2e-3
@@ -83,13 +83,13 @@ def _solvers(results: Results) -> Figure:
 
 def _energy(results: Results) -> Figure:
     title = f'{METHOD_3}, interior point\n0.99 z + 0.01 E minimised'
-    return _rows(results.risk_map, [(title, results.weighted)])
+    return _rows(results.risk_map, [(title, results.variants[WEIGHTED])])
 
 
 def _secured_area(results: Results) -> Figure:
     title = f'{METHOD_3}, max_entropy\nsecured area: {SECURED_RADIUS:g} m around the ends'
-    figure = _rows(results.risk_map, [(title, results.secured)])
-    _draw_sites(figure.axes[0], results.secured)
+    figure = _rows(results.risk_map, [(title, results.variants[SECURED])])
+    _draw_sites(figure.axes[0], results.variants[SECURED])
     figure.legend(handles=[OBSTACLE, SITES], **LEGEND)
     return figure
 

@@ -20,6 +20,7 @@ from .results import (
     WEIGHTED,
     Results,
     Spread,
+    site_count,
 )
 
 NAMES = dict(zip(SOLVERS, ('interior point (LP)', 'simplex (LP)', 'max_entropy (ours)'),
@@ -106,9 +107,9 @@ def _table_2(results: Results) -> Iterable[Comparison]:
 
 
 def _table_3(results: Results) -> Iterable[Comparison]:
-    rows = [results.planner(name) for name in (STOCHASTIC, SHORTEST, SAFEST)]
-    random, shortest, safest = rows
-    paper = [row.paper or () for row in rows]
+    names = STOCHASTIC, SHORTEST, SAFEST
+    rows = random, shortest, safest = [results.table_3[name] for name in names]
+    paper = [PAPER_MEASURES[name] for name in names]
 
     def order(statement: str, of: Sequence[int], column: int, holds: bool) -> Comparison:
         fields = ('expected_length', 'p_first', 'p_repeated', 'v_repeated')
@@ -133,7 +134,7 @@ def _table_3(results: Results) -> Iterable[Comparison]:
     )
     for k in (1, 2):
         yield order(
-            f'Table III: V_inf, stochastic < {rows[k].planner}',
+            f'Table III: V_inf, stochastic < {names[k]}',
             (0, k),
             3,
             random.v_repeated < rows[k].v_repeated,
@@ -147,7 +148,7 @@ def _table_3(results: Results) -> Iterable[Comparison]:
 
 
 def _secondary_objectives(results: Results) -> Iterable[Comparison]:
-    random, weighted = (results.planner(name) for name in (STOCHASTIC, WEIGHTED))
+    random, weighted = (results.table_3[name] for name in (STOCHASTIC, WEIGHTED))
     raw, light = results.spread(METHOD_3, 'interior_point'), results.spread(METHOD_3, WEIGHTED)
     yield Comparison(
         '0.99 / 0.01: E falls, near to the shortest',
@@ -162,7 +163,7 @@ def _secondary_objectives(results: Results) -> Iterable[Comparison]:
         f'{raw.high_alpha_share:.0%} to {light.high_alpha_share:.0%} of the visits',
         light.high_alpha_share > raw.high_alpha_share,
     )
-    values = [random.v_repeated, *(row.value for row in results.table_thresholds)]
+    values = [random.v_repeated, *(each.value for each in results.thresholds.values())]
     yield Comparison(
         f"alpha threshold {', '.join(f'{t:g}' for t in THRESHOLDS)}: the loss never falls",
         'bottlenecks (figure 7)',
@@ -178,7 +179,7 @@ def _differences(results: Results) -> Iterable[Comparison]:
         yield _same_order(f'Methods 2 and 3: edge entropy, {NAMES[solver]}',
                           (two.paper_edge_entropy, three.paper_edge_entropy),
                           (two.edge_entropy, three.edge_entropy))
-    random, shortest, safest = map(results.planner, (STOCHASTIC, SHORTEST, SAFEST))
+    random, shortest, safest = (results.table_3[name] for name in (STOCHASTIC, SHORTEST, SAFEST))
     paper, here = (PAPER_MEASURES[STOCHASTIC][0] / PAPER_MEASURES[SHORTEST][0],
                    random.expected_length / shortest.expected_length)
     yield Comparison('Table III: E, stochastic over shortest', f'{paper:.1f} times',
@@ -197,7 +198,7 @@ def _same_order(statement: str, paper: Sequence[float], here: Sequence[float]) -
 
 def _ours(results: Results) -> Iterable[Comparison]:
     """Claims about our own strategy, on the same networks."""
-    networks = list(results.networks)
+    networks = {network for network, _ in results.strategies}
 
     def everywhere(statement: str, test: Callable[[Spread, Spread, Spread], bool]) -> Comparison:
         held = [
@@ -248,14 +249,14 @@ def table_3(results: Results) -> str:
     head = ('planner', 'E', "paper's", 'P_1', "paper's", 'P_inf', "paper's", 'V_inf', "paper's",
             'route entropy', f'routes of {DRAWS}')
     rows = []
-    for row in results.table_3:
+    for name, row in results.table_3.items():
         numbers = (row.expected_length, row.p_first, row.p_repeated, row.v_repeated)
-        paper = row.paper or (None,) * 4
+        paper = PAPER_MEASURES.get(name, (None,) * 4)
         cells = [
             text for ours, theirs in zip(numbers, paper, strict=True)
             for text in (f'{ours:.2f}', _number(theirs))
         ]
-        rows.append((row.planner, *cells, *_spread_cells(results, row.planner)))
+        rows.append((name, *cells, *_spread_cells(results, name)))
     return _table(head, rows)
 
 
@@ -269,8 +270,8 @@ def _spread_cells(results: Results, planner: str) -> tuple[str, str]:
 def threshold_table(results: Results) -> str:
     """Value and number of ambush sites as the alpha threshold falls, as a Markdown table."""
     rows = [
-        (f'{row.alpha_threshold:g}', f'{row.value:.3f}', f'{row.sites}')
-        for row in results.table_thresholds
+        (f'{threshold:g}', f'{strategy.value:.3f}', f'{site_count(strategy)}')
+        for threshold, strategy in results.thresholds.items()
     ]
     return _table(('alpha threshold', 'value', 'ambush sites'), rows)
 

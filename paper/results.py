@@ -13,7 +13,7 @@ from ambush_planner.game.solver import solve
 from ambush_planner.game.strategy import Strategy, StrategyOptions
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.network.network import Network
-from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.planning.evaluation import Measures, evaluate
 
 from .environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
 
@@ -79,66 +79,38 @@ class Spread:
     paper_edge_entropy: float | None = None
 
 
-@dataclass(frozen=True)
-class PlannerRow:
-    """A planner's row of table III; ``paper`` holds the paper's values as far as published."""
-
-    planner: str
-    expected_length: float
-    p_first: float
-    p_repeated: float
-    v_repeated: float
-    paper: tuple[float | None, ...] | None
-
-
-@dataclass(frozen=True)
-class ThresholdRow:
-    """Value and number of ambush sites without nodes whose alpha exceeds ``alpha_threshold``."""
-
-    alpha_threshold: float
-    value: float
-    sites: int
-
-
 @dataclass(frozen=True, eq=False)
 class Results:
-    """All strategies by name, and the rows of the tables."""
+    """All strategies by name, and what is measured of them.
+
+    ``strategies`` are by network and solver, ``variants`` of ours and of the paper's by name, and
+    ``thresholds`` those without nodes whose alpha exceeds a threshold.
+    """
 
     risk_map: RiskMap
-    networks: Mapping[str, Network]
     strategies: Mapping[tuple[str, str], Strategy]
-    weighted: Strategy
-    budgeted: Mapping[float, Strategy]
-    secured: Strategy
+    variants: Mapping[str, Strategy]
     thresholds: Mapping[float, Strategy]
     table_2: tuple[Spread, ...]
-    table_3: tuple[PlannerRow, ...]
+    table_3: Mapping[str, Measures]
     spread_3: tuple[Spread, ...]
-    table_thresholds: tuple[ThresholdRow, ...]
 
     def spread(self, network: str, solver: str) -> Spread:
         """Row of table II."""
         rows = (*self.table_2, *self.spread_3)
         return next(row for row in rows if (row.network, row.solver) == (network, solver))
 
-    def planner(self, name: str) -> PlannerRow:
-        """Row of table III."""
-        return next(row for row in self.table_3 if row.planner == name)
-
     def rows(self) -> dict[str, list[dict[str, object]]]:
         """All rows, ready for JSON."""
-        tables = {
-            'table_2': self.table_2,
-            'table_3': self.table_3,
-            'table_3_spread': self.spread_3,
-            'alpha_thresholds': self.table_thresholds,
+        return {
+            'table_2': [asdict(row) for row in self.table_2],
+            'table_3': [{**asdict(row), 'planner': name, 'paper': PAPER_MEASURES.get(name)}
+                        for name, row in self.table_3.items()],
+            'table_3_spread': [asdict(row) for row in self.spread_3],
+            'alpha_thresholds': [{'alpha_threshold': threshold, 'value': strategy.value,
+                                  'sites': site_count(strategy)}
+                                 for threshold, strategy in self.thresholds.items()],
         }
-        return {name: [asdict(row) for row in rows] for name, rows in tables.items()}
-
-
-def budgeted_name(max_detour: float) -> str:
-    """Name of our strategy with a length budget in table III."""
-    return f'ours, max_detour {max_detour:g}'
 
 
 def compute(risk_map: RiskMap, say: Say) -> Results:
@@ -160,32 +132,26 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
             table_2.append(_spread(name, solver, strategy))
     network = networks[METHOD_3]
     say(f'{METHOD_3}: length weight {LENGTH_WEIGHT}, budgets, alpha thresholds')
-    weighted = solve(network, options=_paper_options('interior_point', LENGTH_WEIGHT))
-    budgeted = {d: solve(network, options=_our_options(d)) for d in DETOURS}
+    variants = {
+        WEIGHTED: solve(network, options=_paper_options('interior_point', LENGTH_WEIGHT)),
+        **{f'ours, max_detour {d:g}': solve(network, options=_our_options(d)) for d in DETOURS},
+        SECURED: solve(network, GameOptions(secured_radius=SECURED_RADIUS), _our_options()),
+    }
     thresholds = {
         threshold: solve(network, GameOptions(alpha_threshold=threshold),
                          _paper_options('interior_point'))
         for threshold in THRESHOLDS
     }
-    secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS), _our_options())
-    named = {
-        WEIGHTED: weighted,
-        **{budgeted_name(d): strategy for d, strategy in budgeted.items()},
-        SECURED: secured,
+    planners = evaluate(strategies[METHOD_3, 'interior_point'])
+    table_3 = {
+        STOCHASTIC: planners['stochastic'],
+        SHORTEST: planners['energy_efficient'],
+        SAFEST: planners['risk_avoidance'],
+        **{name: evaluate(strategy)['stochastic'] for name, strategy in variants.items()},
     }
     return Results(
-        risk_map,
-        networks,
-        strategies,
-        weighted,
-        budgeted,
-        secured,
-        thresholds,
-        tuple(table_2),
-        _planner_rows(strategies[METHOD_3, 'interior_point'], named),
-        tuple(_spread(METHOD_3, name, strategy) for name, strategy in named.items()),
-        tuple(_threshold_row(threshold, s) for threshold, s in thresholds.items()),
-    )
+        risk_map, strategies, variants, thresholds, tuple(table_2), table_3,
+        tuple(_spread(METHOD_3, name, strategy) for name, strategy in variants.items()))
 
 
 def _solve(network: Network, solver: str) -> Strategy:
@@ -225,28 +191,7 @@ def distinct_routes(strategy: Strategy, draws: int) -> int:
     return len({route.tobytes() for route in strategy.sample_routes(draws, rng)})
 
 
-def _planner_rows(raw: Strategy, named: Mapping[str, Strategy]) -> tuple[PlannerRow, ...]:
-    """The paper's planners, followed by the other strategies."""
-    measures = evaluate(raw)
-    rows = {
-        STOCHASTIC: measures['stochastic'],
-        SHORTEST: measures['energy_efficient'],
-        SAFEST: measures['risk_avoidance'],
-        **{name: evaluate(strategy)['stochastic'] for name, strategy in named.items()},
-    }
-    return tuple(
-        PlannerRow(
-            name,
-            row.expected_length,
-            row.p_first,
-            row.p_repeated,
-            row.v_repeated,
-            PAPER_MEASURES.get(name),
-        )
-        for name, row in rows.items()
-    )
-
-
-def _threshold_row(threshold: float, strategy: Strategy) -> ThresholdRow:
+def site_count(strategy: Strategy) -> int:
+    """Number of places where the ambusher waits."""
     q = strategy.ambush_probability
-    return ThresholdRow(threshold, strategy.value, int((q > 1e-3 * q.max()).sum()))
+    return int((q > 1e-3 * q.max()).sum())
