@@ -9,7 +9,7 @@ from pathlib import Path
 from ..recordings import RecordedDeparture, source_findings
 from ..recordings.audit import Audit, NotAuditable, audit
 from ..recordings.durable_files import write_all_durably
-from . import cli
+from . import cli, readers
 from .report_words import leaving
 
 PICTURE = 'audit.png'
@@ -36,10 +36,10 @@ picture shows secret routes, so it has mode 0600 and a new folder 0700.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.reader_parser(
+    made = readers.reader_parser(
         'audit', 'Test recorded departures: do they follow the published strategies?', EPILOG
     )
-    cli.add_output(made, PICTURE)
+    readers.add_output(made, PICTURE)
     return made
 
 
@@ -83,8 +83,8 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if options.output:
-        cli.refuse_existing(options.output, [PICTURE], options.replace)
-    departures, unreadable = cli.read_all(options.recordings, console)
+        readers.refuse_existing(options.output / PICTURE, options.replace)
+    departures, unreadable = readers.read_all(options.recordings, console)
     result, findings, notes = audited(departures)
     if departures:
         times = [leaving(each) for each in departures]

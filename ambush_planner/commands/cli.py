@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program ``ambush`` and what its commands share: options, exit codes, private files.
+"""The program ``ambush`` and what its commands share: parsers, errors, exit codes.
 
 Each command is a module of this package with ``parser()`` and ``main(arguments)``.
 """
@@ -7,19 +7,17 @@ Each command is a module of this package with ``parser()`` and ``main(arguments)
 from __future__ import annotations
 
 import argparse
-import csv
 import importlib
-import io
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from .. import __version__
 from ..errors import (
@@ -38,9 +36,6 @@ from ..maps.coordinates import InvalidCoordinates
 from ..words import count as count
 from .console import Console as Console
 from .console import place as place
-
-if TYPE_CHECKING:
-    from ..recordings import RecordedDeparture, UnreadableRecording
 
 COMMANDS = {
     'plan': 'plan on a map: save the plan, or draw routes for a quick look',
@@ -126,30 +121,6 @@ def new_parser(command: str, description: str, epilog: str, common: Sequence[str
     return parser
 
 
-def reader_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """Return the parser of a command that reads recordings."""
-    parser = new_parser(command, description, epilog)
-    parser.add_argument('recordings', type=Path, metavar='FILE_OR_FOLDER', help='a recording, a '
-                        'session folder, or the recording.directory with all sessions')
-    return parser
-
-
-def read_all(place: Path,
-             console: Console) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
-    """Return the departures below ``place`` in order of time, and errors of unreadable files."""
-    from ..recordings import read_departures, recordings_in
-
-    errors: list[UnreadableRecording] = []
-    return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
-
-
-def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:
-    """Add the options of a command that writes files into a folder."""
-    parser.add_argument('-o', '--output', type=Path, metavar='DIR', required=required,
-                        help=f'folder for {what}; made if missing')
-    parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
-
-
 def file_of(*suffixes: str) -> Callable[[str], Path]:
     """Return a parser of file names with one of the suffixes."""
     def file(text: str) -> Path:
@@ -229,25 +200,6 @@ def _words(error: AmbushPlannerError | OSError) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f'{place(Path(error.filename))}: {error.strerror}'
     return str(error)
-
-
-def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
-    """Raise UsageError if a file with one of the names exists in the folder, unless ``replace``."""
-    for name in names:
-        if (folder / name).exists() and not replace:
-            raise UsageError(f'{place(folder / name)} exists already; add --replace, or choose '
-                             'another folder with -o')
-
-
-def as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:
-    """Return a table with numbers of nine digits; what a row lacks stays empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(columns), lineterminator='\n')
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
-                         for name, value in row.items()})
-    return text.getvalue().encode()
 
 
 def resource(name: str) -> str:

@@ -18,6 +18,7 @@ from ..words import distance
 from . import cli
 from .card_page import add_speed, card_of, card_page
 from .console import when
+from .geo_files import require_for
 
 SUFFIXES = ('.html', '.gpx', '.kml')
 DESCRIPTION = """\
@@ -66,8 +67,7 @@ def _date(text: str) -> date:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    if any(path.suffix.lower() in ('.gpx', '.kml') for path in arguments.output):
-        cli.require(('geopandas', 'gpxpy'))
+    require_for(arguments.output)
     saved = read_plan(arguments.plan)
     if saved.source and saved.map_has_changed:
         console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '

@@ -8,7 +8,7 @@ from dataclasses import replace
 from datetime import datetime, timezone
 
 from ..route_files import Drawn, write_routes
-from . import cli
+from . import cli, readers
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .positions import add_crs, crs_text
 from .report_words import leaving
@@ -24,7 +24,8 @@ coordinate system is the node's parameter map.crs, unless --crs or --datum names
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.reader_parser('export', 'Write recorded routes to files for a GPS or a GIS.', EPILOG)
+    made = readers.reader_parser(
+        'export', 'Write recorded routes to files for a GPS or a GIS.', EPILOG)
     add_outputs(made)
     add_crs(made)
     return made
@@ -32,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     check_outputs(options.output, console)
-    departures, unreadable = cli.read_all(options.recordings, console)
+    departures, unreadable = readers.read_all(options.recordings, console)
     for error in unreadable:
         console.error(error)
     if not departures:

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..recordings.durable_files import write_all_durably
 from ..route_files import NEEDS, PLAN, SUFFIXES, Drawn
-from .cli import Console, as_csv, count, file_of, place, require
+from .cli import Console, count, file_of, place, require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,9 +33,14 @@ def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the rout
                         metavar='FILE', help=f'{what}: {", ".join(suffixes)}')
 
 
+def require_for(paths: Sequence[Path]) -> None:
+    """Raise MissingPackages if a package is not installed that a format of the files needs."""
+    require(sorted({name for path in paths for name in NEEDS.get(path.suffix.lower(), ())}))
+
+
 def check_outputs(paths: Sequence[Path], console: Console) -> None:
     """Raise MissingPackages if a format needs some; name the files that will be overwritten."""
-    require(sorted({name for path in paths for name in NEEDS.get(path.suffix.lower(), ())}))
+    require_for(paths)
     for path in paths:
         if path.exists():
             console.say(f'{place(path)} will be overwritten.')
@@ -44,8 +51,19 @@ def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Ma
     """Write a table to .csv files, and its picture to .png files, with mode 0600."""
     from ..map_figures import as_png
 
-    write_all_durably({path: as_csv(columns, rows) if path.suffix.lower() == '.csv' else
+    write_all_durably({path: _as_csv(columns, rows) if path.suffix.lower() == '.csv' else
                        as_png(figure()) for path in paths})
+
+
+def _as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:
+    """Return a table with numbers of nine digits; what a row lacks stays empty."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(columns), lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
+                         for name, value in row.items()})
+    return text.getvalue().encode()
 
 
 def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:

@@ -24,7 +24,7 @@ from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
 from ..recordings.durable_files import write_all_durably
 from ..words import distance, percent
-from . import cli
+from . import cli, readers
 from .inputs import options_from, planner_parser
 from .judge_figure import MIN_SHARE, judge_figure
 from .positions import places_on
@@ -93,7 +93,7 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
     if not path.is_dir() and path.suffix.lower() != '.mcap':
         yield from read_tracks(source, risk_map.crs)
         return
-    departures, unreadable = cli.read_all(path, console)
+    departures, unreadable = readers.read_all(path, console)
     if unreadable:
         raise unreadable[0]
     for each in departures:

@@ -15,7 +15,7 @@ from typing import Any
 from ..errors import AmbushPlannerError
 from ..recordings import UnreadableRecording, read_recording, recordings_in
 from ..recordings.messages import DURATIONS, Channel, fields_from_yaml
-from . import cli
+from . import cli, readers
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -48,7 +48,7 @@ class NothingToPublish(AmbushPlannerError):
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.reader_parser(
+    made = readers.reader_parser(
         'replay', 'Publish recorded departures again, for RViz or for a running planner.', EPILOG
     )
     made.add_argument('-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',

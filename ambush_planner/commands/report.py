@@ -10,7 +10,7 @@ from ..recordings import recordings_in
 from ..recordings.durable_files import write_all_durably
 from ..recordings.report_data import Section, sections_of
 from ..recordings.verify import Verifier
-from . import cli
+from . import cli, readers
 from .audit import audited
 from .report_page import Checks, page
 
@@ -29,11 +29,11 @@ fails verification.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.reader_parser(
+    made = readers.reader_parser(
         'report', 'Show recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
-    cli.add_output(made, PAGE, required=True)
+    readers.add_output(made, PAGE, required=True)
     made.add_argument('--verify', action='store_true', help='verify and audit the recordings')
     return made
 
@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
 def write_report(place: Path, output: Path, verify: bool,
                  console: cli.Console) -> tuple[cli.Exit, list[Section]]:
     """Write the page of the recordings in a file or folder; return the exit code and sections."""
-    departures, unreadable = cli.read_all(place, console)
+    departures, unreadable = readers.read_all(place, console)
     for error in unreadable:
         console.error(error)
     sections, checks = sections_of(departures), None
@@ -68,7 +68,7 @@ def write_report(place: Path, output: Path, verify: bool,
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    cli.refuse_existing(options.output, [PAGE], options.replace)
+    readers.refuse_existing(options.output / PAGE, options.replace)
     return write_report(options.recordings, options.output, options.verify, console)[0]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from ..errors import shown
 from ..recordings import recordings_in
 from ..recordings.verify import Verdict, Verifier, together
-from . import cli
+from . import cli, readers
 
 EPILOG = """\
 For each departure, checks the file's checksums, rebuilds the network from the recorded map and
@@ -33,7 +33,7 @@ Output: one line per departure with its problems below it; progress on standard 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.reader_parser(
+    made = readers.reader_parser(
         'verify', 'Check that recorded departures follow from what is recorded with them.', EPILOG,
     )
     made.add_argument('--replan', action='store_true',

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands that read recordings share: arguments, departures, a folder for one file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..recordings import RecordedDeparture, UnreadableRecording, read_departures, recordings_in
+from .cli import UsageError, new_parser
+from .console import Console, place
+
+
+def reader_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """Return the parser of a command that reads recordings."""
+    parser = new_parser(command, description, epilog)
+    parser.add_argument('recordings', type=Path, metavar='FILE_OR_FOLDER', help='a recording, a '
+                        'session folder, or the recording.directory with all sessions')
+    return parser
+
+
+def read_all(place: Path,
+             console: Console) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
+    """Return the departures below ``place`` in order of time, and errors of unreadable files."""
+    errors: list[UnreadableRecording] = []
+    return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
+
+
+def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:
+    """Add the options of a command that writes a file into a folder."""
+    parser.add_argument('-o', '--output', type=Path, metavar='DIR', required=required,
+                        help=f'folder for {what}; made if missing')
+    parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
+
+
+def refuse_existing(file: Path, replace: bool) -> None:
+    """Raise UsageError if the file exists, unless ``replace``."""
+    if file.exists() and not replace:
+        raise UsageError(f'{place(file)} exists already; add --replace, or choose another folder '
+                         'with -o')
