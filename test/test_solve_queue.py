@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solves in a real worker process: queued behind others, overtaken, withdrawn, killed."""
 
+import math
 import os
 import signal
 import subprocess
@@ -14,13 +15,14 @@ import pytest
 from handed_on import HandedOn, halt_workers, process_id
 from waiting import TIMEOUT, wait_until
 
+from ambush_planner.errors import TimeLimit
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
-from ambush_planner.worker import solve_queue
+from ambush_planner.worker import process, solve_queue
 from ambush_planner.worker.process import WorkerParent, WorkerProcess
 from ambush_planner.worker.solve_errors import SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.solve_queue import SolveQueue
@@ -136,6 +138,17 @@ def test_a_worker_of_low_priority_solves_nothing_else():
         worker.kill()
     worker.close()
     assert isinstance(solve.exception(), WorkerFailed)
+
+
+def test_a_worker_that_overruns_the_time_limit_is_killed(monkeypatch):
+    worker = HandedOn.take(None)
+    worker.solve(request(time_limit=math.inf))
+    monkeypatch.setattr(process, '_GRACE', 0.001)
+    monkeypatch.setattr(process, '_MARGIN', 0.0)
+    with pytest.raises(TimeLimit, match='no plan after max_planning_time, 600 s'):
+        worker.solve(slow_request())
+    assert not worker.alive
+    worker.close()
 
 
 def test_a_withdrawn_request_leaves_the_background_solve(queue):
