@@ -107,6 +107,6 @@ def nodes_of(folder):
             words = entry.read_bytes()
         except OSError:  # the process has just ended
             continue
-        if b'planner_node' in words and str(folder).encode() in words:
+        if b'ros.program' in words and str(folder).encode() in words:
             found.append(entry.parent.name)
     return found
