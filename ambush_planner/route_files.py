@@ -97,10 +97,8 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | int | None = None) -> Dr
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
-    if plan.risk_map is None:
-        raise InvalidOption('the plan has no risk map; make it with plan_trip')
     times = [datetime.now(timezone.utc)] * n
-    return Drawn(plan.strategy, plan.risk_map, plan.paths(n, rng), times)
+    return Drawn(plan.strategy, plan.own_map, plan.paths(n, rng), times)
 
 
 def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | None = None) -> None:

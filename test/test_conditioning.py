@@ -68,6 +68,19 @@ def test_a_strategy_with_circles_has_no_condition():
     assert share == 0.0 and not p.any()
 
 
+def test_a_rest_is_drawn_in_the_order_of_edges_on_every_machine():
+    """So that ``ambush verify`` draws the same one from the recorded entropy."""
+    count, rng = 30, np.random.default_rng(0)
+    middle, shares = rng.permutation(np.arange(1, count + 1)), rng.dirichlet(np.ones(count))
+    edges = [*((0, k) for k in middle), *((k, count + 1) for k in middle)]
+    conditioned = ConditionedStrategy(strategy_on(count + 2, edges, [*shares, *shares]))
+    lost = np.zeros(2 * count, bool)
+    for seed in range(20):
+        nodes = conditioned.draw_from(0, lost, np.random.default_rng(seed))
+        drawn = np.random.default_rng(seed).choice(count, p=shares / shares.sum())
+        assert nodes.tolist() == [0, middle[drawn], count + 1]
+
+
 @examples(15)
 @given(strategies(), st.data())
 def test_the_rest_of_a_route_has_its_conditional_probability(drawn, data):

@@ -82,9 +82,8 @@ def _chosen(arguments: argparse.Namespace) -> Card:
                              'draw a departure')
     if not 1 <= arguments.route <= (count := len(plan.few.paths)):
         raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
-    assert plan.risk_map is not None
     k = arguments.route - 1
-    return card_of(plan.few.paths[k], plan.risk_map, plan.strategy,
+    return card_of(plan.few.paths[k], plan.own_map, plan.strategy,
                    (plan.network, plan.few.routes[k]), arguments.speed, arguments.start_time)
 
 

@@ -166,16 +166,15 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
              drawn: plan_departures.DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
     """The files that were asked for, with the day in their names if there are several days."""
     plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
-    assert plan.risk_map is not None
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
         if path.suffix.lower() == '.html':
-            card = card_of(drawn.poses, plan.risk_map, plan.strategy, (plan.network, drawn.nodes),
+            card = card_of(drawn.poses, plan.own_map, plan.strategy, (plan.network, drawn.nodes),
                            arguments.speed, drawn.slot, day)
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
-            yield path, content_of(path, Drawn(plan.strategy, plan.risk_map, [drawn.poses], times,
+            yield path, content_of(path, Drawn(plan.strategy, plan.own_map, [drawn.poses], times,
                                                labels=[name]))
 
 

@@ -20,7 +20,8 @@ from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
 from ..planning.slots import mix_slots
 from ..planning.trip import ORDERS, plan_trip
-from ..recordings.plan_file import DaySlots, saved_plan
+from ..recordings.metadata import RecordedSlots
+from ..recordings.plan_file import saved_plan
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
 from ..words import distance, duration, percent
 from . import cli
@@ -115,7 +116,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if slots:
         mixture = mix_slots([plan.value] * len(slots), [plan.lower_bound] * len(slots),
                             arguments.window)
-        day = DaySlots(tuple(slots), mixture, arguments.window)
+        day = RecordedSlots.of(slots, mixture, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -127,8 +128,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     drawn = (FewDrawn(plan.strategy, risk_map, few.paths, (), few) if few else
              draw(plan, arguments.departures if quick else 0, rng))
     if day and few is None:
-        chosen = day.mixture.draw(len(drawn.paths), rng)
-        drawn = replace(drawn, slots=[slots[k] for k in chosen])
+        drawn = replace(drawn, slots=[day.drawn(rng) for _ in drawn.paths])
     write_routes(arguments.output, drawn,
                  saved_plan(plan, of_map, arguments.order, day,
                             None if arguments.terrain else arguments.map)
@@ -151,10 +151,10 @@ def _of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
                            replace(options, crs=agreed_crs(elevation.crs, options.crs)))
 
 
-def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
+def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
     strategy, few = plan.strategy, plan.few
-    value, bound = ((day.mixture.value, day.mixture.lower_bound) if day
+    value, bound = ((day.value, day.lower_bound) if day
                     else (plan.value, plan.lower_bound))
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
     console.fact('value', f'{value:.4g}: mean loss per departure if the ambusher plays optimally '
@@ -185,8 +185,7 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
             console.fact('refined', f'{values} after each round{known}, before the final strategy')
         if seen:
             where: Position = arguments.start[0]
-            assert plan.risk_map is not None
-            console.fact('informant', f'one at {where.like((seen.x, seen.y), plan.risk_map)} who '
+            console.fact('informant', f'one at {where.like((seen.x, seen.y), plan.own_map)} who '
                          f'sees whether you pass raises {strategy.value:.4g}'
                          f'{", the value at a known time," * bool(day)} to {seen.loss:.4g}, '
                          f'{seen.factor:.2f} times')
@@ -205,12 +204,12 @@ def _tell(plan: Plan, day: DaySlots | None, arguments: argparse.Namespace,
     }
 
 
-def _tell_slots(day: DaySlots, drawn: Drawn, console: cli.Console) -> None:
-    shares = dict(zip(day.times, day.mixture.shares.tolist(), strict=True))
+def _tell_slots(day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+    shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:
         console.fact('departures', ', '.join(drawn.slots))
-    console.result['slots'] = {'value': day.mixture.value, 'lower_bound': day.mixture.lower_bound,
+    console.result['slots'] = {'value': day.value, 'lower_bound': day.lower_bound,
                                'shares': shares, 'drawn': list(drawn.slots)}
 
 

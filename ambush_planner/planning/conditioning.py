@@ -8,104 +8,75 @@ the target from node i by the other edges; the next edge then has probability w_
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
-import numpy.typing as npt
 
-from ..arrays import FloatArray, IndexArray
-from ..game.distribution.acyclic import order_along
-from ..game.distribution.chain import MarkovChain, chain_of
+from ..arrays import BoolArray, FloatArray, IndexArray, sums
+from ..game.distribution.acyclic import is_acyclic
+from ..game.distribution.chain import chain_of
 from ..game.strategy import Strategy
 
 
 class ConditionedStrategy:
-    """The conditional strategies of one strategy."""
+    """The conditional strategies of one strategy; there are none if it has a cycle."""
 
     def __init__(self, strategy: Strategy) -> None:
         network, p = strategy.network, strategy.edge_probability
-        self._network, self._p = network, p
-        number, used = order_along(network, p), np.flatnonzero(p > 0.0)
-        self._order = used[:0] if number is None else used[np.argsort(number[network.tails[used]])]
-        tails = network.tails[self._order]
-        leaving = np.bincount(tails, p[self._order], len(network.points))
-        self._tails, self._heads = tails.tolist(), network.heads[self._order].tolist()
-        self._chances = (p[self._order] / leaving[tails]).tolist()
+        self._chain = chain_of(network, p) if is_acyclic(network, p) else None
+        if self._chain:
+            on = self._chain.network
+            self._nodes = np.zeros(on.count, dtype=np.int64)  # in the whole network
+            self._nodes[on.tail], self._nodes[on.head] = network.edges[on.edge].T
 
-    def avoiding(self, lost: npt.NDArray[np.bool_]) -> tuple[float, FloatArray]:
-        """Return the probability that a route avoids the edges ``lost`` (M,), and the new p (M,).
+    def avoiding(self, lost: BoolArray) -> tuple[float, FloatArray]:
+        """The probability that a route avoids the edges ``lost`` (M,), and p (M,) of those that do.
 
-        Both are 0 if no route does, or if the strategy has a cycle.
+        Both are 0 if none does.
         """
-        if not len(self._order):
+        if self._chain is None:
             return 0.0, np.zeros(len(lost))
         clear, share = self._chain.avoiding(np.flatnonzero(lost[self._chain.network.edge]))
         return share, clear.uses(len(lost))
 
-    @cached_property
-    def _chain(self) -> MarkovChain:
-        return chain_of(self._network, self._p)
+    def onwards(self, begins: FloatArray, lost: BoolArray) -> FloatArray:
+        """p (M,) of rests of routes without the edges ``lost`` (M,).
 
-    def draw_from(self, node: int, lost: npt.NDArray[np.bool_],
-                  rng: np.random.Generator) -> IndexArray | None:
+        They begin at each node with probability ``begins`` (N,). ValueError if none is clear.
+        """
+        chances = self._chances(lost)
+        if self._chain is None or not chances.any():
+            raise ValueError('no rest of a route is clear')
+        network = self._chain.network
+        visits = network.onwards.solve(chances, begins[self._nodes])
+        if visits[-1] == 0.0:
+            raise ValueError('no rest of a route is clear')
+        return sums(network.edge, visits[network.tail] * chances, len(lost))
+
+    def draw_from(self, node: int, lost: BoolArray, rng: np.random.Generator) -> IndexArray | None:
         """Draw how a route goes on from ``node`` without the edges ``lost`` (M,).
 
-        Returns the nodes (K,) from there to the target; None if no route does, or if the strategy
-        has a cycle.
+        Returns the nodes (K,) from there to the target; None if no route does.
         """
-        target_share = self._target_share(lost)
-        if target_share[node] == 0.0:
+        if self._chain is None or node not in self._nodes:
             return None
-        leaving: dict[int, list[tuple[int, float]]] = {}
-        for tail, head, chance, clear in self._clear_steps(lost):
-            if clear and target_share[head] > 0.0:
-                leaving.setdefault(tail, []).append((head, chance * target_share[head]))
-        nodes = [node]
-        while nodes[-1] != self._network.target:
-            heads, weights = zip(*leaving[nodes[-1]], strict=True)
-            nodes.append(heads[int(rng.choice(len(heads), p=np.divide(weights, sum(weights))))])
-        return np.array(nodes)
+        network, chances = self._chain.network, self._chances(lost)
+        nodes = [int(np.flatnonzero(self._nodes == node)[0])]
+        while nodes[-1] < network.count - 1:
+            first, end = np.searchsorted(network.tail, (nodes[-1], nodes[-1] + 1))
+            own = first + np.flatnonzero(chances[first:end])
+            if not len(own):
+                return None
+            own = own[np.argsort(network.edge[own])]  # the same on all machines
+            weights = chances[own]
+            nodes.append(int(network.head[own[rng.choice(len(own), p=weights / weights.sum())]]))
+        return self._nodes[nodes]
 
-    def flow_after(self, node: int, lost: npt.NDArray[np.bool_]) -> FloatArray:
-        """Return p (M,) of the rests that ``draw_from`` draws; ValueError if there are none."""
-        share, visits = self._target_share(lost), [0.0] * len(self._network.points)
-        if share[node] == 0.0:
-            raise ValueError('no rest of a route is clear')
-        visits[node], flows = 1.0, []
-        for tail, head, chance, clear in self._clear_steps(lost):
-            flows.append(visits[tail] * chance * share[head] / share[tail]
-                         if clear and visits[tail] else 0.0)
-            visits[head] += flows[-1]
-        result = np.zeros(len(self._p))
-        result[self._order] = flows
-        return result
-
-    def _target_share(self, lost: npt.NDArray[np.bool_]) -> list[float]:
-        """Return Z (N,), the probability of reaching the target without the edges ``lost``."""
-        share = [0.0] * len(self._network.points)
-        share[self._network.target] = 1.0 if len(self._order) else 0.0
-        for tail, head, chance, clear in reversed(self._clear_steps(lost)):
-            if clear:
-                share[tail] += chance * share[head]
-        return share
-
-    def _clear_steps(self, lost: npt.NDArray[np.bool_]) -> list[tuple[int, int, float, bool]]:
-        """Tail, head, probability at the tail, and whether it is not lost, of each edge in use."""
-        kept = (~lost[self._order]).tolist()
-        return list(zip(self._tails, self._heads, self._chances, kept, strict=True))
-
-    def flow_from(self, p: FloatArray, begins: FloatArray) -> FloatArray:
-        """Return p (M,) of routes that begin at nodes with ``begins`` (N,) and go on as in p."""
-        visits, flows, result = begins.tolist(), [], np.zeros(len(p))
-        for tail, head, chance in zip(*self._steps(p), strict=True):
-            flows.append(visits[tail] * chance)
-            visits[head] += flows[-1]
-        result[self._order] = flows
-        return result
-
-    def _steps(self, p: FloatArray) -> tuple[list[int], list[int], list[float]]:
-        """Tails and heads of the edges in use, in order, and their probabilities at the tails."""
-        tails = self._network.tails[self._order]
-        leaving = np.bincount(tails, p[self._order], len(self._network.points))[tails]
-        chances = p[self._order] / np.where(leaving > 0.0, leaving, 1.0)
-        return self._tails, self._heads, chances.tolist()
+    def _chances(self, lost: BoolArray) -> FloatArray:
+        """How likely each of the chain's edges is at its tail (m,), on the way to the target."""
+        if self._chain is None:
+            return np.zeros(0)
+        network = self._chain.network
+        share, target = self._chain.share * ~lost[network.edge], np.zeros(network.count)
+        target[0] = 1.0
+        clear = network.backwards.solve(share, target)[::-1]
+        return np.asarray(share * clear[network.head]
+                          / np.maximum(clear, np.finfo(float).tiny)[network.tail])

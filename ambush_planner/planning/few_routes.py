@@ -111,7 +111,6 @@ def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Genera
     if no equal shares are within the budgets; TimeLimit, with the plan's strategy, if there is no
     mixture at the deadline.
     """
-    assert plan.risk_map is not None
     if not plan.strategy.value > 0.0:
         raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
                             'several')
@@ -127,7 +126,7 @@ def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Genera
             costs[0] = path_lengths(paths)
         binding = [k for k, budget in enumerate(plan.strategy.budgets) if budget.binds]
         limits = np.array([budget.limit for budget in plan.strategy.budgets])[binding, None]
-        search = _ColumnSearch(PathMixtures(plan.risk_map, plan, paths), costs[binding] / limits,
+        search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths), costs[binding] / limits,
                                equal, deadline)
         found = search.best([*(k for k in CURVE if k < most), most])
     except TimeLimit as late:

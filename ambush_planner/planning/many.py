@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many games at once, on any ``concurrent.futures.Executor``: threads, processes, a cluster.
-
-A map is much larger than the rest of a problem, and many problems share it. So problems carry only
-the map's hash; a process without the map says so and gets the problem again with the map, which it
-keeps for the next ones.
-"""
+"""Many games at once, on any ``concurrent.futures.Executor``: threads, processes, a cluster."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import pickle
-import threading
 import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -26,7 +20,7 @@ from .options import PlanningOptions
 from .plan import Plan
 from .trip import plan_quietly
 
-# Number of maps that a process keeps.
+# Number of maps that a process keeps: problems often share them.
 _KEPT_MAPS = 4
 
 
@@ -96,17 +90,16 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
     capacity = in_flight or 2 * (os.cpu_count() or 1)
     results: dict[int, Solved] = {}
     pending: dict[Future[Any], tuple[int, Problem]] = {}
-    packed: dict[RiskMap, tuple[bytes, bytes]] = {}
+    packed: dict[RiskMap, bytes] = {}
     waiting = iter(enumerate(problems))
 
-    def send(index: int, problem: Problem, with_map: bool = False) -> None:
+    def send(index: int, problem: Problem) -> None:
         if problem.risk_map not in packed:
-            packed[problem.risk_map] = _packed(problem.risk_map)
-        key, content = packed[problem.risk_map]
+            packed[problem.risk_map] = zlib.compress(pickle.dumps(problem.risk_map), 1)
         rest = (problem.start_xy, problem.goal_xy, problem.options, list(problem.stops),
                 problem.order)
         try:
-            future = executor.submit(_solve, key, content if with_map else None, rest, answer)
+            future = executor.submit(_solve, packed[problem.risk_map], rest, answer)
         except Exception as error:  # the pool broke or was shut down
             future = Future()
             future.set_exception(error)
@@ -123,9 +116,6 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
                 index, problem = pending.pop(future)
                 error = _error_of(future)
                 found = None if error else future.result()
-                if isinstance(found, _MapMissing):
-                    send(index, problem, with_map=True)
-                    continue
                 if isinstance(found, Plan):  # which was sent without its map
                     found = replace(found, risk_map=problem.risk_map)
                     for text in concerns(found):
@@ -139,12 +129,6 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
     return [results[index] for index in sorted(results)]
 
 
-def _packed(risk_map: RiskMap) -> tuple[bytes, bytes]:
-    """A map's hash and its compressed content."""
-    content = pickle.dumps(risk_map, pickle.HIGHEST_PROTOCOL)
-    return hashlib.sha256(content).digest(), zlib.compress(content, 1)
-
-
 def _error_of(future: Future[Any]) -> BaseException | None:
     try:
         return future.exception()
@@ -152,26 +136,13 @@ def _error_of(future: Future[Any]) -> BaseException | None:
         return error
 
 
-class _MapMissing:
-    """Answer of a process that does not have the map."""
+@lru_cache(_KEPT_MAPS)
+def _unpacked(content: bytes) -> RiskMap:
+    risk_map: RiskMap = pickle.loads(zlib.decompress(content))
+    return risk_map
 
 
-# Maps by hash that this process, possibly a worker, keeps for the next problems, oldest first.
-_maps: dict[bytes, RiskMap] = {}
-_maps_lock = threading.Lock()
-
-
-def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
-           answer: Callable[[Plan], Any] | None) -> Any:
-    """Solve one problem in the executor's process."""
-    with _maps_lock:
-        if content is not None:
-            _maps[key] = pickle.loads(zlib.decompress(content))
-            while len(_maps) > _KEPT_MAPS:
-                del _maps[next(iter(_maps))]
-        if key not in _maps:
-            return _MapMissing()
-        risk_map = _maps[key]
-    start_xy, goal_xy, options, stops, order = rest
-    plan = plan_quietly(risk_map, start_xy, goal_xy, options, stops, order)
+def _solve(content: bytes, rest: tuple[Any, ...], answer: Callable[[Plan], Any] | None) -> Any:
+    """Solve one problem, given by its packed map and the rest, in the executor's process."""
+    plan = plan_quietly(_unpacked(content), *rest)
     return replace(plan, risk_map=None) if answer is None else answer(plan)

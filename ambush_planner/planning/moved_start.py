@@ -67,7 +67,8 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     if plan.options.network.roads or away > REGION * plan.spacing:
         return None
     look = ground.compare(newest)
-    share, p = ground.conditioned.avoiding(look.lost | _through_start_again(network))
+    lost = look.lost | _through_start_again(network)
+    share, p = ground.conditioned.avoiding(lost)
     at = _nodes_ahead(ground, newest, ends[0], p)
     if share < MIN_CLEAR or not len(at):
         return None
@@ -79,7 +80,7 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
                     edges=np.concatenate((network.edges[kept], edges)))
 
     def flow(begins: FloatArray) -> FloatArray:
-        onwards = ground.conditioned.flow_from(p, sums(at, begins, len(points)))
+        onwards = ground.conditioned.onwards(sums(at, begins, len(points)), lost)
         return np.concatenate((onwards[kept], begins))
 
     try:
@@ -89,7 +90,7 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     fitted = ground.fitted(newest, ends, np.unique(network.places[at]))
     game, corridors = strategy.game, fitted.corridors
     secured = secured_in_map_axes(game.secured.shrunk(game.options.tube), corridors.origin)
-    joined = replace(fitted, network=moved, strategy=strategy,
+    joined = replace(fitted, strategy=strategy,
                      corridors=replace(corridors, network=moved, secured=secured))
     return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
                                          strategy.expected_length, strategy.length_budget,
@@ -143,7 +144,9 @@ def rest_strategy(ground: ChangedGround, newest: OccupancyMap, route: IndexArray
     """
     strategy, network = ground.plan.strategy, ground.plan.network
     lost = ground.compare(newest).lost | _through_start_again(network)
-    p = ground.conditioned.flow_after(int(drawn[1]), lost)
+    begins = np.zeros(len(network.points))
+    begins[drawn[1]] = 1.0
+    p = ground.conditioned.onwards(begins, lost)
     number = {step: edge for edge, step in enumerate(map(tuple, network.edges.tolist()))}
     steps = list(pairwise(route[:len(route) - len(drawn) + 2].tolist()))
     if new := [step for step in steps if step not in number]:  # a departure that joined its plan

@@ -92,9 +92,7 @@ class Plan(Shown):
     it is plain.
     """
 
-    network: Network
     strategy: Strategy
-    bottleneck: Bottleneck
     corridors: Corridors
     options: PlanningOptions
     spacing: float
@@ -105,6 +103,23 @@ class Plan(Shown):
     risk_map: RiskMap | None = None
     few: FewRoutes | None = None
     refinement: tuple[Round, ...] = ()
+
+    @property
+    def network(self) -> Network:
+        """The network of the strategy."""
+        return self.strategy.network
+
+    @cached_property
+    def bottleneck(self) -> Bottleneck:
+        """The sites that decide the value."""
+        return find_bottleneck(self.strategy)
+
+    @property
+    def own_map(self) -> RiskMap:
+        """The map; raises InvalidOption if the plan was made in another process."""
+        if self.risk_map is None:
+            raise InvalidOption('the plan has no risk map; make it with plan_trip')
+        return self.risk_map
 
     @property
     def value(self) -> float:
@@ -190,9 +205,7 @@ class Plan(Shown):
     def _tables(self) -> Any:
         from .route_layers import strategy_tables
 
-        if self.risk_map is None:
-            raise InvalidOption('the plan has no risk map; make it with plan_trip')
-        return strategy_tables(self.strategy, self.risk_map)
+        return strategy_tables(self.strategy, self.own_map)
 
     def to_networkx(self) -> Any:
         """The network as a directed graph of networkx.
@@ -227,11 +240,9 @@ class Plan(Shown):
         """
         from .frontier import DETOURS, SLACKS, trip_frontier
 
-        if self.risk_map is None:
-            raise InvalidOption('the plan has no risk map; make it with plan_trip')
         start = self.network.points[self.network.source]
         order = 'random' if self.order_found == 'random' else 'given'
-        return trip_frontier(self.risk_map, start, self.goal_xy, self.options,
+        return trip_frontier(self.own_map, start, self.goal_xy, self.options,
                              DETOURS if detours is None else detours,
                              SLACKS if slacks is None else slacks,
                              stops=self.stops_xy, order=order, refined=self.network.refined)
@@ -311,8 +322,8 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
         # A fixed seed keeps the count independent of the departures' draws.
         drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
         different = different_paths(corridors, drawn)
-    return Plan(strategy.network, strategy, find_bottleneck(strategy), corridors, options, spacing,
-                different, time.monotonic() - begin, risk_map=risk_map)
+    return Plan(strategy, corridors, options, spacing, different, time.monotonic() - begin,
+                risk_map=risk_map)
 
 
 def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions) -> Corridors:

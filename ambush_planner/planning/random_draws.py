@@ -42,8 +42,8 @@ class RandomDraw:
 
 def random_draws(plan: Plan) -> list[RandomDraw]:
     """All ways with at least as many outcomes as the plan's few routes, by the nearest shares."""
-    assert plan.few is not None and plan.risk_map is not None
-    mixtures = PathMixtures(plan.risk_map, plan, plan.few.paths)
+    assert plan.few is not None
+    mixtures = PathMixtures(plan.own_map, plan, plan.few.paths)
     made = []
     for name, outcomes in OUTCOMES.items():
         if len(outcomes) >= len(plan.few.paths):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import ROUNDING, FloatArray, IndexArray, frozen_array
+from ..arrays import ROUNDING, FloatArray, frozen_array
 from ..errors import InvalidOption
 from ..option_checks import check_whole
 
@@ -27,10 +27,6 @@ class SlotMixture:
     shares: FloatArray
     value: float
     lower_bound: float
-
-    def draw(self, n: int, rng: np.random.Generator) -> IndexArray:
-        """Draw the slots (n,) of departures."""
-        return np.asarray(rng.choice(len(self.shares), n, p=self.shares))
 
 
 def mix_slots(values: npt.ArrayLike, lower_bounds: npt.ArrayLike, window: int = 1) -> SlotMixture:

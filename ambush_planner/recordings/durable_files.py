@@ -11,29 +11,12 @@ from pathlib import Path
 TEMPORARY = '.tmp'
 
 
-def write_durably(path: Path, data: bytes) -> None:
-    """Put ``data`` at ``path`` (mode 0600) in one step, replacing what is there.
-
-    The data goes to a temporary file in the same folder, is flushed to the disk, and is then
-    renamed: a reader sees the old content or the new one, never a part. After an OSError no
-    temporary file is left.
-    """
-    temporary = path.with_name(f'{path.name}{TEMPORARY}')
-    try:
-        temporary.unlink(missing_ok=True)
-        _write_new_file(temporary, data)
-        os.replace(temporary, path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
-    _flush_folder(path.parent)
-
-
 def write_all_durably(files: Mapping[Path, bytes]) -> None:
     """Put all files (mode 0600) in place, or none if one of them cannot be written.
 
-    Missing folders are made with mode 0700. Raises OSError.
+    The data goes to temporary files in the same folders, is flushed to the disk, and these are then
+    renamed: a reader sees the old content of a file or the new one, never a part. Missing folders
+    are made with mode 0700. Raises OSError; no temporary file is left then.
     """
     temporary = {path: path.with_name(f'{path.name}{TEMPORARY}') for path in files}
     try:

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import chain
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from ..errors import AmbushPlannerError
+from ..planning.slots import SlotMixture
 
 Position = tuple[float, float]
 
@@ -73,6 +76,16 @@ class RecordedSlots:
     window: int
     value: float
     lower_bound: float
+
+    @classmethod
+    def of(cls, times: Sequence[str], mixture: SlotMixture, window: int = 1) -> RecordedSlots:
+        """Slots with the shares of a mixture."""
+        return cls(tuple(times), tuple(mixture.shares.tolist()), window, mixture.value,
+                   mixture.lower_bound)
+
+    def drawn(self, rng: np.random.Generator) -> str:
+        """Draw the time of a departure."""
+        return self.times[int(rng.choice(len(self.shares), p=self.shares))]
 
 
 @dataclass(frozen=True)

@@ -80,8 +80,7 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
         nodes, poses = plan.few.routes[few_route], plan.few.paths[few_route]
     drawn = not slot and saved.slots is not None
     if saved.slots and not slot:
-        shares = saved.slots.mixture.shares
-        slot = saved.slots.times[int(rng.choice(len(shares), p=shares))]
+        slot = saved.slots.drawn(rng)
     return DrawnDeparture(source, nodes, poses, few_route, slot, drawn)
 
 
@@ -93,9 +92,8 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     day that was not driven.
     """
     plan, trip = saved.plan, recorded_trip(saved.plan)
-    assert plan.risk_map is not None
     roles = {
-        'map': map_message(plan.risk_map, saved.parameters.occupancy, saved.frame, stamp_ns),
+        'map': map_message(plan.own_map, saved.parameters.occupancy, saved.frame, stamp_ns),
         'start': pose_message('/start_pose', trip.start, saved.frame, stamp_ns),
         'goal': pose_message('/goal_pose', trip.goal, saved.frame, stamp_ns),
         'path': path_message(drawn.poses, saved.frame, stamp_ns),
@@ -108,7 +106,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         plan=recorded_plan(saved),
         day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces))
     return said.departure_id, encode(list(roles.values()), said.entries(),
-                                     attachments_of(plan, plan.risk_map.crs), 'zstd')
+                                     attachments_of(plan, plan.own_map.crs), 'zstd')
 
 
 def departures_folder(plan_file: Path) -> Path:

@@ -17,11 +17,6 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-import numpy as np
-
-from ..arrays import frozen_array
-from ..errors import InvalidOption
-from ..game.bottleneck import find_bottleneck
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
@@ -30,7 +25,6 @@ from ..parameters.values import NodeParameters, parameters_from
 from ..planning.few_strategy import few_strategy
 from ..planning.options import node_spacing
 from ..planning.plan import Plan, plan_corridors
-from ..planning.slots import SlotMixture
 from .attachments import (
     FEW_FILE,
     MAP_FILE,
@@ -62,21 +56,12 @@ KIND = 'plan'
 
 
 @dataclass(frozen=True, eq=False)
-class DaySlots:
-    """The slots of the day (HH:MM) that departures draw from, and how long an ambush lasts."""
-
-    times: tuple[str, ...]
-    mixture: SlotMixture
-    window: int = 1
-
-
-@dataclass(frozen=True, eq=False)
 class SavedPlan:
     """A plan with its map, and what the node's parameters would be for it."""
 
     plan: Plan
     parameters: NodeParameters
-    slots: DaySlots | None = None
+    slots: RecordedSlots | None = None
     source: MapSource | None = None
     frame: str = 'map'
     id: str = ''
@@ -93,7 +78,7 @@ class SavedPlan:
     @property
     def value(self) -> float:
         """Mean loss per departure by the best ambush, which must choose a slot, too."""
-        return self.slots.mixture.value if self.slots else self.plan.value
+        return self.slots.value if self.slots else self.plan.value
 
 
 def digest_of(path: Path) -> str:
@@ -102,14 +87,12 @@ def digest_of(path: Path) -> str:
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None, order: str = 'given',
-               slots: DaySlots | None = None, map_file: Path | None = None) -> SavedPlan:
+               slots: RecordedSlots | None = None, map_file: Path | None = None) -> SavedPlan:
     """A new plan to save; ``map_file`` is where its map came from, if it is to be watched.
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
-    if plan.risk_map is None:
-        raise InvalidOption('the plan has no risk map; make it with plan_trip')
-    occupancy = occupancy or OccupancyOptions(crs=plan.risk_map.crs)
+    occupancy = occupancy or OccupancyOptions(crs=plan.own_map.crs)
     values = parameter_values(plan, occupancy, order)
     source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
     return SavedPlan(plan, parameters_from(values, _roads(plan)), slots, source, id=str(uuid4()),
@@ -137,22 +120,18 @@ def parameter_values(plan: Plan, occupancy: OccupancyOptions, order: str) -> dic
 def plan_bytes(saved: SavedPlan) -> bytes:
     """The content of a plan file; write it with mode 0600."""
     plan = saved.plan
-    assert plan.risk_map is not None
-    message = map_message(plan.risk_map, saved.parameters.occupancy, saved.frame, saved.made_ns)
+    message = map_message(plan.own_map, saved.parameters.occupancy, saved.frame, saved.made_ns)
     said = PlanMetadata(KIND, saved.frame, dict(saved.parameters.values),
                         dict(software_versions()), {'map': message.topic}, recorded_trip(plan),
                         recorded_plan(saved))
-    return encode([message], asdict(said), attachments_of(plan, plan.risk_map.crs), 'zstd')
+    return encode([message], asdict(said), attachments_of(plan, plan.own_map.crs), 'zstd')
 
 
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
     """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
-    plan, slots = saved.plan, saved.slots
-    return RecordedPlan(
-        saved.id, saved.made_ns, plan.order, plan.order_found, plan.different_paths, plan.seconds,
-        saved.source, RecordedSlots(
-            slots.times, tuple(slots.mixture.shares.tolist()), slots.window, slots.mixture.value,
-            slots.mixture.lower_bound) if slots else None)
+    plan = saved.plan
+    return RecordedPlan(saved.id, saved.made_ns, plan.order, plan.order_found,
+                        plan.different_paths, plan.seconds, saved.source, saved.slots)
 
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
@@ -213,14 +192,11 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
     if few:
         few_strategy(strategy, few)  # raises an error if its shares and routes are none
-    slots = DaySlots(about.slots.times, SlotMixture(
-        frozen_array(about.slots.shares, np.float64), about.slots.value,
-        about.slots.lower_bound), about.slots.window) if about.slots else None
-    plan = Plan(strategy.network, strategy, find_bottleneck(strategy),
-                plan_corridors(strategy, risk_map, planning), planning,
-                node_spacing(risk_map, planning.network), about.different_paths,
-                about.seconds, about.order, about.order_found, risk_map, few)
-    return SavedPlan(plan, parameters, slots, about.source, said.frame, about.id, about.made_ns)
+    plan = Plan(strategy, plan_corridors(strategy, risk_map, planning), planning,
+                node_spacing(risk_map, planning.network), about.different_paths, about.seconds,
+                about.order, about.order_found, risk_map, few)
+    return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
+                     about.made_ns)
 
 
 def _check_stated(path: Path, stated: Mapping[str, float], strategy: Any) -> None:

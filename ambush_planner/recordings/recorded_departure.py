@@ -22,7 +22,6 @@ from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
-from ..planning.conditioning import ConditionedStrategy
 from ..planning.few_routes import FewRoutes
 from ..planning.few_strategy import few_strategy
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
@@ -180,23 +179,26 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
         risk_map = part(file.path, MAP_FILE, lambda: shared.file_map(file.attachments[MAP_FILE]))
     newest, drawn_from, joined = planned_on, strategy, None
     diversion = metadata.diversion
+
+    def ground() -> ChangedGround:
+        return shared.ground(strategy, planned_on, occupancy, planning, risk_map)
+
     if changes := file.attachments.get(MAP_CHANGES_FILE, b''):
         newest = part(file.path, MAP_CHANGES_FILE, lambda: shared.newest(planned_on, changes))
     if metadata.joined:
         joined = part(file.path, 'metadata', lambda: shared.joined(
-            strategy, planned_on, newest, occupancy, planning, metadata.ends, risk_map))
+            ground(), newest, metadata.ends))
         drawn_from = joined.plan.strategy
     elif changes and not diversion:
         drawn_from = part(file.path, MAP_CHANGES_FILE, lambda: shared.conditioned(
-            strategy, planned_on, newest, occupancy, planning, risk_map))
+            ground(), newest))
     drawn = part(file.path, 'metadata', lambda: _nodes(metadata.route, strategy))
     route = drawn
     if diversion:
         route = part(file.path, 'metadata', lambda: whole_route(
             _nodes(diversion.left, strategy), drawn))
         drawn_from = part(file.path, 'metadata', lambda: rest_strategy(
-            shared.ground(strategy, planned_on, occupancy, planning, risk_map)[1], newest, route,
-            drawn))
+            ground(), newest, route, drawn))
     few, day = None, metadata.day
     if FEW_FILE in file.attachments:
         few, drawn_from, routes = part(file.path, FEW_FILE, lambda: shared.few(
@@ -253,44 +255,36 @@ def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
 
 
 def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
-              planning: PlanningOptions, risk_map: RiskMap) -> tuple[Plan, ChangedGround]:
-    """Return a recorded strategy as a plan with corridors, and its ground."""
-    unused: Any = None  # neither routes nor paths depend on the bottleneck
-    plan = Plan(strategy.network, strategy, unused, unused, planning,
+              planning: PlanningOptions, risk_map: RiskMap) -> ChangedGround:
+    """Return a recorded strategy as a plan with corridors, on its ground."""
+    plan = Plan(strategy, plan_corridors(strategy, risk_map, planning), planning,
                 node_spacing(risk_map, planning.network), None, 0.0)
-    plan = replace(plan, corridors=plan_corridors(strategy, risk_map, planning))
-    return plan, ChangedGround(plan, planned_on, options)
+    return ChangedGround(plan, planned_on, options)
 
 
 def _newest(planned_on: OccupancyMap, changes: bytes) -> OccupancyMap:
     return replace(planned_on, values=changed_map(planned_on.values, changes))
 
 
-def _conditioned(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,
-                 options: OccupancyOptions, planning: PlanningOptions,
-                 risk_map: RiskMap) -> Strategy:
+def _conditioned(ground: ChangedGround, newest: OccupancyMap) -> Strategy:
     """Return the strategy given that its routes are clear on the changed map.
 
     A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
     """
-    _, ground = ground_of(strategy, planned_on, options, planning, risk_map)
-    lost = ground.compare(newest).lost
+    strategy, lost = ground.plan.strategy, ground.compare(newest).lost
     if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
         strategy.network, strategy.edge_probability
     ):
         return strategy
-    share, p = ConditionedStrategy(strategy).avoiding(lost)
+    share, p = ground.conditioned.avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
     certificate = replace(strategy.certificate, value=worst_loss(strategy.game, p))
     return replace(strategy, edge_probability=frozen_array(p, np.float64), certificate=certificate)
 
 
-def _joined(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,
-            options: OccupancyOptions, planning: PlanningOptions, ends: Ends,
-            risk_map: RiskMap) -> JoinedPlan:
+def _joined(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan:
     """Return the plan of a convoy that had moved."""
-    _, ground = ground_of(strategy, planned_on, options, planning, risk_map)
     joined = joined_plan(ground, newest, ends)
     if joined is None:
         raise ValueError('the recorded strategy cannot be joined from where the path begins')

@@ -20,7 +20,7 @@ from typing import Any
 
 from ..errors import InvalidOption
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
-from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_durably
+from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_all_durably
 from .messages import RecordedMessage
 from .recording_errors import RecordingFailed, recording_to
 from .recording_file import COMPRESSIONS, encode
@@ -73,7 +73,7 @@ class Recorder:
             path = folder / f'{folder.name}_{self._next}.mcap'
             self._next += 1
             with recording_to(path):
-                write_durably(path, data)
+                write_all_durably({path: data})
             self._files.append(describe_file(path.name, ordered))
             try:
                 self._write_list(folder)
@@ -95,7 +95,7 @@ class Recorder:
             present = set(os.listdir(folder))
             self._files = [each for each in self._files if each.name in present]
             if self._files:
-                write_durably(folder / FILE_NAME, bag_text(self._files))
+                write_all_durably({folder / FILE_NAME: bag_text(self._files)})
             else:
                 (folder / FILE_NAME).unlink(missing_ok=True)
 

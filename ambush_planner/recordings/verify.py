@@ -131,9 +131,10 @@ class Verifier:
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
-        plan, ground = self._shared.ground(departure.strategy, departure.planned_on,
-                                           parameters.occupancy, parameters.planning,
-                                           departure.risk_map)
+        ground = self._shared.ground(departure.strategy, departure.planned_on,
+                                     parameters.occupancy, parameters.planning,
+                                     departure.risk_map)
+        plan = ground.plan
         rng = np.random.default_rng(said.route_entropy_source)
         spacing = parameters.values['route.path_spacing'] or plan.spacing
         again: tuple[Route, FloatArray] | None = None
@@ -191,9 +192,9 @@ def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
     if not (said.day and said.day.slot_drawn):
         return []
     slots = said.plan.slots if said.plan else None
-    same = slots and said.day.slot == slots.times[int(rng.choice(len(slots.shares),
-                                                                 p=slots.shares))]
-    return [] if same else ['slot: the recorded entropy draws another one']
+    if slots and said.day.slot == slots.drawn(rng):
+        return []
+    return ['slot: the recorded entropy draws another one']
 
 
 def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions,

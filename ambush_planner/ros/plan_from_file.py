@@ -34,15 +34,15 @@ def read_plan_for_node(path: str) -> SavedPlan:
     except UnreadableRecording as error:
         raise InvalidOption(f'plan: {error}') from error
     plan, occupancy = saved.plan, saved.parameters.occupancy
-    assert plan.risk_map is not None
+    risk_map = plan.own_map
     if plan.few:
         raise InvalidOption(f'plan {path} draws from {len(plan.few.paths)} routes, but the node '
                             'draws from a whole strategy; plan without --routes')
-    again = risk_from_occupancy(grid_values(plan.risk_map, occupancy), plan.risk_map.resolution,
-                                plan.risk_map.origin, occupancy)
-    free = ~plan.risk_map.obstacles
-    if not (np.array_equal(again.obstacles, plan.risk_map.obstacles)
-            and np.allclose(again.alpha[free], plan.risk_map.alpha[free], rtol=1e-9)):
+    again = risk_from_occupancy(grid_values(risk_map, occupancy), risk_map.resolution,
+                                risk_map.origin, occupancy)
+    free = ~risk_map.obstacles
+    if not (np.array_equal(again.obstacles, risk_map.obstacles)
+            and np.allclose(again.alpha[free], risk_map.alpha[free], rtol=1e-9)):
         raise InvalidOption(f'plan {path} has a map whose losses an occupancy grid cannot hold; '
                             'plan on the .yaml or .tif file of ambush risk')
     return saved
@@ -64,8 +64,7 @@ def inputs_of(saved: SavedPlan, parameters: NodeParameters,
               resolve: Callable[[str], str]) -> tuple[ReceivedMessage, TripRequest]:
     """The messages from which a plan could have been made; ``resolve`` gives a topic's name."""
     plan, header = saved.plan, Header(frame_id=saved.frame)
-    assert plan.risk_map is not None
-    risk_map, network = plan.risk_map, plan.network
+    risk_map, network = plan.own_map, plan.network
     values = grid_values(risk_map, saved.parameters.occupancy)
 
     def received(topic: str, message: Any) -> ReceivedMessage:
