@@ -121,7 +121,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         assert done.code == 0, (command, done.out, done.err)
     assert '2030-01-06 ' in (tmp_path / 'all.csv').read_text(), 'the day that it is for'
     page = (tmp_path / 'out' / 'report.html').read_text()
-    assert f'<b>{SLOTS.mixture.value:.3g}</b>' in page, 'the value that the plan was printed with'
+    assert f'<b>{SLOTS.value:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
 
 
@@ -212,7 +212,7 @@ def test_a_dry_run_records_nothing(plans, tmp_path):
 def test_slots_and_routes_follow_the_strategy(plans):
     saved = read_plan(plans['few'][1])
     drawn = [draw_departure(saved) for _ in range(3000)]
-    for slot, share in zip(SLOTS.times, SLOTS.mixture.shares, strict=True):
+    for slot, share in zip(SLOTS.times, SLOTS.shares, strict=True):
         assert abs(np.mean([each.slot == slot for each in drawn]) - share) < 0.05
     for k, share in enumerate(saved.plan.few.shares):
         assert abs(np.mean([each.few_route == k for each in drawn]) - share) < 0.05
