@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Array types of the records, read-only copies, arrays of files, sums by index, rounding."""
+"""Array types of the records, read-only copies, arrays of files, indices, sums, rounding."""
 
 from __future__ import annotations
 
@@ -45,3 +45,18 @@ def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArr
 def sums(index: IndexArray, values: FloatArray, count: int) -> FloatArray:
     """Sum ``values`` (K,) by ``index`` (K,): (count,)."""
     return np.asarray(np.bincount(index, weights=values, minlength=count), dtype=np.float64)
+
+
+def members(count: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """The group (K,) of each member of groups with ``count`` (G,) members, and its number in it."""
+    of = np.repeat(np.arange(len(count)), count)
+    return of, np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def found_in(keys: IndexArray, wanted: IndexArray) -> IndexArray:
+    """Where wanted numbers (K,) are among different keys (N,); -1: nowhere."""
+    if not len(keys):
+        return np.full(wanted.shape, -1)
+    order = np.argsort(keys, kind='stable')  # fast if they are sorted
+    at = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[at] == wanted, at, -1)

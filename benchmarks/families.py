@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from report import new_parser
-from scenarios import Scenario, block, city, maze, nearest_free, terrain
+from scenarios import Scenario, across, block, city, maze, terrain
 from scipy.ndimage import gaussian_filter, label
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
@@ -91,10 +91,16 @@ def _reach_and_secured(kind: str, rng: np.random.Generator, scenario: Scenario,
     return reach, float(rng.choice([1.0, 1.5, 2.0])) * reach or 2.0
 
 
+def connected_ground(obstacles: BoolArray) -> BoolArray:
+    """The largest part of the free cells that are connected by their sides."""
+    ground, _ = label(~obstacles)
+    largest: BoolArray = ground == np.bincount(ground[ground > 0]).argmax()
+    return largest
+
+
 def _places(rng: np.random.Generator, risk_map: RiskMap, count: int) -> tuple[Position, ...]:
     """The centres of free cells on the largest connected ground [m]."""
-    ground, _ = label(~risk_map.obstacles)
-    free = np.argwhere(ground == np.bincount(ground[ground > 0]).argmax())[:, ::-1]
+    free = np.argwhere(connected_ground(risk_map.obstacles))[:, ::-1]
     cells = free[rng.choice(len(free), count, replace=False)]
     return tuple((float(x), float(y)) for x, y in risk_map.resolution * (cells + 0.5))
 
@@ -113,13 +119,7 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...], smooth: float) -> F
 
 def _across(alpha: FloatArray, obstacles: BoolArray) -> Scenario:
     """From the middle of the left edge to the middle of the right one, on connected ground."""
-    rows, columns = alpha.shape
-    ground, _ = label(~obstacles)
-    largest = ground == np.bincount(ground[ground > 0]).argmax()
-    risk_map = RiskMap(alpha, ~largest, 1.0)
-    ends = ((c, rows / 2) for c in (0.04 * columns, 0.96 * columns))
-    start, goal = (nearest_free(risk_map, xy) for xy in ends)
-    return Scenario(risk_map, start, goal)
+    return across(RiskMap(alpha, ~connected_ground(obstacles), 1.0), 0.04)
 
 
 def _hills(roughness: float, obstacles: float = 0.0, ratio: int = 1) -> Family:
@@ -179,11 +179,10 @@ def _between_random_ends(make: Callable[[np.random.Generator, int], Scenario]) -
 
     def drawn(rng: np.random.Generator, cells: int) -> Drawn:
         risk_map = make(rng, cells).risk_map
-        ground, _ = label(~risk_map.obstacles)
-        free = np.argwhere(ground == np.bincount(ground[ground > 0]).argmax())[:, ::-1]
+        free = np.argwhere(connected_ground(risk_map.obstacles))[:, ::-1]
         while True:
             ends = free[rng.choice(len(free), 2, replace=False)]
-            if math.dist(*ends) >= 0.5 * max(ground.shape):
+            if math.dist(*ends) >= 0.5 * max(risk_map.obstacles.shape):
                 start, goal = map(tuple, (risk_map.resolution * (ends + 0.5)).tolist())
                 return Scenario(risk_map, start, goal), None
 

@@ -22,10 +22,9 @@ import numpy as np
 from families import FAMILIES
 from one_run import Answer, run
 from report import conditions, new_parser, publish, table
-from scenarios import Scenario, nearest_free, terrain
+from scenarios import Scenario, across, terrain
 
 from ambush_planner import (
-    AmbushPlannerError,
     DriveOptions,
     GameOptions,
     NetworkOptions,
@@ -65,8 +64,8 @@ def draw(family: str, seed: int) -> Ground:
     if family in DRAWN:
         scenario, _ = FAMILIES[DRAWN[family]](rng, CELLS)
     else:
-        scenario = terrain() if family == 'terrain' else _across(
-            read_risk_map(YARD if family == 'yard' else family))
+        scenario = terrain() if family == 'terrain' else across(
+            read_risk_map(YARD if family == 'yard' else family), 0.06)
     reach = math.exp(rng.uniform(*np.log(REACH))) * max(scenario.risk_map.size)
     detour, secured = rng.uniform(*DETOUR), rng.choice([-1.0, 2.0 * reach])
     if family == 'terrain':
@@ -74,14 +73,6 @@ def draw(family: str, seed: int) -> Ground:
     options = PlanningOptions(game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour))
     return Ground(scenario, options, f'reach {reach:.3g} held {secured:.3g} detour {detour:.3g}')
-
-
-def _across(risk_map: RiskMap) -> Scenario:
-    """From left to right, on the row in the middle."""
-    width, height = risk_map.size
-    ends = (nearest_free(risk_map, (share * width, 0.5 * height)) for share in (0.06, 0.94))
-    start, goal = (tuple(risk_map.to_world(np.array(end)).tolist()) for end in ends)
-    return Scenario(risk_map, start, goal)
 
 
 def shifted(scenario: Scenario, number: int, spacing: float) -> Scenario:
@@ -120,11 +111,7 @@ def planned(name: str, way: str, shift: int) -> Answer:
     coarse = math.sqrt(free / NetworkOptions.target_nodes)
     scenario = shifted(ground.scenario, shift, min(coarse, options.game.ambush_radius))
     begin = time.process_time()
-    try:
-        plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, options)
-    except AmbushPlannerError as error:
-        return {'failed': True, 'seconds': time.process_time() - begin,
-                'status': f'{type(error).__name__}: {error}'}
+    plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, options)
     return {'seconds': time.process_time() - begin, 'value': plan.value, 'words': ground.words,
             'bound': plan.lower_bound, 'nodes': len(plan.network.points),
             'status': f'value {plan.value:.4g}, {len(plan.network.points)} nodes'}
@@ -155,7 +142,7 @@ def summary(rows: dict[tuple[str, str, int], Answer]) -> str:
         values = {way: row['value'] for way, row in found.items() if 'value' in row}
         default = found['default']
         if 'value' not in default:
-            lines.append([name, default.get('status', 'not planned'), *[''] * 6])
+            lines.append([name, default.get('words', 'not planned'), *[''] * 6])
             continue
         over = default['value'] / min(values.values())
         gap = 1.0 - default['bound'] / default['value'] if default['value'] else 0.0
@@ -166,7 +153,7 @@ def summary(rows: dict[tuple[str, str, int], Answer]) -> str:
         lines.append([name, default['words'], *(f'{values.get(way, math.nan):.4g}' for way in WAYS),
                       f'{over:.3f}', f"{default['seconds']:.1f}", f'{gap:.1%}', f'{spread:.1%}'])
     figures = np.array(columns)
-    for what, of in (('median', np.nanmedian), ('worst', np.nanmax)):
+    for what, of in (('median', np.nanmedian), ('worst', np.nanmax)) if columns else ():
         over, seconds, gap, spread = of(figures, axis=0)
         lines.append([f'**{what}**', f'{len(figures)} of {len(names)}', *[''] * len(WAYS),
                       f'**{over:.3f}**', f'**{seconds:.1f}**', f'{gap:.1%}', f'{spread:.1%}'])

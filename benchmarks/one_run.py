@@ -14,9 +14,12 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from pathlib import Path
 from typing import Any
+
+from ambush_planner import AmbushPlannerError
 
 Answer = dict[str, Any]
 THREADS = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL', 'RAYON')}
@@ -26,7 +29,8 @@ LATE = 'late'
 def run(task: str, name: str, limit: float, checkout: Path | None = None, **given: Any) -> Answer:
     """What ``task`` ('script.function') answers for a problem; ``failed`` if it did not end well.
 
-    ``checkout`` holds the package that is measured; None: the installed one.
+    Its ``status`` is then the package's error, ``LATE``, or the last line of a crash. ``checkout``
+    holds the package that is measured; None: the installed one.
     """
     path = {'PYTHONPATH': str(checkout)} if checkout else {}
     command = [sys.executable, __file__, task, name, str(limit), json.dumps(given)]
@@ -50,7 +54,11 @@ def main() -> None:
     work = getattr(importlib.import_module(module), function)
     # Native code does not return to Python's handlers; SIGPROF's default ends the process.
     signal.setitimer(signal.ITIMER_PROF, float(limit))
-    answer = work(name, **json.loads(given))
+    try:
+        answer = work(name, **json.loads(given))
+    except AmbushPlannerError as error:
+        answer = {'failed': True, 'seconds': time.process_time(), 'status': type(error).__name__,
+                  'words': str(error)}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(json.dumps(answer | {'peak': peak}))
 

@@ -22,11 +22,21 @@ from pathlib import Path
 
 import numpy as np
 from families import FAMILIES, draw
-from peers import highs, value_lp
+from games import (
+    geometric_hits,
+    hit_once,
+    is_acyclic,
+    may_wait,
+    meets,
+    neighbours,
+    standing_places,
+    unbalanced,
+    value_lp,
+)
+from peers import highs
 from report import conditions, new_parser, publish, quantiles, table
 from scenarios import Scenario
 from scipy.sparse import csr_matrix
-from scipy.spatial import Delaunay
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -45,17 +55,6 @@ from ambush_planner import (
     build_network,
     plan_trip,
     solve,
-)
-
-sys.path.append(str(Path(__file__).parent.parent / 'test'))
-from games import (
-    geometric_hits,
-    hit_once,
-    is_acyclic,
-    may_wait,
-    meets,
-    standing_places,
-    unbalanced,
 )
 
 CHECKED = 1000  # nodes
@@ -127,8 +126,7 @@ def draw_game(seed: int) -> RandomGame | None:
 def roads(rng: np.random.Generator, nodes: int) -> Network:
     """Streets between random junctions, some of them one way, and a few bridges over others."""
     points = rng.uniform(0.0, math.sqrt(nodes), (nodes, 2))
-    corners = Delaunay(points).simplices
-    pairs = np.unique(np.sort(np.vstack([corners[:, [k, k - 1]] for k in range(3)])), axis=0)
+    pairs = neighbours(points)
     pairs = pairs[rng.random(len(pairs)) < 0.8]
     bridges = np.sort(rng.integers(0, nodes, (nodes // 50, 2)))
     pairs = np.unique(np.vstack((pairs, bridges[bridges[:, 0] < bridges[:, 1]])), axis=0)

@@ -14,7 +14,9 @@ from ambush_planner import Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.arrays import BoolArray
 from ambush_planner.maps.occupancy import risk_from_occupancy
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+# The demo's terrain, and for the scripts that draw problems the oracles of the tests.
+ROOT = Path(__file__).resolve().parents[1]
+sys.path += [str(ROOT), str(ROOT / 'test')]
 from examples.demo import ground as demo_ground  # noqa: E402
 
 # Side length of the map ``block`` [m].
@@ -33,11 +35,19 @@ class Scenario:
         return build_network(self.risk_map, self.start, self.goal, options)
 
 
-def nearest_free(risk_map: RiskMap, xy: tuple[float, float]) -> tuple[float, float]:
-    """Centre of the free cell nearest to a position on the map [m]."""
+def nearest_free(risk_map: RiskMap, uv: tuple[float, float]) -> tuple[float, float]:
+    """Centre of the free cell nearest to a position in map axes [m]."""
     centres = (np.argwhere(~risk_map.obstacles)[:, ::-1] + 0.5) * risk_map.resolution
-    x, y = centres[np.argmin(((centres - xy) ** 2).sum(axis=1))].tolist()
+    x, y = risk_map.to_world(centres[np.argmin(((centres - uv) ** 2).sum(axis=1))]).tolist()
     return x, y
+
+
+def across(risk_map: RiskMap, margin: float) -> Scenario:
+    """From left to right, half-way up, with a margin [widths] at both ends."""
+    width, height = risk_map.size
+    start, goal = (nearest_free(risk_map, (share * width, height / 2))
+                   for share in (margin, 1.0 - margin))
+    return Scenario(risk_map, start, goal)
 
 
 def block(cells: int) -> RiskMap:

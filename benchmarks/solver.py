@@ -24,8 +24,9 @@ from typing import Any
 
 import numpy as np
 from families import KINDS, Problem, draw, problem_parser
+from games import value_lp
 from one_run import Answer, run
-from peers import highs, value_lp
+from peers import highs
 from report import conditions, publish, quantiles, table
 from scipy.sparse import csr_matrix
 
@@ -68,10 +69,7 @@ def planned(name: str, time_limit: float = math.inf) -> Answer:
 def at_nodes(name: str) -> Answer:
     """The strategy at the nodes of a network that is there."""
     problem = draw(name)
-    try:
-        network = problem.scenario.network(problem.options.network)
-    except AmbushPlannerError as error:
-        return refused(error)
+    network = problem.scenario.network(problem.options.network)
     return timed(problem, lambda: solve(network, problem.options.game, problem.options.strategy))
 
 
@@ -83,10 +81,8 @@ def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
         strategy = make()
     except TimeLimit as error:
         if error.strategy is None:
-            return refused(error)
+            raise
         strategy, status = error.strategy, 'gap open'
-    except AmbushPlannerError as error:
-        return refused(error)
     return {'seconds': time.process_time() - begin, 'status': status, 'words': problem.words,
             'value': strategy.value, 'gap': gap_of(strategy),
             'bound': strategy.lower_bound, 'budget': strategy.length_budget,
@@ -97,10 +93,6 @@ def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any
     scenario = problem.scenario
     return plan_trip(risk_map or scenario.risk_map, scenario.start, scenario.goal, problem.options,
                      stops=problem.stops, **options)
-
-
-def refused(error: AmbushPlannerError) -> Answer:
-    return {'failed': True, 'seconds': time.process_time(), 'status': type(error).__name__}
 
 
 def gap_of(strategy: Strategy) -> float:
@@ -134,9 +126,9 @@ def replanned(name: str, changes: int) -> Answer:
         begin = time.process_time()
         try:
             plan = planned_on(problem, risk_map, warm=warm)
-        except AmbushPlannerError as error:
+        except AmbushPlannerError:
             if not seconds:
-                return refused(error)
+                raise
         else:
             seconds.append(time.process_time() - begin)
             gaps.append(gap_of(plan.strategy))
@@ -254,8 +246,6 @@ def overrun(name: str, time_limit: float) -> Answer:
         solve_on_network(scenario.risk_map, network, problem.options)
     except TimeLimit:
         pass
-    except AmbushPlannerError as error:
-        return refused(error)
     clock.cancel()
     return {'seconds': time.process_time() - late[0] if late[0] else 0.0, 'status': 'ended'}
 

@@ -5,9 +5,9 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from games import HUNT, METHODS, random_map
+from games import HUNT, METHODS, neighbours, random_map
 from hypothesis import strategies as st
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
 
 from ambush_planner import (
     GoalBlocked,
@@ -19,6 +19,7 @@ from ambush_planner import (
 )
 from ambush_planner.game.discs import SecuredArea
 from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.risk_map import to_map_axes
 from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import make_corridors
 
@@ -46,8 +47,7 @@ def graded(network, risk_map, options, rng):
     uv = uv[((uv > 0.0) & (uv < risk_map.size)).all(axis=1)]
     field = ObstacleField(risk_map, options.clear_of_edge)
     uv = uv[field.clear_points(uv, options.clearance)]
-    corners = Delaunay(uv).simplices
-    edges = np.unique(np.concatenate((corners[:, :2], corners[:, 1:], corners[:, ::2])), axis=0)
+    edges = neighbours(uv)
     edges = edges[field.clear_segments(uv[edges[:, 0]], uv[edges[:, 1]], options.clearance)]
     edges = np.concatenate((edges, edges[:, ::-1]))
     edges = edges[(edges[:, 0] != 1) & (edges[:, 1] != 0)]
@@ -111,6 +111,33 @@ def excess(path, drawn, tube, reach, secured_area):
         return -np.inf
     places = (path[:, None] + np.concatenate((around, 0.5 * around))).reshape(-1, 2)
     return cKDTree(points[~within(points, -STEP)]).query(places)[0].max() - reach
+
+
+def length_of(line):
+    return np.hypot(*np.diff(line, axis=0).T).sum()
+
+
+def between(a, b):
+    """Differences of angles in [-pi, pi)."""
+    return (a - b + np.pi) % (2 * np.pi) - np.pi
+
+
+def dense(line, parts=20):
+    """Points along the straight lines between points (K, 2)."""
+    share = np.linspace(0, 1, parts, endpoint=False)[:, None]
+    return (line[:-1, None] + share * np.diff(line, axis=0)[:, None]).reshape(-1, 2)
+
+
+def check_path(poses, corridors, route, field, clearance, tube):
+    """A path is clear, turns by at most 20 degrees, and is as near to its route as promised."""
+    uv, drawn = to_map_axes(corridors.origin, poses[:, :2]), corridors.uv[route]
+    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
+    turned = np.abs(between(poses[1:, 2], poses[:-1, 2]))
+    assert turned.max(initial=0.0) <= np.radians(20) + 1e-6
+    if corridors.reach > 0.0:
+        assert excess(dense(uv, 5), drawn, tube, corridors.reach, corridors.secured) <= STEP
+    elif tube is not None:
+        assert distance_to(dense(uv), drawn).max() <= tube + 1e-9
 
 
 def distance_to(points, line):

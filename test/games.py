@@ -7,6 +7,8 @@ The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, 
 import heapq
 import os
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 
@@ -15,8 +17,8 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.spatial import Delaunay, cKDTree
+from scipy.sparse import coo_matrix, csr_matrix, hstack, vstack
+from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
@@ -113,6 +115,13 @@ terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_
                              st.integers(5, 10))
 
 
+def neighbours(points: np.ndarray) -> np.ndarray:
+    """The pairs (K, 2) of points that Delaunay's triangulation joins, sorted."""
+    corners = Delaunay(points).simplices
+    sides = np.concatenate([corners[:, [k - 1, k]] for k in range(3)])
+    return np.unique(np.sort(sides, axis=1), axis=0)
+
+
 def planar_network(seed: int, inside: bool = False) -> Network:
     """Delaunay's edges between a few random points, both ways; source and target on the hull.
 
@@ -120,16 +129,14 @@ def planar_network(seed: int, inside: bool = False) -> Network:
     """
     rng = np.random.default_rng(seed)
     points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
-    mesh = Delaunay(points)
-    pairs = {tuple(sorted((int(t[a]), int(t[b])))) for t in mesh.simplices
-             for a, b in ((0, 1), (1, 2), (0, 2))}
-    hull = np.unique(mesh.convex_hull)
+    pairs = neighbours(points)
+    hull = np.unique(ConvexHull(points).vertices)
     apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
     source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
     if inside:
         source, target = (int(k) for k in rng.choice(len(points), 2, replace=False))
-        pairs = {pair for pair in sorted(pairs) if rng.random() < 0.8}
-    edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
+        pairs = pairs[rng.random(len(pairs)) < 0.8]
+    edges = [e for a, b in pairs.tolist() for e in ((a, b), (b, a))
              if e[1] != source and e[0] != target]
     alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
     alpha[[source, target]] = 0.0
@@ -260,35 +267,55 @@ def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
     return 1.0 - unhit[network.target]
 
 
-def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf,
-                  ambushers: int = 1) -> float:
-    """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
+@dataclass(frozen=True, eq=False)
+class LP:
+    """Minimise cost x; above x <= limits, balance x = supply, x in 0..most; x is p (M,), t, s."""
 
-    Variables p (M,), t, s (N,): the k largest losses sum to at most k t + sum s.
+    cost: np.ndarray
+    above: csr_matrix
+    limits: np.ndarray
+    balance: csr_matrix
+    supply: np.ndarray
+    most: np.ndarray
+
+
+def value_lp(network: Network, losses: csr_matrix, budgets: Sequence[tuple[np.ndarray, float]],
+             ambushers: int = 1, usable: np.ndarray | None = None) -> LP:
+    """Minimise k t + sum s: ``losses`` (S, M) p <= t + s, one unit of flow p within ``budgets``.
+
+    Each budget is the costs (M,) of the edges and its limit; p is 0 on edges that are not
+    ``usable`` (M,).
     """
-    n, m = len(network.points), len(network.edges)
-    one, each, every = np.ones(m), np.arange(m), np.arange(n)
-    tail, head = network.edges.T
-    hits = coo_matrix((one, (head, each)), shape=(n, m)) if hits is None else hits.tocoo()
-    # One ambusher's largest loss is t alone.
-    slack = every[: n if ambushers > 1 else 0]
-    width, budgets = m + 1 + len(slack), int(np.isfinite(budget))
-    # One row per site: its loss minus t minus its own s; then the length over the budget.
-    parts = (
-        (hits.data * network.alpha[hits.row], hits.row, hits.col),
-        (-np.ones(n), every, np.full(n, m)), (-np.ones(len(slack)), slack, m + 1 + slack),
-        *[(network.travel_costs / budget, np.full(m, n), each)] * budgets,
-    )
-    data, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
-    rows = csr_matrix((data, (row, column)), shape=(n + budgets, width))
-    ends = np.concatenate((tail, head)), np.concatenate((each, each))
-    balance = csr_matrix((np.concatenate((one, -one)), ends), shape=(n, width))
+    (tail, head), m, n = network.edges.T, len(network.edges), len(network.points)
+    sites = losses.shape[0]
+    several = sites if ambushers > 1 else 0  # one ambusher's largest loss is t alone
+    ends = np.r_[tail, head], np.tile(np.arange(m), 2)
+    balance = coo_matrix((np.repeat([1.0, -1.0], m), ends), (n, m + 1 + several))
     supply = np.zeros(n)
     supply[network.source], supply[network.target] = 1.0, -1.0
+    beyond = csr_matrix((-np.ones(several), (np.arange(several),) * 2), (sites, several))
+    rows = [hstack((losses, csr_matrix(-np.ones((sites, 1))), beyond))]
+    rows += [csr_matrix(np.r_[cost / limit, np.zeros(1 + several)]) for cost, limit in budgets
+             if 0.0 < limit < np.inf]
+    most = np.full(m + 1 + several, np.inf)
+    if usable is not None:
+        most[:m][~usable] = 0.0
+    return LP(np.r_[np.zeros(m), ambushers, np.ones(several)], csr_matrix(vstack(rows)),
+              np.r_[np.zeros(sites), np.ones(len(rows) - 1)], csr_matrix(balance), supply, most)
+
+
+def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf,
+             ambushers: int = 1) -> float:
+    """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
+    """
+    if hits is None:
+        into = network.heads, np.arange(len(network.edges))
+        hits = csr_matrix((np.ones(len(into[0])), into), (len(network.points), len(into[0])))
+    lp = value_lp(network, hits.multiply(network.alpha[:, None]),
+                  [(network.travel_costs, budget)], ambushers)
     tolerances = {'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10}
-    cost = np.concatenate((np.zeros(m), [float(ambushers)], np.ones(len(slack))))
-    limits = np.concatenate((np.zeros(n), np.ones(budgets)))
-    found = linprog(cost, rows, limits, balance, supply, method='highs-ds', options=tolerances)
+    found = linprog(lp.cost, lp.above, lp.limits, lp.balance, lp.supply, method='highs-ds',
+                    options=tolerances)
     assert found.status == 0, found.message
     return float(found.fun)
 

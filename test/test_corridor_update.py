@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from drive_samples import STEP, distance_to, drives, excess
+from drive_samples import check_path, drives, length_of
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -52,9 +52,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     far = with_new_obstacles(corridors, np.array([[1e4, 1e4]]), clearance, risk_map.resolution)
     np.testing.assert_array_equal(far.widths, corridors.widths)
     refitted = with_new_obstacles(corridors, centres, clearance, risk_map.resolution)
-    poses = driven_path(refitted, route, 0.2)
-    uv = risk_map.to_map_axes(poses[:, :2])
-    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
+    check_path(driven_path(refitted, route, 0.2), refitted, route, field, clearance, tube)
     # Nothing is any wider, and nothing narrower than measured on the whole new map.
     whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge,
                            reach=corridors.reach)
@@ -91,22 +89,10 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     ends[0 if at_start else 1] = where
     poses = driven_path(moved, route, 0.2, ends=tuple(ends))
     assert [*map(tuple, poses[[0, -1], :2].tolist())] == ends
-    uv = risk_map.to_map_axes(poses[:, :2])
-    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
-    turned = np.abs((np.diff(poses[:, 2]) + np.pi) % (2 * np.pi) - np.pi)
-    assert turned.max(initial=0.0) <= np.radians(20) + 1e-6
+    check_path(poses, moved, route, field, clearance, tube)
     # At most 5 % longer than the straight line to the next node and the drawn route from there:
     # where a turn would be tight, the path swings wider.
-    drawn = moved.uv[route]
-    assert length(uv) <= 1.05 * length(drawn)
-    if corridors.reach > 0.0:
-        assert excess(uv, drawn, tube, corridors.reach, corridors.secured) <= STEP
-    elif tube is not None:
-        assert distance_to(uv, drawn).max() <= tube + 1e-9
-
-
-def length(points):
-    return np.hypot(*np.diff(points, axis=0).T).sum()
+    assert length_of(poses[:, :2]) <= 1.05 * length_of(moved.uv[route])
 
 
 def test_a_cell_limits_only_the_quarter_on_its_own_side():

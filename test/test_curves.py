@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from games import (
     examples,
+    neighbours,
     planar_network,
     reached,
     routes_of,
@@ -16,7 +17,6 @@ from games import (
 )
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.spatial import Delaunay
 
 from ambush_planner import (
     GameOptions,
@@ -180,9 +180,7 @@ def nearly_two_secured_radii_apart(seed):
     points = rng.uniform(-1.0, 1.0, (n, 2)) * [1.3, 1.0]
     half = rng.uniform(0.3, 0.6)
     points[:2] = (-half, 0.0), (half, 0.0)
-    corners = Delaunay(points).simplices
-    links = np.unique(np.sort(np.vstack((corners[:, :2], corners[:, 1:], corners[:, ::2])), axis=1),
-                      axis=0)
+    links = neighbours(points)
     links = links[links.sum(axis=1) > 1]  # not from start to goal
     alpha = rng.uniform(1.0, 10.0, n)
     alpha[:2] = 0.0

@@ -5,7 +5,15 @@ import itertools
 
 import numpy as np
 import pytest
-from drive_samples import STEP, distance_to, drives, excess, some_route
+from drive_samples import (
+    between,
+    check_path,
+    dense,
+    distance_to,
+    drives,
+    length_of,
+    some_route,
+)
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -26,36 +34,22 @@ from ambush_planner.routes.driven_path import (
 from ambush_planner.routes.taut_string import Portals, portals_along, taut_strings
 
 
-def dense(poses, parts=20):
-    """Points along the straight lines from pose to pose."""
-    share = np.linspace(0, 1, parts, endpoint=False)[:, None]
-    steps = np.diff(poses[:, :2], axis=0)
-    return np.concatenate([poses[:-1, None, :2] + share * steps[:, None]]).reshape(-1, 2)
-
-
 @examples(25)
 @given(drives)
 def test_the_path_stays_clear_in_its_tube_and_short(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network
     poses = driven_path(corridors, route, 0.2)
-    uv = risk_map.to_map_axes(poses[:, :2])
-    field = ObstacleField(risk_map, clear_of_edge)
-    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
-    assert not risk_map.obstacles[risk_map.cells(risk_map.to_map_axes(dense(poses)))].any()
-    if corridors.reach > 0.0:
-        line = risk_map.to_map_axes(dense(poses, 5))
-        assert excess(line, corridors.uv[route], tube, corridors.reach, corridors.secured) <= STEP
-    elif tube is not None:
-        assert distance_to(dense(poses), network.points[route]).max() <= tube + 1e-9
-    else:
+    check_path(poses, corridors, route, ObstacleField(risk_map, clear_of_edge), clearance, tube)
+    assert not risk_map.obstacles[risk_map.cells(risk_map.to_map_axes(dense(poses[:, :2])))].any()
+    if tube is None:
         others = np.delete(network.points, route, axis=0)
         if len(others):
             assert distance_to(others, poses[:, :2]).min() > 1e-3
     # Where a portal is all on one side of the node, the path keeps a margin from the node.
     detour = MAX_MARGIN * portals_along(corridors, [route]).width
-    drawn = np.hypot(*np.diff(network.points[route], axis=0).T).sum()
-    assert np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() <= drawn + 2 * detour.sum() + 1e-9
+    drawn = length_of(network.points[route])
+    assert length_of(poses[:, :2]) <= drawn + 2 * detour.sum() + 1e-9
 
 
 @examples(25)
@@ -68,16 +62,10 @@ def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
     steps = np.diff(poses[:, :2], axis=0)
     length = np.hypot(*steps.T)
     assert length.max() <= spacing + 1e-9
-    turned = np.abs(between(poses[1:, 2], poses[:-1, 2]))
-    assert turned.max() <= np.radians(20) + 1e-6
     moving = length > 1e-6
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     assert np.abs(between(heading, poses[:-1, 2]))[moving].max() <= np.radians(20) + 1e-6
     assert (poses[:, 2] >= -np.pi).all() and (poses[:, 2] <= np.pi).all()
-
-
-def between(a, b):
-    return (a - b + np.pi) % (2 * np.pi) - np.pi
 
 
 def open_map(cells=20, yaw=0.0):
@@ -99,8 +87,7 @@ def test_a_staircase_becomes_a_straight_line():
     )
     poses = driven_path(corridors, route, 0.2)
     straight = np.hypot(*(network.points[network.target] - network.points[network.source]))
-    drawn = np.hypot(*np.diff(network.points[route], axis=0).T).sum()
-    driven = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
+    drawn, driven = length_of(network.points[route]), length_of(poses[:, :2])
     assert drawn > 1.02 * straight and driven < 1.01 * straight
 
 
@@ -254,7 +241,7 @@ def assert_taut(portals, share):
         length, (low + high) / 2, jac=True, method='L-BFGS-B',
         bounds=np.stack((low, high), axis=1), options={'ftol': 1e-15, 'maxiter': 5000},
     )
-    size = np.hypot(*np.diff(string(portals, margin), axis=0).T).sum()
+    size = length_of(string(portals, margin))
     assert size == pytest.approx(found.fun, rel=1e-5)
     assert size <= found.fun * (1 + 1e-9)
 

@@ -8,6 +8,7 @@ from games import examples, networks
 from hypothesis import given
 
 from ambush_planner import GameOptions, InvalidNetwork, Network
+from ambush_planner.arrays import found_in, members
 from ambush_planner.game.game import make_game
 from ambush_planner.network.shortest_paths import (
     distances_from,
@@ -20,15 +21,6 @@ GOOD = {
     'points': [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]], 'alpha': [0.0, 2.0, 0.0],
     'edges': [(0, 1), (1, 2)], 'source': 0, 'target': 2,
 }
-
-
-@examples(20)
-@given(networks())
-def test_lengths_and_ends(network):
-    a, b = network.points[network.edges[:, 0]], network.points[network.edges[:, 1]]
-    assert network.lengths == pytest.approx(np.sqrt(((a - b) ** 2).sum(axis=1)), rel=1e-15)
-    assert np.array_equal(np.stack((network.tails, network.heads), axis=1), network.edges)
-    assert network.source not in network.heads and network.target not in network.tails
 
 
 def test_arrays_are_private_and_read_only():
@@ -121,3 +113,11 @@ def test_distances_a_path_and_reachability(network):
 
 def test_an_unreachable_node_has_an_empty_path():
     assert len(shortest_path(np.empty((0, 2), np.int64), np.empty(0), 2, 0, 1)) == 0
+
+
+def test_where_numbers_are_among_keys_and_who_belongs_to_groups():
+    keys = np.array([7, 3, 5])
+    assert found_in(keys, np.array([[3, 7], [4, 9]])).tolist() == [[1, 0], [-1, -1]]
+    assert found_in(keys[:0], keys).tolist() == [-1, -1, -1]
+    of, number = members(np.array([2, 0, 3]))
+    assert (of.tolist(), number.tolist()) == ([0, 0, 2, 2, 2], [0, 1, 0, 1, 2])

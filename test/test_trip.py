@@ -7,11 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from games import examples, hit_once, least_weight, routes_of, unbalanced, value_by_routes
+from games import (
+    examples,
+    hit_once,
+    least_weight,
+    neighbours,
+    routes_of,
+    unbalanced,
+    value_by_routes,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from plain import plain_options
-from scipy.spatial import Delaunay
 
 from ambush_planner import (
     GameOptions,
@@ -51,9 +58,7 @@ def roads_of(seed, stops, count=14):
     points = rng.random((count + stops + 2, 2)) * 10.0
     alpha = rng.uniform(0.5, 4.0, len(points))
     alpha[count:] = 0.0
-    triangles = Delaunay(points).simplices
-    pairs = np.unique(np.sort(
-        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
+    pairs = neighbours(points)
     edges = np.concatenate((pairs, pairs[:, ::-1]))
     return TripGraph(points, alpha, edges, tuple(range(count, count + stops + 2)))
 

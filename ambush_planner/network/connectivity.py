@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, found_in
 
 # Cocircular points have several Delaunay triangulations. Ties are broken by shifting odd lattice
 # rows by 1e-5 spacings, which alternates the diagonals from row to row, and by stretching and
@@ -17,16 +17,10 @@ TIE_BREAK = np.array([[1.0, 1.0e-6], [0.0, 1.0 + 0.7e-6]])
 FLAT = 0.25
 
 
-def grid8_pairs(node_of: IndexArray) -> IndexArray:
-    """Join each node to its eight neighbours; ``node_of`` (rows, columns) is -1 without a node."""
-    pairs = [
-        _stack(node_of[:, :-1], node_of[:, 1:]),
-        _stack(node_of[:-1, :], node_of[1:, :]),
-        _stack(node_of[:-1, :-1], node_of[1:, 1:]),
-        _stack(node_of[:-1, 1:], node_of[1:, :-1]),
-    ]
-    joined = np.concatenate(pairs)
-    return joined[(joined >= 0).all(axis=1)]
+def grid8_pairs(cells: IndexArray) -> IndexArray:
+    """Join nodes in the same of the cells (K, 2) = (row, column), or in one of eight neighbours."""
+    pairs: IndexArray = cKDTree(cells).query_pairs(1.0, np.inf, output_type='ndarray')
+    return pairs
 
 
 def delaunay_pairs(points: FloatArray, mirrored: FloatArray,
@@ -39,16 +33,15 @@ def delaunay_pairs(points: FloatArray, mirrored: FloatArray,
     places = np.concatenate((points, mirrored)) / spacing
     places[:, 0] += ROW_SHIFT * (np.floor(places[:, 1]) % 2)
     triangles = _triangles(places @ TIE_BREAK)
-    pairs = _triangle_edges(triangles)
-    pairs = _unique_pairs(pairs[(pairs < len(points)).all(axis=1)])
-    return pairs, triangles[(triangles < len(points)).all(axis=1)]
+    pairs = _sides(triangles)
+    return pairs[pairs[:, 1] < len(points)], triangles[(triangles < len(points)).all(axis=1)]
 
 
 def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
     """Drop the longest sides of flat triangles (T, 3) whose two other sides are among the pairs.
 
     Otherwise nodes along an obstacle would be joined past those between them that lie only slightly
-    further off. The pairs must be sorted, as the functions above return them.
+    further off. The lower node of each pair comes first.
     """
     size = len(points)
     corners = points[triangles]
@@ -60,18 +53,10 @@ def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray
     triangles, longest = triangles[flat], sides[flat].argmax(axis=1)
     row = np.arange(len(triangles))
     apex, a, b = (triangles[row, (longest + k) % 3] for k in range(3))
-    known = pairs[:, 0] * size + pairs[:, 1]
-
-    def find(i: IndexArray, j: IndexArray) -> tuple[IndexArray, BoolArray]:
-        keys = np.minimum(i, j) * size + np.maximum(i, j)
-        index = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-        return index, known[index] == keys
-
-    if len(known) == 0:
-        return pairs
-    side, found = find(a, b)
-    found &= find(apex, a)[1] & find(apex, b)[1]
-    return np.delete(pairs, side[found], axis=0)
+    known = pairs @ (size, 1)
+    side, one, other = (found_in(known, np.minimum(i, j) * size + np.maximum(i, j))
+                        for i, j in ((a, b), (apex, a), (apex, b)))
+    return np.delete(pairs, side[(side >= 0) & (one >= 0) & (other >= 0)], axis=0)
 
 
 def _triangles(points: FloatArray) -> IndexArray:
@@ -82,25 +67,12 @@ def _triangles(points: FloatArray) -> IndexArray:
         except QhullError:
             pass  # the points are collinear
     order = np.lexsort(points.T).astype(np.int64)
-    return _stack(order[:-1], order[1:])
+    return np.stack((order[:-1], order[1:]), axis=1)
 
 
-def _triangle_edges(triangles: IndexArray) -> IndexArray:
-    k = triangles.shape[1]
-    links = [triangles] if k == 2 else [triangles[:, [i, (i + 1) % k]] for i in range(k)]
-    return np.concatenate(links)
-
-
-def _stack(a: IndexArray, b: IndexArray) -> IndexArray:
-    return np.stack((a.ravel(), b.ravel()), axis=1)
-
-
-def _unique_pairs(pairs: IndexArray) -> IndexArray:
-    if len(pairs) == 0:
-        return pairs.reshape(0, 2)
-    a, b = pairs.T
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    size = int(high.max()) + 1
-    keys = np.sort(low * size + high)  # numpy's unique takes five times as long
-    keys = keys[np.concatenate(([True], keys[1:] != keys[:-1]))]
-    return np.stack(np.divmod(keys, size), axis=1)
+def _sides(triangles: IndexArray) -> IndexArray:
+    """The sides (E, 2) of triangles or of a chain, each once, the lower node first; sorted."""
+    sides = np.concatenate([np.sort(triangles[:, [k - 1, k]], axis=1)
+                            for k in range(triangles.shape[1])])
+    size = int(sides.max(initial=0)) + 1
+    return np.stack(np.divmod(np.unique(sides @ (size, 1)), size), axis=1)

@@ -25,7 +25,7 @@ from .passages import MAX_NODE_DISTANCE, pass_nodes, passage_nodes, widest_cell_
 from .road_network import road_length, road_trip_graph, roads_on_map
 from .shortest_paths import reachable_from
 from .shortest_way import GroundLengths
-from .trip_graph import TripGraph, position_errors
+from .trip_graph import Position, TripGraph, named, position_errors
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
            'gradient_delaunay', 'graph')
@@ -161,15 +161,14 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     budgets are multiples of the shortest way over the ground.
     """
     field = ObstacleField(risk_map, options.clear_of_edge)
-    positions = _checked_positions(risk_map, field, [start_xy, *stops, goal_xy], options)
+    named_ends = _checked_ends(risk_map, field, [start_xy, *stops, goal_xy], options)
+    positions = list(named_ends.values())
     # Distinct positions, start and goal last.
     places = list(dict.fromkeys([positions[-1], *positions[:1], *positions[-2:0:-1]]))[::-1]
     ends = np.array(places)
     uv_ends = risk_map.to_map_axes(ends)
     if options.roads:
-        names = ['start', *(f'stop {k}' for k in range(1, len(positions) - 1)), 'goal']
-        return road_trip_graph(risk_map, field, options.roads,
-                               dict(zip(names, positions, strict=True)),
+        return road_trip_graph(risk_map, field, options.roads, named_ends,
                                chosen_spacing(risk_map, options), options.clearance,
                                options.join_distance)
     space = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options, grading)
@@ -177,11 +176,11 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     if grading:
         passes = pass_nodes(risk_map, field, options.clearance, space.wanted)
         passes = passes[field.clear_points(passes, options.clearance)]
-    uv, pairs = connect_nodes(space, passes)
-    if len(passes) and _unreachable_ends(pairs, len(uv), len(ends), start):
+    uv, pairs, unreachable = _connected(space, passes, start)
+    if len(passes) and unreachable:
         # Their triangles can cut the lattice's only way; ways are kept before passes.
-        uv, pairs = connect_nodes(space, np.empty((0, 2)))
-    if unreachable := _unreachable_ends(pairs, len(uv), len(ends), start):
+        uv, pairs, unreachable = _connected(space, passes[:0], start)
+    if unreachable:
         uv, pairs = _add_passage_nodes(space, start, unreachable)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
@@ -196,11 +195,13 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
                      GroundLengths(field, options.clearance, uv, both))
 
 
-def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> list[int]:
-    """Which of the last ``ends`` nodes cannot be reached from the one with index ``start``."""
-    first = count - ends
-    both = np.concatenate((pairs, pairs[:, ::-1]))
-    return np.flatnonzero(~reachable_from(both, count, first + start)[first:]).tolist()
+def _connected(space: FreeSpace, extra: FloatArray,
+               start: int) -> tuple[FloatArray, IndexArray, list[int]]:
+    """``connect_nodes``, and which ends cannot be reached from the one with index ``start``."""
+    uv, pairs = connect_nodes(space, extra)
+    both, first = np.concatenate((pairs, pairs[:, ::-1])), len(uv) - len(space.uv_ends)
+    reached = reachable_from(both, len(uv), first + start)
+    return uv, pairs, np.flatnonzero(~reached[first:]).tolist()
 
 
 def _add_passage_nodes(space: FreeSpace, start: int,
@@ -216,8 +217,7 @@ def _add_passage_nodes(space: FreeSpace, start: int,
             nodes = np.concatenate((nodes, passage_nodes(path, margin, space.spacing)))
             nodes = np.unique(nodes, axis=0)
     nodes = nodes[space.field.clear_points(nodes, options.clearance)]
-    uv, pairs = connect_nodes(space, nodes)
-    still = _unreachable_ends(pairs, len(uv), len(space.uv_ends), start)
+    uv, pairs, still = _connected(space, nodes, start)
     if not still:
         return uv, pairs
     _, margin = _cell_path_between(space, start, still[0])
@@ -265,19 +265,20 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     return spacing
 
 
-def _checked_positions(risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike],
-                       options: NetworkOptions) -> list[tuple[float, float]]:
-    """The checked positions of start, stops and goal; errors name start and goal first."""
+def _checked_ends(risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike],
+                  options: NetworkOptions) -> dict[str, Position]:
+    """The checked positions of start, stops and goal by name; start and goal are checked first."""
     last = len(given) - 1
     names = ['start', *(f'stop {k}' for k in range(1, last)), 'goal']
     for k in (0, last, *range(1, last)):
         _check_position(risk_map, field, given[k], names[k], options)
     positions = [(float(x), float(y)) for x, y in np.asarray(given, dtype=np.float64)]
-    for (one, a), (other, b) in pairwise(zip(names, positions, strict=True)):
+    ends = dict(zip(names, positions, strict=True))
+    for (one, a), (other, b) in pairwise(ends.items()):
         if a == b:
             raise InvalidNetwork(f'{one} and {other} are the same position, '
                                  f'({a[0]:.3f}, {a[1]:.3f})')
-    return positions
+    return ends
 
 
 def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str,
@@ -291,8 +292,7 @@ def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, 
         raise blocked(f'{name} must be a position (x, y), got shape {position.shape}')
     if not np.isfinite(position).all():
         raise blocked(f'{name} must be finite, got ({position[0]}, {position[1]})')
-    where = f'{name} ({position[0]:.3f}, {position[1]:.3f})'
-    uv = risk_map.to_map_axes(position)
+    where, uv = named(name, (position[0], position[1])), risk_map.to_map_axes(position)
     if not risk_map.contains(uv):
         (left, bottom), (right, top) = np.round(risk_map.bounds, 3).tolist()
         raise off_map(f'{where} is outside the map, which has x from {left:.10g} to {right:.10g} '

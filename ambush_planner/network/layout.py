@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
 from .connectivity import delaunay_pairs, grid8_pairs, without_slivers
@@ -78,9 +78,9 @@ def _nodes_and_pairs(space: FreeSpace,
     free[taken] = False
     nodes = np.concatenate((uv[free], others))
     if options.method == 'uniform_grid8':
-        shape = lattice_shape(space.risk_map, space.spacing)
-        cells = np.stack(np.divmod(taken, shape[1]), axis=1)
-        return nodes, _grid8_with_ends(free.reshape(shape), cells), np.empty((0, 3), int)
+        cells = all_cells(lattice_shape(space.risk_map, space.spacing))
+        pairs = grid8_pairs(np.concatenate((cells[free], cells[taken])))
+        return nodes, pairs, np.empty((0, 3), int)
     mirrored = mirrored_points(space.risk_map, space.spacing, nodes)
     return nodes, *delaunay_pairs(nodes, mirrored, space.spacing)
 
@@ -95,25 +95,3 @@ def _points(space: FreeSpace) -> FloatArray:
         uv = sample(risk_map, spacing, options.seed)
         return uv[space.field.clear_points(uv, options.clearance)]
     return lattice_points(all_cells(lattice_shape(risk_map, spacing)), spacing, options.method)
-
-
-def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:
-    """Join the 8-connected lattice, with the ends in the cells of the nodes they replaced.
-
-    Ends in the same cell are joined to each other, and each to the cell's neighbours.
-    """
-    node_of = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    first = int(free.sum())
-    in_cell: dict[tuple[int, ...], int] = {}
-    shared = []
-    for node, cell in enumerate(map(tuple, cells.tolist()), start=first):
-        if cell in in_cell:
-            shared.append((in_cell[cell], node))
-        else:
-            in_cell[cell] = node_of[cell] = node
-    pairs = grid8_pairs(node_of)
-    for present, node in shared:
-        copies = pairs[(pairs == present).any(axis=1)]
-        copies = np.where(copies == present, node, copies)
-        pairs = np.concatenate((pairs, copies, [[present, node]]))
-    return np.unique(pairs, axis=0) if shared else pairs

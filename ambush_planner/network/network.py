@@ -15,10 +15,6 @@ from ..errors import InvalidNetwork
 from ..notebook import Shown
 
 
-def _by_default() -> IndexArray:
-    return np.empty(0, dtype=np.int64)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Network(Shown):
     """A directed network with a loss at each node, validated.
@@ -66,15 +62,14 @@ class Network(Shown):
     edges: IndexArray
     source: int
     target: int
-    places: IndexArray = field(default_factory=_by_default)
-    leg: IndexArray = field(default_factory=_by_default)
+    places: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    leg: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     seconds: FloatArray | None = None
     refined: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     ground_length: float | None = None
 
     def __post_init__(self) -> None:
-        points = _floats('points', self.points)
-        alpha = _floats('alpha', self.alpha)
+        points, alpha = _floats('points', self.points), _floats('alpha', self.alpha)
         _check_nodes(points, alpha)
         source = _node('source', self.source, len(points))
         target = _node('target', self.target, len(points))
@@ -83,7 +78,7 @@ class Network(Shown):
         places = _numbers('places', self.places, np.arange(len(points)))
         leg = _numbers('leg', self.leg, np.zeros(len(points)))
         _check_places(places, points, alpha)
-        _check_legs(leg, edges)
+        _refuse_edges(edges, leg[edges[:, 1]] < leg[edges[:, 0]], 'back to an earlier leg')
         outside = (edges[:, 1] == source) | (edges[:, 0] == target)
         if outside.any():
             warnings.warn(
@@ -91,17 +86,15 @@ class Network(Shown):
                 f'{target} were dropped: no route uses them',
                 stacklevel=3,
             )
+        checked = {
+            'points': points, 'alpha': alpha, 'edges': frozen_array(edges[~outside], np.int64),
+            'source': source, 'target': target, 'places': places, 'leg': leg,
+            'refined': frozen_array(self.refined, np.float64)}
         if self.seconds is not None:
             seconds = _seconds(self.seconds, len(edges))
-            object.__setattr__(self, 'seconds', frozen_array(seconds[~outside], np.float64))
-        object.__setattr__(self, 'refined', frozen_array(self.refined, np.float64))
-        object.__setattr__(self, 'points', points)
-        object.__setattr__(self, 'alpha', alpha)
-        object.__setattr__(self, 'edges', frozen_array(edges[~outside], np.int64))
-        object.__setattr__(self, 'source', source)
-        object.__setattr__(self, 'target', target)
-        object.__setattr__(self, 'places', places)
-        object.__setattr__(self, 'leg', leg)
+            checked['seconds'] = frozen_array(seconds[~outside], np.float64)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def _summary(self) -> dict[str, str]:
         stops = {'stops': str(len(self.stops))} if self.legs > 1 else {}
@@ -237,11 +230,6 @@ def _check_places(places: IndexArray, points: FloatArray, alpha: FloatArray) -> 
                              f'{places[node]}, but their points or losses differ')
 
 
-def _check_legs(leg: IndexArray, edges: IndexArray) -> None:
-    step = leg[edges[:, 1]] - leg[edges[:, 0]]
-    _refuse_edges(edges, step < 0, 'back to an earlier leg')
-
-
 def _floats(name: str, values: npt.ArrayLike) -> FloatArray:
     try:
         return frozen_array(values, np.float64)
@@ -254,14 +242,14 @@ def _check_nodes(points: FloatArray, alpha: FloatArray) -> None:
         raise InvalidNetwork(f'points must have shape (N >= 2, 2), got {points.shape}')
     if alpha.shape != (len(points),):
         raise InvalidNetwork(f'alpha must have shape ({len(points)},), got {alpha.shape}')
-    bad = ~np.isfinite(points).all(axis=1)
-    if bad.any():
-        node = int(np.argmax(bad))
-        raise InvalidNetwork(f'points must be finite, got {points[node].tolist()} at node {node}')
-    bad = ~(np.isfinite(alpha) & (alpha >= 0.0))
-    if bad.any():
-        node = int(np.argmax(bad))
-        raise InvalidNetwork(f'alpha must be finite and >= 0, got {alpha[node]} at node {node}')
+    for name, values, good, rule in (
+        ('points', points, np.isfinite(points).all(axis=1), 'finite'),
+        ('alpha', alpha, np.isfinite(alpha) & (alpha >= 0.0), 'finite and >= 0'),
+    ):
+        if not good.all():
+            node = int(np.argmin(good))
+            raise InvalidNetwork(f'{name} must be {rule}, got {values[node].tolist()} '
+                                 f'at node {node}')
 
 
 def _seconds(values: npt.ArrayLike, count: int) -> FloatArray:
@@ -304,10 +292,8 @@ def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
     outside = np.asarray(((edges < 0) | (edges >= count)).any(axis=1))
     _refuse_edges(edges, outside, f'outside 0..{count - 1}')
     _refuse_edges(edges, edges[:, 0] == edges[:, 1], 'a self-loop')
-    keys = edges[:, 0] * count + edges[:, 1]
-    _, first = np.unique(keys, return_index=True)
-    repeated = np.ones(len(edges), dtype=bool)
-    repeated[first] = False
+    _, first = np.unique(edges[:, 0] * count + edges[:, 1], return_index=True)
+    repeated = ~np.isin(np.arange(len(edges)), first)
     _refuse_edges(edges, repeated, 'a duplicate')
     return edges
 

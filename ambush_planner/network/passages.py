@@ -7,13 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.ndimage import binary_opening, distance_transform_edt, label
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
+from .shortest_paths import shortest_path
 
 # Maximum distance from any point to the nearest lattice node [spacings]. Along a line
 # with that much free space around it, the nodes next to it are joined.
@@ -104,16 +103,11 @@ def _centres(risk_map: RiskMap, cells: IndexArray) -> FloatArray:
 def _cheapest_cell_path(free: BoolArray, margin: FloatArray, ends: IndexArray) -> IndexArray:
     """Cells (K, 2) of the cheapest path between two cells across the sides of free ones."""
     number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    pairs = np.concatenate([
-        np.stack((a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]))
-        for a, b in ((number[:, 1:], number[:, :-1]), (number[1:], number[:-1]))
-    ], axis=1)
+    sides = np.concatenate([np.stack((a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]), axis=1)
+                            for a, b in ((number[:, 1:], number[:, :-1]), (number[1:], number[:-1]))
+                            ])
     scale = max(float(margin.max()), np.finfo(float).tiny)
     cost = 1.0 + NARROW_COST * (1.0 - np.clip(margin[free] / scale, 0.0, 1.0)) ** 2
-    graph = csr_matrix((cost[pairs[0]] + cost[pairs[1]], tuple(pairs)), (len(cost),) * 2)
-    source, target = number[tuple(ends.T)]
-    before = dijkstra(graph, directed=False, indices=source, return_predecessors=True)[1]
-    path = [int(target)]
-    while path[-1] != source:
-        path.append(int(before[path[-1]]))
-    return np.argwhere(free)[path[::-1]]
+    edges = np.concatenate((sides, sides[:, ::-1]))
+    return np.argwhere(free)[shortest_path(edges, cost[edges].sum(axis=1), len(cost),
+                                           *number[tuple(ends.T)].tolist())]

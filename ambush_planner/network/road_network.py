@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, members
 from ..errors import InvalidOption, NoRoute
 from ..maps.coordinates import InvalidCoordinates
 from ..maps.obstacles import ObstacleField, nearest_on_segments
@@ -22,12 +22,10 @@ from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..maps.vector_file import from_system
 from .shortest_paths import edge_matrix, reachable_from
-from .trip_graph import TripGraph, position_errors
+from .trip_graph import Position, TripGraph, named, position_errors
 
 # Distance at which a position is on a road, or at one of its nodes [m].
 ON_ROAD = 1e-3
-
-Position = tuple[float, float]
 
 
 def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
@@ -71,12 +69,6 @@ class _Pieces:
         self.points = np.vstack((self.points, place))
         return len(self.points) - 1
 
-    def replace_piece(self, piece: int, pairs: list[tuple[int, int]]) -> None:
-        """Replace a piece by others with the same speeds."""
-        self.speeds = np.vstack((np.delete(self.speeds, piece, axis=0),
-                                 np.tile(self.speeds[piece], (len(pairs), 1))))
-        self.pairs = np.vstack((np.delete(self.pairs, piece, axis=0), pairs))
-
     def nearest(self, place: FloatArray) -> tuple[float, int, FloatArray]:
         """Distance, number and nearest point of the piece that is nearest to a place."""
         a, b = self.points[self.pairs[:, 0]], self.points[self.pairs[:, 1]]
@@ -85,14 +77,15 @@ class _Pieces:
         piece = int(np.argmin(far))
         return float(far[piece]), piece, feet[piece]
 
-    def node_at(self, piece: int, foot: FloatArray) -> int:
+    def nodenamed(self, piece: int, foot: FloatArray) -> int:
         """The node at a point of a piece, which is cut there unless it ends there."""
         a, b = self.pairs[piece].tolist()
         for node in (a, b):
             if np.hypot(*(self.points[node] - foot)) <= ON_ROAD:
                 return int(node)
-        node = self.add_node(foot)
-        self.replace_piece(piece, [(a, node), (node, b)])
+        node, speeds = self.add_node(foot), self.speeds[piece]
+        self.pairs = np.vstack((np.delete(self.pairs, piece, axis=0), [(a, node), (node, b)]))
+        self.speeds = np.vstack((np.delete(self.speeds, piece, axis=0), speeds, speeds))
         return node
 
 
@@ -122,7 +115,8 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
         tail, head = risk_map.to_map_axes(np.stack((place, pieces.points[node])))
         if not field.clear_segments(tail[None], head[None], clearance)[0]:
             raise position_errors(name)[1](
-                f'{_at(name, position)}: an obstacle lies between it and the nearest road; move it')
+                f'{named(name, position)}: an obstacle lies between it and the nearest road; '
+                'move it')
         links.append((node, pieces.add_node(place)))
         link_speeds.append(pieces.speeds[(pieces.pairs == node).any(axis=1)].max())
         visits[position] = links[-1][1]
@@ -138,8 +132,7 @@ def _cut(roads: RoadGraph, spacing: float) -> _Pieces:
     """Cut the roads into equal parts of at most ``spacing`` [m] between their own places."""
     a, b = roads.points[roads.pairs[:, 0]], roads.points[roads.pairs[:, 1]]
     count = np.maximum(np.ceil(np.hypot(*(b - a).T) / spacing - 1e-9), 1.0).astype(np.int64)
-    of = np.repeat(np.arange(len(count)), count)
-    k = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    of, k = members(count)
     inner = k > 0
     share = (k / count[of])[inner, None]
     added = a[of[inner]] * (1.0 - share) + b[of[inner]] * share
@@ -159,13 +152,9 @@ def _joined(pieces: _Pieces, name: str, position: Position, join_distance: float
     if far > join_distance:
         nearest = f'{far:.1f} m from the nearest road' if far < np.inf else 'on a map without roads'
         raise position_errors(name)[1](
-            f'{_at(name, position)} is {nearest}; move it, or raise join_distance '
+            f'{named(name, position)} is {nearest}; move it, or raise join_distance '
             f'({join_distance:g} m)')
-    return pieces.node_at(piece, foot)
-
-
-def _at(name: str, position: Position) -> str:
-    return f'{name} ({position[0]:.3f}, {position[1]:.3f})'
+    return pieces.nodenamed(piece, foot)
 
 
 def _graph(risk_map: RiskMap, pieces: _Pieces, visits: tuple[int, ...], timed: bool) -> TripGraph:
@@ -187,12 +176,12 @@ def _check_connected(graph: TripGraph, ends: dict[str, Position], blocked: int) 
     count, (start, *_, goal) = len(graph.points), graph.visits
     ahead = reachable_from(graph.edges, count, start)
     behind = reachable_from(graph.edges[:, ::-1], count, goal)
-    for name, node in zip(ends, graph.visits, strict=True):
+    nodes = dict(zip(ends, graph.visits, strict=True))
+    for name, node in nodes.items():
         for reached, one, other in ((ahead, 'start', name), (behind, name, 'goal')):
             if not reached[node]:
-                nodes = dict(zip(ends, graph.visits, strict=True))
-                raise NoRoute(f'no road leads from {_at(one, ends[one])} to '
-                              f'{_at(other, ends[other])}: '
+                raise NoRoute(f'no road leads from {named(one, ends[one])} to '
+                              f'{named(other, ends[other])}: '
                               f'{_why(graph, nodes[one], nodes[other], blocked)}')
 
 

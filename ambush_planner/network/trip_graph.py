@@ -10,7 +10,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, found_in
 from ..errors import (
     AmbushPlannerError,
     GoalBlocked,
@@ -22,6 +22,8 @@ from ..errors import (
 )
 from .network import Network
 from .shortest_way import GroundLengths
+
+Position = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +101,11 @@ class TripGraph:
                        np.repeat(np.arange(number), count), seconds, self.refined, shortest)
 
 
+def named(name: str, position: Position) -> str:
+    """A start, stop or goal in messages."""
+    return f'{name} ({position[0]:.3f}, {position[1]:.3f})'
+
+
 def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:
     """The errors for a start, stop or goal off the map, and for a blocked one."""
     return {'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked)}.get(
@@ -125,15 +132,9 @@ def original_edges(network: Network, of: IndexArray, edges: IndexArray) -> Index
     -1 for an edge that stands for none.
     """
     count = len(network.points)
-    own, wanted = (network.edges @ (count, 1), of[edges] @ (count, 1))
-    order = np.argsort(own)
-    at = order[np.minimum(np.searchsorted(own, wanted, sorter=order), len(own) - 1)]
-    return np.where(own[at] == wanted, at, -1)
+    return found_in(network.edges @ (count, 1), of[edges] @ (count, 1))
 
 
 def original_nodes(network: Network, places: IndexArray, leg: IndexArray) -> IndexArray:
     """The network's nodes that stand for the same places (K,) on the same legs (K,); -1: none."""
-    own, wanted = network.places * network.legs + network.leg, places * network.legs + leg
-    order = np.argsort(own)
-    at = order[np.minimum(np.searchsorted(own, wanted, sorter=order), len(own) - 1)]
-    return np.where(own[at] == wanted, at, -1)
+    return found_in(network.places * network.legs + network.leg, places * network.legs + leg)

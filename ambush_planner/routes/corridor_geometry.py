@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, members
 from ..maps.risk_map import RiskMap
 
 # Share of the distance to the nearest node that strips and quarters may use.
@@ -159,9 +159,8 @@ class _CellIndex:
         found = self._tree.query_ball_point(places, radius, return_sorted=False)
         count = np.array([len(some) for some in found], dtype=np.int64)
         index = np.concatenate([*found, []]).astype(np.int64)
-        first, many = (np.cumsum(count) - count)[of], count[of]
-        whose = np.repeat(np.arange(len(of)), many)
-        cell = index[np.arange(len(whose)) + np.repeat(first - np.cumsum(many) + many, many)]
+        whose, k = members(count[of])
+        cell = index[(np.cumsum(count) - count)[of][whose] + k]
         corners = self._centres[cell][:, None] + self._corners
         return whose, corners - places[of][whose][:, None]
 

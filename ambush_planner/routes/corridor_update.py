@@ -22,7 +22,7 @@ from .corridor_geometry import (
     limit_to_cells,
     limit_to_map,
 )
-from .corridors import Corridors, link_keys
+from .corridors import Corridors
 
 # Radius around a moved end in which nodes are examined [lengths of its longest link].
 SEARCH_RADIUS = 3.0
@@ -98,11 +98,9 @@ def _linked(corridors: Corridors, node: int, neighbours: IndexArray,
         added = np.full((2 * len(new), *values.shape[1:]), fill, values.dtype)
         return np.concatenate((values[kept], added))[order]
 
-    links = links[order]
-    return replace(corridors, links=links, widths=extended(corridors.widths, 0.0),
+    return replace(corridors, links=links[order], widths=extended(corridors.widths, 0.0),
                    beyond=extended(corridors.beyond, 0.0),
-                   shortcut=extended(corridors.shortcut, shortcut),
-                   _keys=link_keys(links, len(corridors.uv)))
+                   shortcut=extended(corridors.shortcut, shortcut))
 
 
 def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:

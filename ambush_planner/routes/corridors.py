@@ -17,10 +17,11 @@ edge. Strips and quarters keep the clearance from obstacles, and either
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray, found_in, members
 from ..errors import InvalidOption
 from ..game.discs import SecuredArea
 from ..maps.obstacles import ObstacleField
@@ -87,11 +88,14 @@ class Corridors:
     reach: float
     secured: SecuredArea
     open_ground: FloatArray
-    _keys: IndexArray
+
+    @cached_property
+    def _keys(self) -> IndexArray:
+        return link_keys(self.links, len(self.uv))
 
     def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
-        """Indices (K,) of the links from tails (K,) to heads (K,)."""
-        return np.searchsorted(self._keys, tails * len(self.uv) + heads)
+        """Indices (K,) of the links from tails (K,) to heads (K,); -1: there is none."""
+        return found_in(self._keys, tails * len(self.uv) + heads)
 
     def shortened(self, route: IndexArray) -> IndexArray:
         """Skip nodes of a route (K,) by the shortest way along links between them.
@@ -102,9 +106,8 @@ class Corridors:
         if not self.shortcut.any():
             return route
         first, end = np.searchsorted(self._keys, np.stack((route, route + 1)) * len(self.uv))
-        count = end - first
-        step = np.repeat(np.arange(len(route)), count)
-        link = np.arange(len(step)) - (np.cumsum(count) - count - first)[step]
+        step, link = members(end - first)
+        link += first[step]
         place = np.full(len(self.uv), -1)
         place[route] = np.arange(len(route))
         ahead = place[self.links[link, 1]]
@@ -164,7 +167,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
                      np.full(len(links), tube is None and most == np.inf),
                      np.inf if tube is None else tube, reach, secured,
-                     open_ground(uv, risk_map, clearance, clear_of_edge), link_keys(links, len(uv)))
+                     open_ground(uv, risk_map, clearance, clear_of_edge))
 
 
 def secured_in_map_axes(secured: SecuredArea, origin: tuple[float, float, float]) -> SecuredArea:

@@ -39,8 +39,7 @@ class CutRoutes:
     (K - 1,) from each point to the next have a ``length``, a ``unit`` vector, and the ``widths``
     (K - 1, 2) of their left and right strips; not ``joined`` ones lead from a line to the next.
     ``room`` (K - 1, 2) is how much wider the strips are free of obstacles, and ``quarters`` (K, 2)
-    are the radii of the left and right quarters at the points. ``tubes`` (K - 1,) limit how far
-    paths may be from each segment.
+    are the radii of the left and right quarters at the points.
     """
 
     points: FloatArray
@@ -51,7 +50,6 @@ class CutRoutes:
     room: FloatArray
     quarters: FloatArray
     bounds: IndexArray
-    tubes: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +83,8 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
     joined = np.ones(len(route) - 1, dtype=bool)  # False from one route to the next
     joined[bounds[1:-1] - 1] = False
     unit, length = _directions(nodes, joined)
-    links, known = corridors.links_along(route[:-1], route[1:]), np.zeros(len(joined), dtype=bool)
-    links = np.minimum(links, len(corridors.links) - 1)
-    known = (corridors.links[links] == np.stack((route[:-1], route[1:]), axis=1)).all(axis=1)
+    links = corridors.links_along(route[:-1], route[1:])
+    known = links >= 0  # others skip nodes, or lead from a line to the next
     tubes = np.where(known, corridors.tube, skipping_tube(corridors, length))
     free = corridors.widths[links]
     beyond = corridors.beyond[links].copy()
@@ -97,7 +94,7 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
     widths = np.minimum(free, tubes[:, None])
     quarters = np.zeros((len(route), 2))
     quarters[1:-1] = np.minimum(beyond[:-1, 1], beyond[1:, 0])
-    whole = CutRoutes(nodes, joined, unit, length, widths, free - widths, quarters, bounds, tubes)
+    whole = CutRoutes(nodes, joined, unit, length, widths, free - widths, quarters, bounds)
     if corridors.reach == 0.0:
         return whole
     left = cross(unit[:-1], unit[1:]) > 0.0
@@ -236,7 +233,7 @@ def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: Bo
     unit, length = _directions(points, joined[kept[:-1]])
     begins = np.cumsum(kept)[first[whole.bounds[:-1]]] - 1
     return CutRoutes(points, joined[kept[:-1]], unit, length, widths[kept[:-1]], rooms[kept[:-1]],
-                     quarters, np.append(begins, len(points)), np.empty(0))
+                     quarters, np.append(begins, len(points)))
 
 
 def _chord_widths(corners: _Corners, cuts: FloatArray, at: IndexArray,

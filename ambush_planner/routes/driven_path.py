@@ -15,7 +15,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, members
 from ..errors import InvalidOption
 from ..maps.risk_map import to_world
 from ..maps.ros_messages import MAX_POSES
@@ -287,8 +287,8 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     of_lines = np.add.reduceat(parts, 2 * first)
     _check_count(float(of_lines.max()), spacing)
     count = parts.astype(np.int64)
-    part = np.repeat(np.arange(len(count)), count)
-    share = (np.arange(len(part)) - np.repeat(np.cumsum(count) - count, count)) / count[part]
+    part, number = members(count)
+    share = number / count[part]
     k, bent = part // 2, part % 2 == 0
     along = k - bent  # turns start in the direction before the corner
     bend = np.where(bent, lines.turn[k], 0.0)
