@@ -23,7 +23,6 @@ from .layout import FreeSpace, connect_nodes
 from .network import Network
 from .passages import MAX_NODE_DISTANCE, pass_nodes, passage_nodes, widest_cell_path
 from .road_network import road_length, road_trip_graph, roads_on_map
-from .shortest_paths import reachable_from
 from .shortest_way import GroundLengths
 from .trip_graph import Position, TripGraph, named, position_errors
 
@@ -171,77 +170,68 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
         return road_trip_graph(risk_map, field, options.roads, named_ends,
                                chosen_spacing(risk_map, options), options.clearance,
                                options.join_distance)
-    space = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options, grading)
-    start, passes = places.index(positions[0]), np.empty((0, 2))
+    space = FreeSpace(risk_map, field, uv_ends, places.index(positions[0]),
+                      chosen_spacing(risk_map, options), options, grading)
+    passes = np.empty((0, 2))
     if grading:
         passes = pass_nodes(risk_map, field, options.clearance, space.wanted)
         passes = passes[field.clear_points(passes, options.clearance)]
-    uv, pairs, unreachable = _connected(space, passes, start)
+    uv, edges, unreachable = connect_nodes(space, passes)
     if len(passes) and unreachable:
         # Their triangles can cut the lattice's only way; ways are kept before passes.
-        uv, pairs, unreachable = _connected(space, passes[:0], start)
+        uv, edges, unreachable = connect_nodes(space, passes[:0])
     if unreachable:
-        uv, pairs = _add_passage_nodes(space, start, unreachable)
+        uv, edges = _add_passage_nodes(space, unreachable)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)
     alpha = risk_map.alpha[risk_map.cells(uv)]
     alpha[first:] = 0.0
     visits = tuple(first + places.index(position) for position in positions)
-    both = np.concatenate((pairs, pairs[:, ::-1]))
     if grading is None:
-        return TripGraph(points, alpha, both, visits)
-    return TripGraph(points, alpha, both, visits, None, grading.refined,
-                     GroundLengths(field, options.clearance, uv, both))
+        return TripGraph(points, alpha, edges, visits)
+    return TripGraph(points, alpha, edges, visits, None, grading.refined,
+                     GroundLengths(field, options.clearance, uv, edges))
 
 
-def _connected(space: FreeSpace, extra: FloatArray,
-               start: int) -> tuple[FloatArray, IndexArray, list[int]]:
-    """``connect_nodes``, and which ends cannot be reached from the one with index ``start``."""
-    uv, pairs = connect_nodes(space, extra)
-    both, first = np.concatenate((pairs, pairs[:, ::-1])), len(uv) - len(space.uv_ends)
-    reached = reachable_from(both, len(uv), first + start)
-    return uv, pairs, np.flatnonzero(~reached[first:]).tolist()
-
-
-def _add_passage_nodes(space: FreeSpace, start: int,
+def _add_passage_nodes(space: FreeSpace,
                        unreachable: list[int]) -> tuple[FloatArray, IndexArray]:
-    """Add nodes in narrow passages on paths over cells from end ``start`` to unreachable ends.
+    """Add nodes in narrow passages on paths over cells from the start to unreachable ends.
 
     Raises NoRoute if no such path exists or the added nodes do not connect the ends.
     """
     options, nodes = space.options, np.empty((0, 2))
     for end in unreachable:
-        path, margin = _cell_path_between(space, start, end)
+        path, margin = _cell_path_to(space, end)
         if options.method != 'uniform_grid8':  # which has no place for further nodes
             nodes = np.concatenate((nodes, passage_nodes(path, margin, space.spacing)))
             nodes = np.unique(nodes, axis=0)
     nodes = nodes[space.field.clear_points(nodes, options.clearance)]
-    uv, pairs, still = _connected(space, nodes, start)
+    uv, edges, still = connect_nodes(space, nodes)
     if not still:
-        return uv, pairs
-    _, margin = _cell_path_between(space, start, still[0])
+        return uv, edges
+    _, margin = _cell_path_to(space, still[0])
     finer = max(float(margin.min()) / MAX_NODE_DISTANCE, space.risk_map.resolution / 2)
     raise NoRoute(
-        f'{_no_route_text(space, start, still[0])} keeps clear of the obstacles at a spacing of '
+        f'{_no_route_text(space, still[0])} keeps clear of the obstacles at a spacing of '
         f'{space.spacing:g} m; the map has one, which a spacing of '
         f'{min(finer, space.spacing / 2):.3g} m would find'
     )
 
 
-def _no_route_text(space: FreeSpace, start: int, end: int) -> str:
-    ends = space.risk_map.to_world(space.uv_ends[[start, end]])
+def _no_route_text(space: FreeSpace, end: int) -> str:
+    ends = space.risk_map.to_world(space.uv_ends[[space.start, end]])
     return 'no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})'.format(*ends[0], *ends[1])
 
 
-def _cell_path_between(space: FreeSpace, start: int, end: int) -> tuple[FloatArray, FloatArray]:
-    """The widest path over cells from one end to another, with its margins; raises NoRoute."""
-    options, ends = space.options, space.uv_ends[[start, end]]
+def _cell_path_to(space: FreeSpace, end: int) -> tuple[FloatArray, FloatArray]:
+    """The widest path over cells from the start to an end, with its margins; raises NoRoute."""
+    options, ends = space.options, space.uv_ends[[space.start, end]]
     path, margin = widest_cell_path(space.risk_map, space.field, ends, options.clearance)
     if len(path) == 0:
         clearance = f' at a clearance of {options.clearance:g} m' if options.clearance else ''
         raise NoRoute(
-            f'{_no_route_text(space, start, end)}: obstacles separate them{clearance}; a spacing '
+            f'{_no_route_text(space, end)}: obstacles separate them{clearance}; a spacing '
             f'other than {space.spacing:g} m does not help'
         )
     return path, margin

@@ -24,6 +24,7 @@ from .node_sampling import (
     mirrored_points,
     random_points,
 )
+from .shortest_paths import reachable_from
 
 if TYPE_CHECKING:
     from .construction import NetworkOptions
@@ -33,12 +34,13 @@ if TYPE_CHECKING:
 class FreeSpace:
     """The map, options and distinct ends ``uv_ends`` (E, 2) in map axes [m] of a network.
 
-    ``grading`` makes the lattice finer in places.
+    ``start`` is the index of the start among them; ``grading`` makes the lattice finer in places.
     """
 
     risk_map: RiskMap
     field: ObstacleField
     uv_ends: FloatArray
+    start: int
     spacing: float
     options: NetworkOptions
     grading: Grading | None = None
@@ -51,15 +53,19 @@ class FreeSpace:
         return self.grading.wanted(points, ends, self.spacing)
 
 
-def connect_nodes(space: FreeSpace, extra: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Nodes in map axes, the ends last, and the pairs of them joined by clear edges.
+def connect_nodes(space: FreeSpace,
+                  extra: FloatArray) -> tuple[FloatArray, IndexArray, list[int]]:
+    """Nodes in map axes, the ends last; clear edges both ways; ends out of reach of the start.
 
     ``extra`` (K, 2) are nodes in addition to the lattice or the samples.
     """
     uv, pairs, triangles = _nodes_and_pairs(space, np.concatenate((extra, space.uv_ends)))
     a, b = uv[pairs[:, 0]], uv[pairs[:, 1]]
     clear = space.field.clear_segments(a, b, space.options.clearance)
-    return uv, without_slivers(uv, pairs[clear], triangles)
+    pairs, first = without_slivers(uv, pairs[clear], triangles), len(uv) - len(space.uv_ends)
+    edges = np.concatenate((pairs, pairs[:, ::-1]))
+    reached = reachable_from(edges, len(uv), first + space.start)
+    return uv, edges, np.flatnonzero(~reached[first:]).tolist()
 
 
 def _nodes_and_pairs(space: FreeSpace,
