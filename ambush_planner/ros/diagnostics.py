@@ -88,15 +88,16 @@ class Status:
 class Reporter:
     """Keeps the status of the node called ``name``, and publishes it on change; thread-safe.
 
-    ``activity`` returns whether a solve runs or waits, and whether a plan is being refined. A
-    request's error is reported for ``error_hold()`` [s], everything else as long as it lasts.
+    ``present`` returns the fields of the status that it looks up each time: what is missing, and
+    whether a solve or a refinement runs or waits. A request's error is reported for
+    ``error_hold()`` [s], everything else as long as it lasts.
     """
 
     def __init__(self, name: str, publishers: Publishers,
-                 activity: Callable[[], tuple[bool, bool]],
+                 present: Callable[[], Mapping[str, Any]],
                  error_hold: Callable[[], float]) -> None:
         self._name, self._publishers = name, publishers
-        self._activity, self._error_hold = activity, error_hold
+        self._present, self._error_hold = present, error_hold
         self._failed_at = 0.0
         self._status = Status(lifecycle='unconfigured')
         self._lock = RLock()  # also while publishing, which keeps the reports in order
@@ -106,12 +107,12 @@ class Reporter:
         with self._lock:
             if time.monotonic() - self._failed_at > self._error_hold():
                 self._status = self._status.noting('request', None)
-            self._status = self._active(self._status)
+            self._status = replace(self._status, **self._present())
             message = status_to_ros(self._status, self._name, self._publishers.clock.now().to_msg())
             self._publishers.publish('/diagnostics', message)
 
     def set(self, **fields: Any) -> None:
-        """Set fields of the status; without any, publish it if a solve has begun or ended."""
+        """Set fields of the status; without any, publish it if what is looked up has changed."""
         self._change(lambda status: replace(status, **fields))
 
     def unconfigured(self, lifecycle: str) -> None:
@@ -157,13 +158,9 @@ class Reporter:
         """Change the status, and publish it if it differs."""
         with self._lock:
             before = self._status
-            self._status = self._active(change(before))
+            self._status = replace(change(before), **self._present())
             if self._status != before:
                 self.report()
-
-    def _active(self, status: Status) -> Status:
-        solving, refining = self._activity()
-        return replace(status, solving=solving, refining=refining)
 
 
 def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:

@@ -48,7 +48,7 @@ class NodeSettings:
         _warn_of_unknown(node)
         self.saved = _saved_plan(node)
         self.current = self._read()
-        self.contradiction: InvalidOption | None = None
+        self.contradiction = ''
         self.active = False
         node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
         node.add_on_set_parameters_callback(self._check)
@@ -56,10 +56,8 @@ class NodeSettings:
 
     def agreeing(self) -> NodeParameters:
         """Return the values; raises InvalidOption while they contradict each other."""
-        if self.contradiction is not None:
-            raise InvalidOption(
-                f'parameters contradict each other: {self.contradiction}'
-            ) from self.contradiction
+        if self.contradiction:
+            raise InvalidOption(self.contradiction)
         return self.current
 
     def _read(self) -> NodeParameters:
@@ -89,9 +87,10 @@ class NodeSettings:
 
     def _update(self, _: list[Parameter]) -> None:
         try:
-            self.current, self.contradiction = self._read(), None
+            self.current, self.contradiction = self._read(), ''
         except InvalidOption as error:
-            self.contradiction = error
+            self.contradiction = ('parameters contradict each other, and requests are refused: '
+                                  f'{error}')
         self._changed()
 
 

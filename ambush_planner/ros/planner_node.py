@@ -95,7 +95,7 @@ class PlannerNode(LifecycleNode):
             logger.info('plans are solved sooner with the Python package highspy: '
                         'pip install highspy')
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
-                                  Publishers(self, STATUS_TOPICS), self._activity,
+                                  Publishers(self, STATUS_TOPICS), self._present,
                                   lambda: self._settings.current.values['diagnostics.error_hold'])
         self._reporter.set(recording=current.recording.enabled)
         self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
@@ -177,7 +177,6 @@ class PlannerNode(LifecycleNode):
             self._configured = made.pop_all()
         self._parts = _Parts(inputs, dispatcher, subscriptions)
         self._reporter.set(lifecycle='inactive')
-        self._report_missing()
 
     def _configured_parts(self) -> _Parts:
         if self._parts is None:
@@ -231,33 +230,23 @@ class PlannerNode(LifecycleNode):
         """Set parameters; the reason of a success says if they now contradict others."""
         result = super().set_parameters_atomically(parameter_list)
         if result.successful:  # rclpy drops the reason that a callback gives
-            result.reason = self._contradiction()
+            result.reason = self._settings.contradiction
         return result
 
-    def _contradiction(self) -> str:
-        """Describe how parameters contradict each other; '' if they do not."""
-        contradiction = self._settings.contradiction
-        return '' if contradiction is None else (
-            f'parameters contradict each other, and requests are refused: {contradiction}'
-        )
-
     def _parameters_changed(self) -> None:
-        self._reporter.note('parameters', self._contradiction())
-        self._report_missing()
+        self._reporter.note('parameters', self._settings.contradiction)
 
-    def _activity(self) -> tuple[bool, bool]:
-        return self._parts.dispatcher.activity if self._parts else (False, False)
-
-    def _report_missing(self) -> None:
-        if self._parts is not None:
-            self._reporter.set(missing=self._parts.inputs.missing())
+    def _present(self) -> dict[str, Any]:
+        if self._parts is None:
+            return {}
+        solving, refining = self._parts.dispatcher.activity
+        return {'solving': solving, 'refining': refining, 'missing': self._parts.inputs.missing()}
 
     def _report(self) -> None:
         self._error_boundary.log_repeated()
         if self._parts is not None:
             self._parts.subscriptions.check()
             self._parts.dispatcher.follow()
-            self._report_missing()  # requests may have brought start and goal
         self._reporter.report()
 
 

@@ -97,7 +97,7 @@ class Subscriptions:
                          ) -> None:
         def accept(received: ReceivedMessage) -> None:
             setattr(self._inputs, role, read(received) if read else received)
-            self._reporter.set(missing=self._inputs.missing())
+            self._reporter.set()
             self._dispatcher.prepare()
 
         self._subscriptions.append(
@@ -125,7 +125,6 @@ class Subscriptions:
     def _use_maps(self) -> None:
         before, new = self._inputs.map, self._inputs.join_maps()
         self._reporter.note('map', None)
-        self._reporter.set(missing=self._inputs.missing())
         if new is not None and new is not before:
             self._announce(new, before)
             self._dispatcher.map_changed()
