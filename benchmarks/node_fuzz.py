@@ -35,7 +35,6 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
 from rclpy.serialization import serialize_message
 from report import conditions, new_parser, table
-from std_srvs.srv import Trigger
 
 from ambush_planner.parameters.table import PARAMETERS
 
@@ -74,8 +73,8 @@ def send(caller: Caller, rng: Random) -> str:
         caller.publisher(kind, topic).publish(data)
         name = topic
     else:
-        kind, name, request = pick(rng, REQUESTS if choice < 0.9 else PARAMETER_REQUESTS)
-        caller.call(kind, name, request(rng))
+        name, request = pick(rng, REQUESTS if choice < 0.9 else PARAMETER_REQUESTS)
+        caller.call(name, request(rng))
     caller.get_parameter()
     return name
 
@@ -186,14 +185,13 @@ def a_name(rng: Random) -> str:
 
 
 REQUESTS = (
-    (GetPlan, 'get_plan', a_plan),
-    *((Trigger, name, lambda _: Trigger.Request()) for name in ('new_route', 'replan', 'cancel')),
+    ('get_plan', a_plan),
+    *((name, lambda _: None) for name in ('new_route', 'replan', 'cancel')),
 )
 PARAMETER_REQUESTS = (
-    (SetParametersAtomically, 'set_parameters_atomically', parameters),
-    (GetParameters, 'get_parameters', lambda rng: GetParameters.Request(names=[a_name(rng)])),
-    (DescribeParameters, 'describe_parameters',
-     lambda rng: DescribeParameters.Request(names=[a_name(rng)])),
+    ('set_parameters_atomically', parameters),
+    ('get_parameters', lambda rng: GetParameters.Request(names=[a_name(rng)])),
+    ('describe_parameters', lambda rng: DescribeParameters.Request(names=[a_name(rng)])),
 )
 
 

@@ -34,7 +34,6 @@ from node_rig import (
 from rcl_interfaces.srv import DescribeParameters
 from report import conditions, new_parser, table
 from std_msgs.msg import Header
-from std_srvs.srv import Trigger
 
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 
@@ -73,14 +72,14 @@ def during_a_solve(samples: int) -> tuple[str, bool]:
         calls = cheap_calls(caller)
         idle = alternate(caller, samples, calls)
         caller.set_parameters(SLOW)
-        answer = caller.send(Trigger, 'new_route')
+        answer = caller.send('new_route')
         caller.wait(lambda: caller.status['state'] == 'solving', 'the solve to begin')
         caller.set_parameters(QUICK)
         say('the same calls during a solve')
         during = alternate(caller, samples, calls)
         if answer.done() or caller.status['state'] != 'solving':
             raise NodeSilent('the solve ended before the calls; use fewer --samples')
-        cancel = stopwatch(lambda: caller.call(Trigger, 'cancel'))
+        cancel = stopwatch(lambda: caller.call('cancel'))
         caller.wait(answer.done, 'the answer of the cancelled solve')
     seldom = {name: [float(np.quantile(each[name], 0.99)) for each in (during, idle)]
               for name in during}
@@ -105,8 +104,7 @@ def cheap_calls(caller: Caller) -> Calls:
     return {
         'service `get_parameters`': caller.get_parameter,
         'service `describe_parameters`': lambda: caller.call(
-            DescribeParameters, 'describe_parameters',
-            DescribeParameters.Request(names=['map.alpha_min'])),
+            'describe_parameters', DescribeParameters.Request(names=['map.alpha_min'])),
         'service `get_plan`, strategy known': lambda: caller.get_plan(START, GOAL),
         'bad map to its diagnostics': bad_maps(caller),
     }

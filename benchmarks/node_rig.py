@@ -21,7 +21,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -38,6 +38,11 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 PLANNER = '/ambush_planner'
+SERVICES: dict[str, Any] = {
+    'new_route': Trigger, 'replan': Trigger, 'cancel': Trigger, 'get_plan': GetPlan,
+    'get_parameters': GetParameters, 'describe_parameters': DescribeParameters,
+    'set_parameters_atomically': SetParametersAtomically,
+}
 # Discovery alone can take more than 3 s.
 TIMEOUT = 30.0
 # The node's own time limit for a solve is 60 s.
@@ -94,7 +99,6 @@ class Caller:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
         self.status: dict[str, str] = {}
 
@@ -104,7 +108,15 @@ class Caller:
         self.node = rclpy.create_node('caller', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._clients = {
+            name: self.node.create_client(kind, f'{PLANNER}/{name}', qos_profile=REQUESTS)
+            for name, kind in SERVICES.items()}
+        # Answers are lost until the planner has discovered the client. It discovers what listens in
+        # the order of its creation, so a report that arrives shows that it has.
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
+        for name, client in self._clients.items():
+            self.wait(client.service_is_ready, f'the service {name}')
+        self.wait(lambda: self.status, 'the diagnostics')
         return self
 
     def __exit__(
@@ -125,64 +137,38 @@ class Caller:
             self.wait(made.get_subscription_count, f'a subscription of {topic}')
         return self._publishers[topic]
 
-    def client(self, kind: type, name: str) -> Any:
-        """A connected client of a service of the planner."""
-        if name not in self._clients:
-            made = self._clients[name] = self.node.create_client(
-                kind, f'{PLANNER}/{name}', qos_profile=REQUESTS)
-            self.wait(made.service_is_ready, f'the service {name}')
-            # Answers are lost until the server has discovered the client. It discovers clients in
-            # the order of their creation, so an answer to a later one shows that it has.
-            last = self.node.create_client(GetParameters, f'{PLANNER}/get_parameters')
-            self._call_until_answered(last)
-            self.node.destroy_client(last)
-        return self._clients[name]
+    def send(self, name: str, request: Any = None) -> Future:
+        """Call one of the ``SERVICES``; return the future of the answer."""
+        return self._clients[name].call_async(request or SERVICES[name].Request())
 
-    def _call_until_answered(self, client: Any) -> None:
-        """Repeat a call without side effects until it is answered."""
-        what = f'an answer of {client.srv_name}'
-        self.wait(client.service_is_ready, what)
-        deadline = time.monotonic() + ANSWER_TIMEOUT
-        while True:
-            future = client.call_async(client.srv_type.Request())
-            try:
-                return self.wait(future.done, what, 2.0)
-            except NodeSilent:
-                if time.monotonic() > deadline:
-                    raise
-
-    def send(self, kind: type, name: str, request: Any = None) -> Future:
-        """Call a service of the planner; return the future of the answer."""
-        return self.client(kind, name).call_async(request or kind.Request())
-
-    def call(self, kind: type, name: str, request: Any = None) -> Any:
-        """Call a service of the planner; return the answer. Raises NodeSilent."""
-        future = self.send(kind, name, request)
+    def call(self, name: str, request: Any = None) -> Any:
+        """Call one of the ``SERVICES``; return the answer. Raises NodeSilent."""
+        future = self.send(name, request)
         self.wait(future.done, f'an answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
     def trigger(self, name: str) -> None:
         """Call a Trigger that must succeed. Raises Refused."""
-        answer = self.call(Trigger, name)
+        answer = self.call(name)
         if not answer.success:
             raise Refused(f'{name}: {answer.message}')
 
     def get_plan(self, start: PoseStamped, goal: PoseStamped) -> PathMessage:
         """Depart between two poses. Raises Refused."""
-        path = self.call(GetPlan, 'get_plan', GetPlan.Request(start=start, goal=goal)).plan
+        path = self.call('get_plan', GetPlan.Request(start=start, goal=goal)).plan
         if not path.poses:
             raise Refused('get_plan: no path')
         return path
 
     def get_parameter(self, name: str = 'strategy.solver') -> None:
         """Get a parameter, the cheapest request."""
-        self.call(GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
+        self.call('get_parameters', GetParameters.Request(names=[name]))
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Set parameters together. Raises Refused."""
         request = SetParametersAtomically.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
-        result = self.call(SetParametersAtomically, 'set_parameters_atomically', request).result
+        result = self.call('set_parameters_atomically', request).result
         if not result.successful:
             raise Refused(f'parameters: {result.reason}')
 
