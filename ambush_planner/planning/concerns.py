@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -16,11 +18,6 @@ from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
 from .refinement import LEAST_FALL
 
-_DIFFERENT = f'different_paths_of_{DRAWN}'
-_STRATEGY_NUMBERS = (
-    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
-    'expected_length', 'shortest_length',
-)
 # What a gap over the slack says about the search.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
@@ -191,29 +188,33 @@ def _is_chance(game: Game) -> bool:
     return game.ambushers == 1 and not np.any((game.loss != 0.0) & (game.loss != 1.0))
 
 
+def _strategy_number(name: str, plan: Plan) -> str:
+    return f'{getattr(plan.strategy, name):.9g}'
+
+
+_NUMBERS: dict[str, Callable[[Plan], str]] = {
+    **{name: partial(_strategy_number, name) for name in (
+        'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
+        'expected_length', 'shortest_length')},
+    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.strategy.game)
+                              else 'mean loss'),
+    f'different_paths_of_{DRAWN}': lambda plan: (
+        '' if plan.different_paths is None else str(plan.different_paths)),
+    'value_holds_at': lambda plan: ('anywhere in free ground' if holds_anywhere(plan.options)
+                                    else "the network's nodes"),
+    'secured_radius': lambda plan: f'{plan.strategy.game.options.secured_distance:.9g}',
+    'nodes': lambda plan: str(plan.network.place_count),
+    'edges': lambda plan: str(len(plan.network.edges)),
+    'refined': lambda plan: ' '.join(f'{each.value:.4g}' for each in plan.refinement),
+    'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
+    'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),
+    'search_ended': lambda plan: plan.strategy.reason,
+    'stops': lambda plan: str(len(plan.order)),
+    'order': lambda plan: plan.order_found if plan.order else '',
+    'solve_seconds': lambda plan: f'{plan.seconds:.3f}',
+}
+
+
 def plan_numbers(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of a plan by stable keys, as text; empty ones without a plan."""
-    if plan is None:
-        return dict.fromkeys((
-            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'secured_radius', 'nodes',
-            'edges', 'refined', 'deciding_sites', 'deciding_sites_near_ends', 'search_ended',
-            'stops', 'order', 'solve_seconds',
-        ), '')
-    return {
-        **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
-        'value_is': 'probability of being hit' if _is_chance(plan.strategy.game) else 'mean loss',
-        _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
-        'value_holds_at': ('anywhere in free ground'
-                           if holds_anywhere(plan.options)
-                           else "the network's nodes"),
-        'secured_radius': f'{plan.strategy.game.options.secured_distance:.9g}',
-        'nodes': str(plan.network.place_count),
-        'edges': str(len(plan.network.edges)),
-        'refined': ' '.join(f'{each.value:.4g}' for each in plan.refinement),
-        'deciding_sites': str(len(plan.bottleneck.sites)),
-        'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
-        'search_ended': plan.strategy.reason,
-        'stops': str(len(plan.order)),
-        'order': plan.order_found if plan.order else '',
-        'solve_seconds': f'{plan.seconds:.3f}',
-    }
+    return {name: number(plan) if plan else '' for name, number in _NUMBERS.items()}

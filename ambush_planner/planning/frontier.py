@@ -124,29 +124,18 @@ def _rows(solved: Callable[[StrategyOptions, Strategy | None], Strategy], detour
         row = FrontierRow(swept, budgets.max_detour, budgets.risk_slack)
         if budgets not in known:  # both sweeps may contain the budgets of ``options``
             try:
-                before = _best_in_time(solved, budgets, before)
-                known[budgets] = _measured(row, before)
+                found: Strategy | None = solved(budgets, before)
             except (BudgetInfeasible, TimeLimit) as error:
-                known[budgets] = replace(row, error=str(error))
+                found, row = getattr(error, 'strategy', None), replace(row, error=str(error))
+            if found:
+                before = found
+                row = replace(row, error='', **{
+                    name: getattr(found, name) for name in MEASURED})
+            known[budgets] = row
         rows[k] = replace(known[budgets], swept=swept)
         if on_row is not None:
             on_row(rows[k])
     return tuple(_best_within(rows[k], rows.values()) for k in range(len(tasks)))
-
-
-def _best_in_time(solved: Callable[[StrategyOptions, Strategy | None], Strategy],
-                  budgets: StrategyOptions, before: Strategy | None) -> Strategy:
-    """The strategy, or the best one at the time limit; raises TimeLimit if there is none."""
-    try:
-        return solved(budgets, before)
-    except TimeLimit as late:
-        if late.strategy is None:
-            raise
-        return late.strategy
-
-
-def _measured(row: FrontierRow, strategy: Strategy) -> FrontierRow:
-    return replace(row, **{name: getattr(strategy, name) for name in MEASURED})
 
 
 def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.spatial.distance import directed_hausdorff
 from scipy.stats import binom
 
@@ -21,8 +22,8 @@ from ..maps.track_file import Track
 from .options import PlanningOptions, is_graded
 from .path_mixtures import PathMixture, PathMixtures
 from .plan import Plan, make_plan
-from .solving import solve_on_network
-from .trip import PLANNED, plan_quietly, trip_network, with_time
+from .solving import solve_on_network, with_time
+from .trip import PLANNED, plan_quietly, trip_network
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
@@ -30,12 +31,9 @@ NEAR = 0.05
 MIN_STEP = 0.05
 # Quantile of a track's steps that is a usual step.
 USUAL = 0.75
-# Maximum number of positions that are an outlier together.
-MAX_SPIKE = 3
-# Minimum steps to an outlier and back [usual steps].
-MIN_SPIKE_STEPS = 5.0
-# Minimum way over an outlier, as a multiple of the direct way.
-MIN_SPIKE_DETOUR = 4.0
+# Maximum number of positions that are an outlier together, and the minimum distance of an outlier
+# from the median of the positions around it [usual steps].
+MAX_SPIKE, MIN_SPIKE = 3, 5.0
 # Maximum step that does not break a track [usual steps].
 MAX_STEP = 5.0
 # Maximum step that does not break a track, as a share of the distance from start to goal.
@@ -182,16 +180,11 @@ def _apart(xy: FloatArray, step: float) -> list[int]:
 
 def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
     """The indices ``kept`` of positions without those of outliers."""
-    usual = float(np.quantile(_steps(xy[kept]), USUAL)) if len(kept) > 1 else 0.0
-    for width in range(1, MAX_SPIKE + 1):
-        p = xy[kept]
-        before, after = p[: -width - 1], p[width + 1 :]
-        there, back, direct = (np.hypot(*step.T) for step in (
-            p[1:-width] - before, after - p[width:-1], after - before))
-        spike = ((np.minimum(there, back) > MIN_SPIKE_STEPS * usual)
-                 & (there + back > MIN_SPIKE_DETOUR * direct))
-        kept = np.delete(kept, np.flatnonzero(spike)[:, None] + 1 + np.arange(width)).tolist()
-    return kept
+    points = xy[kept]
+    usual = float(np.quantile(_steps(points), USUAL)) if len(kept) > 1 else 0.0
+    around = median_filter(points, (2 * MAX_SPIKE + 1, 1), mode='nearest')
+    near = np.hypot(*(points - around).T) <= MIN_SPIKE * usual
+    return [k for k, is_near in zip(kept, near.tolist(), strict=True) if is_near]
 
 
 def _is_one(one: Track, other: Track, reach: float) -> bool:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -99,6 +100,12 @@ def finish_on(search: Search, options: PlanningOptions, end: float) -> Strategy:
         return finish(search, options.strategy, end)
     except TimeLimit as late:
         return _within_max_gap(late, options)
+
+
+def with_time(options: PlanningOptions, end: float) -> PlanningOptions:
+    """The options with the time limit at ``end`` (``time.monotonic``), or next to nothing."""
+    left = max(end - time.monotonic(), 1e-6)
+    return replace(options, strategy=replace(options.strategy, time_limit=left))
 
 
 def _played(risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None

@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,28 +27,20 @@ class BagFile(NamedTuple):
     name: str
     start_ns: int
     end_ns: int
-    counts: tuple[tuple[Channel, int], ...]
+    counts: Mapping[Channel, int]
 
 
 def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
     """Describe a file by its messages, which are in the order of time."""
-    counts = tuple(Counter(each.channel for each in messages).items())
-    return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, _shared(counts))
-
-
-@lru_cache(16)
-def _shared(counts: tuple[tuple[Channel, int], ...]) -> tuple[tuple[Channel, int], ...]:
-    """Return one object for equal counts: nearly all files of a session have the same."""
-    return counts
+    counts = Counter(each.channel for each in messages)
+    return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, counts)
 
 
 def bag_text(files: Sequence[BagFile]) -> bytes:
     """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
     counts: Counter[Channel] = Counter()
-    # Nearly all files have equal counts; adding them up one by one takes longer than recording.
-    for equal, times in Counter(each.counts for each in files).items():
-        for channel, number in equal:
-            counts[channel] += times * number
+    for each in files:
+        counts.update(each.counts)
     start, end = min(each.start_ns for each in files), max(each.end_ns for each in files)
     described = {'rosbag2_bagfile_information': {
         'version': 9,
@@ -66,7 +57,7 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
         ],
         'relative_file_paths': [each.name for each in files],
         'files': [{'path': each.name, **_time_span(each.start_ns, each.end_ns),
-                   'message_count': sum(number for _, number in each.counts)} for each in files],
+                   'message_count': sum(each.counts.values())} for each in files],
     }}
     return f'{json.dumps(described, ensure_ascii=False)}\n'.encode()
 
