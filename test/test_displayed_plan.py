@@ -105,15 +105,20 @@ def test_a_background_solve_that_is_cancelled_is_reported(running):
     client.diagnostics(stale='no')
 
 
-def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(running):
+@pytest.mark.parametrize('rows', [14, 20])
+def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(running, rows):
+    """Also if there is no route on the map that is solved."""
     client = running.client
     with held(WorkerProcess, 'solve'):
-        update(client, 10, 0, WALL)
+        update(client, 10, 0, np.full((rows, 1), 100))
         client.diagnostics(stale='yes', state='solving')
-        update(client, 10, 0, FLAT[:14, :1])
+        update(client, 10, 0, FLAT[:rows, :1])
         client.diagnostics(stale='no', state='solving')
-    client.last('edge_probabilities', 2)
-    client.diagnostics(stale='no', state='ready')
+    if rows < 20:
+        client.last('edge_probabilities', 2)
+    client.diagnostics(state='ready')
+    assert client.call('new_route').success
+    client.diagnostics(stale='no', departures='2')
 
 
 def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):

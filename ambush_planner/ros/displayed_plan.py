@@ -101,16 +101,16 @@ class DisplayedPlan:
     def _resolve(self, cached: CachedPlan, why: str) -> None:
         """Have the plan solved for the current map in the background, and show the new one."""
         def show_result(solve: Future[CachedPlan]) -> None:
-            latest = solve is self._latest_resolve  # not superseded by a later one
-            if latest:
+            still_needed = solve is self._latest_resolve  # the map has not changed again
+            if still_needed:
                 self._latest_resolve = None
             try:
                 self.show(solve.result().as_solved)
-            except SolveCancelled:
-                if latest:
-                    self._reporter.set(stale=f'{why}, and the new solve was cancelled')
             except AmbushPlannerError as error:
-                self._reporter.set(stale=f'{why}, and the new solve failed: {error}')
+                if still_needed:
+                    cancelled = isinstance(error, SolveCancelled)
+                    outcome = 'was cancelled' if cancelled else f'failed: {error}'
+                    self._reporter.set(stale=f'{why}, and the new solve {outcome}')
 
         trip = replace(cached.trip, map=self._inputs.current_map())
         self._latest_resolve = self._plans.solve(trip, background=True)
