@@ -98,7 +98,8 @@ def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned
     plan = SimpleNamespace(strategy=SimpleNamespace(value=0.504))
     last = SimpleNamespace(number=1, id='x', worth=Assessment(worth, 0.5, 1.0, 10.0), tight_turns=0,
                            held=SimpleNamespace(plan=plan),
-                           parameters=SimpleNamespace(planning=SimpleNamespace(max_gap=0.1)))
+                           trip=SimpleNamespace(parameters=SimpleNamespace(
+                               planning=SimpleNamespace(max_gap=0.1))))
     (reported,) = status_to_ros(Status(last=last), 'name', pose(0, 0).header.stamp).status
     assert (reported.level == DiagnosticStatus.WARN) is warned
     assert ('0.9996, its plan had 0.504' in reported.message) is warned

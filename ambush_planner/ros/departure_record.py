@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from nav_msgs.msg import Path
 
-from ..parameters.values import NodeParameters
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
 from ..recordings import RecordedMessage
@@ -61,11 +60,6 @@ class Departure:
     diversion: Diversion | None = None
     report: RecordedMessage | None = None
 
-    @property
-    def parameters(self) -> NodeParameters:
-        """The node's parameters at the time of the request."""
-        return self.trip.parameters
-
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     """Return inputs and publications, in the order of time.
@@ -91,7 +85,7 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
     }
     return Metadata(
         departure.id, departure.number, trip.map.frame,
-        {**departure.parameters.values,
+        {**trip.parameters.values,
          **{name: departure.held.task.parameters.values[name] for name in _OF_PLAN}},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,

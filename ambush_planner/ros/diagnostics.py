@@ -135,7 +135,7 @@ class Reporter:
         """
         with self._lock:
             status = self._left(departure)
-            if departure.parameters.recording.required:
+            if departure.trip.parameters.recording.required:
                 status = status.noting('recording', None)
             message = status_to_ros(status, self._name, self._publishers.clock.now().to_msg())
             report = self._publishers.as_recorded('/diagnostics', message)
@@ -219,7 +219,7 @@ def _departure_warnings(last: Departure | None) -> list[str]:
     if last is None:
         return []
     planned, turns, found = last.held.plan.strategy.value, last.tight_turns, []
-    if last.worth.value > planned * (1.0 + last.parameters.planning.max_gap):
+    if last.worth.value > planned * (1.0 + last.trip.parameters.planning.max_gap):
         found.append(f'the last departure has a value of {last.worth.value:.4g}, its plan had '
                      f'{planned:.4g} when it was solved (strategy.max_gap)')
     if turns:

@@ -206,7 +206,8 @@ class Dispatcher:
             return False
         else:
             departure, rest = under_way.departure, under_way.track.rest(trip.start_xy, trip.goal_xy)
-            trip = replace(trip, request=replace(trip.request, parameters=departure.parameters))
+            asked = replace(trip.request, parameters=departure.trip.parameters)
+            trip = replace(trip, request=asked)
             if not trip.ground.drivable_steps(rest[:, :2]).all():
                 return self._departures.divert(under_way, trip, pending)
             self._answer(trip, rest, f'departure {departure.number} continued', pending, True)

@@ -91,7 +91,7 @@ class Recordings:
         ))
         return queued.left
 
-    def hurry(self, hurry: bool = True) -> None:
+    def hurry(self, hurry: bool) -> None:
         """Begin or end not to wait for room: the node is being deactivated."""
         with self._condition:
             self._hurry = hurry
