@@ -63,20 +63,26 @@ def roads_of(seed, stops, count=14):
     return TripGraph(points, alpha, edges, tuple(range(count, count + stops + 2)))
 
 
+def drawn_trips(strategy, visits):
+    """The places of drawn routes, where their stops are, and which; all are visited, once each."""
+    network = strategy.network
+    assert unbalanced(network, strategy.edge_probability) < 1e-9
+    for route in strategy.sample_routes(20, np.random.default_rng(0)):
+        (at, which), place = network.visited(route), network.places[route]
+        assert len(set(route.tolist())) == len(route)
+        assert (place[0], place[-1]) == (visits[0], visits[-1])
+        assert sorted(which) == list(range(len(visits) - 2))
+        assert place[at].tolist() == [visits[1 + k] for k in which]
+        yield place, at, which.tolist()
+
+
 def check_laws(strategy, visits):
     """Conservation, stops in their order, one value over all legs."""
     network, p = strategy.network, strategy.edge_probability
-    assert unbalanced(network, p) < 1e-9
     node = network.places * network.legs + network.leg  # nodes of a stop share its visits
     visited = np.bincount(node, strategy.visit_probability)
     assert np.allclose(visited[node[network.stops]], 1.0)
-    rng = np.random.default_rng(0)
-    for route in strategy.sample_routes(20, rng):
-        leg, place = network.leg[route], network.places[route]
-        begins = np.flatnonzero(np.diff(leg)) + 1
-        assert [place[0], *place[begins], place[-1]] == list(visits)
-        assert leg[begins].tolist() == list(range(1, network.legs))
-        assert len(set(route.tolist())) == len(route)
+    assert all(which == sorted(which) for _, _, which in drawn_trips(strategy, visits))
     if strategy.game.reach == 0.0:
         entered = np.arange(network.place_count)[:, None] == network.places[network.heads]
         losses = strategy.game.loss[network.representatives] * hit_once(network, p, entered)
