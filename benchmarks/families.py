@@ -11,7 +11,7 @@ import argparse
 import math
 import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from report import new_parser
@@ -51,10 +51,10 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
     fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
     if kind != 'nodes':
         fine = math.exp(rng.uniform(*np.log(CELLS_PER_NODE)))
-    scenario, own = FAMILIES[family](rng, round(fine * math.sqrt(int(nodes))))
+    scenario = FAMILIES[family](rng, round(fine * math.sqrt(int(nodes))))
     spacing = spacing_for(scenario.risk_map, int(nodes))
     reach, secured = _reach_and_secured(kind, rng, scenario, spacing)
-    detour = own or float(rng.choice(DETOURS))
+    detour = scenario.detour or float(rng.choice(DETOURS))
     count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
     options = PlanningOptions(
         network=NetworkOptions(method='uniform_grid8' if kind == 'grid' else 'uniform_delaunay',
@@ -105,8 +105,7 @@ def _places(rng: np.random.Generator, risk_map: RiskMap, count: int) -> tuple[Po
     return tuple((float(x), float(y)) for x, y in risk_map.resolution * (cells + 0.5))
 
 
-Drawn = tuple[Scenario, float | None]
-Family = Callable[[np.random.Generator, int], Drawn]
+Family = Callable[[np.random.Generator, int], Scenario]  # with maps of about so many cells a side
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], smooth: float) -> FloatArray:
@@ -125,17 +124,17 @@ def _across(alpha: FloatArray, obstacles: BoolArray) -> Scenario:
 def _hills(roughness: float, obstacles: float = 0.0, ratio: int = 1) -> Family:
     """Smooth losses 1..10 with features of ``roughness`` of the map, ``ratio`` times as long."""
 
-    def make(rng: np.random.Generator, cells: int) -> Drawn:
+    def make(rng: np.random.Generator, cells: int) -> Scenario:
         shape = round(cells / math.sqrt(ratio)), round(cells * math.sqrt(ratio))
         smooth = roughness * cells
         alpha = 1.0 + 9.0 * _noise(rng, shape, smooth)
         blocked = _noise(rng, shape, max(smooth / 2.0, 1.0))
-        return _across(alpha, blocked > np.quantile(blocked, 1.0 - obstacles)), None
+        return _across(alpha, blocked > np.quantile(blocked, 1.0 - obstacles))
 
     return make
 
 
-def _gates(rng: np.random.Generator, cells: int) -> Drawn:
+def _gates(rng: np.random.Generator, cells: int) -> Scenario:
     """A wall with a gate ahead and one to the side; the budget allows nearly half through it."""
     alpha = 1.0 + 2.0 * _noise(rng, (cells, cells), 0.1 * cells)
     wall = np.zeros((cells, cells), dtype=bool)
@@ -145,10 +144,10 @@ def _gates(rng: np.random.Generator, cells: int) -> Drawn:
         wall[row - gate // 2 : row + gate // 2 + 1] = False
     by_the_side = math.hypot(0.46 * cells, aside) / (0.46 * cells)
     share = 0.5 * rng.uniform(0.9, 1.1)
-    return _across(alpha, wall), 1.0 + share * (by_the_side - 1.0)
+    return replace(_across(alpha, wall), detour=1.0 + share * (by_the_side - 1.0))
 
 
-def _building(rng: np.random.Generator, cells: int) -> Drawn:
+def _building(rng: np.random.Generator, cells: int) -> Scenario:
     """A floor plan twice as long as wide: halls split at random, with two doors in each wall."""
     shape = round(cells / math.sqrt(2.0)), round(cells * math.sqrt(2.0))
     wall = np.zeros(shape, dtype=bool)
@@ -171,20 +170,20 @@ def _building(rng: np.random.Generator, cells: int) -> Drawn:
     for _ in range(20):  # shelves
         row, column = rng.integers(0, shape[0]), rng.integers(0, shape[1])
         wall[row : row + door // 3, column : column + 2 * door] = True
-    return _across(1.0 + 9.0 * _noise(rng, shape, 0.05 * cells), wall), None
+    return _across(1.0 + 9.0 * _noise(rng, shape, 0.05 * cells), wall)
 
 
-def _between_random_ends(make: Callable[[np.random.Generator, int], Scenario]) -> Family:
+def _between_random_ends(make: Family) -> Family:
     """Start and goal anywhere on a scenario's map, at least half its width apart."""
 
-    def drawn(rng: np.random.Generator, cells: int) -> Drawn:
+    def drawn(rng: np.random.Generator, cells: int) -> Scenario:
         risk_map = make(rng, cells).risk_map
         free = np.argwhere(connected_ground(risk_map.obstacles))[:, ::-1]
         while True:
             ends = free[rng.choice(len(free), 2, replace=False)]
             if math.dist(*ends) >= 0.5 * max(risk_map.obstacles.shape):
                 start, goal = map(tuple, (risk_map.resolution * (ends + 0.5)).tolist())
-                return Scenario(risk_map, start, goal), None
+                return Scenario(risk_map, start, goal)
 
     return drawn
 
@@ -202,7 +201,7 @@ FAMILIES: dict[str, Family] = {
     'city': _between_random_ends(lambda rng, _: city(int(rng.integers(2**31)))),
     'maze': _between_random_ends(lambda rng, _: maze(seed=int(rng.integers(2**31)))),
     'terrain': _between_random_ends(lambda *_: terrain()),
-    'block': lambda _, cells: (_across(block(cells).alpha, block(cells).obstacles), None),
+    'block': lambda _, cells: _across(block(cells).alpha, block(cells).obstacles),
 }
 
 

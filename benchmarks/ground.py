@@ -14,12 +14,12 @@ import math
 import secrets
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from families import FAMILIES
+from families import FAMILIES, Problem
 from one_run import Answer, run
 from report import conditions, new_parser, publish, table
 from scenarios import Scenario, across, terrain
@@ -49,20 +49,11 @@ DRAWN = {'hills': 'hills-obstacles', 'rough': 'rough-obstacles', 'open': 'hills-
          'corridor': 'corridor', 'walls': 'building', 'city': 'city', 'maze': 'maze'}
 
 
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """A game: where from and where to, on which map, and the options that all ways share."""
-
-    scenario: Scenario
-    options: PlanningOptions
-    words: str
-
-
-def draw(family: str, seed: int) -> Ground:
+def draw(family: str, seed: int) -> Problem:
     """The game of a family, or of a map by its path, that a seed draws."""
     rng = np.random.default_rng(seed)
     if family in DRAWN:
-        scenario, _ = FAMILIES[DRAWN[family]](rng, CELLS)
+        scenario = FAMILIES[DRAWN[family]](rng, CELLS)
     else:
         scenario = terrain() if family == 'terrain' else across(
             read_risk_map(YARD if family == 'yard' else family), 0.06)
@@ -72,7 +63,8 @@ def draw(family: str, seed: int) -> Ground:
         reach, secured, detour = 500.0, 2000.0, 1.2
     options = PlanningOptions(game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour))
-    return Ground(scenario, options, f'reach {reach:.3g} held {secured:.3g} detour {detour:.3g}')
+    words = f'reach {reach:.3g} held {secured:.3g} detour {detour:.3g}'
+    return Problem(scenario, options, (), words)
 
 
 def shifted(scenario: Scenario, number: int, spacing: float) -> Scenario:

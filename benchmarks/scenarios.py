@@ -25,11 +25,12 @@ SIDE = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A risk map with start and goal [m]."""
+    """A risk map with start and goal [m], and the detour that makes it hard; None: any."""
 
     risk_map: RiskMap
     start: tuple[float, float]
     goal: tuple[float, float]
+    detour: float | None = None
 
     def network(self, options: NetworkOptions) -> Network:
         return build_network(self.risk_map, self.start, self.goal, options)
