@@ -158,15 +158,6 @@ def test_goals_and_answers_of_later_distributions_are_understood():
         assert (got.success, got.is_valid) == (True, is_valid)
 
 
-def test_a_path_that_is_not_published_is_in_the_result():
-    with asking(None, {'path.publish': False}) as goals:
-        status, result = goals.result(goals.send())
-        assert status == GoalStatus.STATUS_SUCCEEDED
-        assert result.path.poses[-1].pose == GOAL.pose
-        goals.client.diagnostics(departures='1')
-        assert not any(path.poses for path in goals.client.received['path'])
-
-
 def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submitted):
     with asking(None, LONG) as goals:
         old, one = goals.send(goal=pose(8.0, 1.0)), goals.send()
