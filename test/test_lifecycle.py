@@ -185,9 +185,9 @@ def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('method, transition', [
-    ('pause', 'deactivate'), ('stop_solving', 'cleanup')])
+    ('set_active', 'deactivate'), ('stop_solving', 'cleanup')])
 def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):
-    def broken(dispatcher):
+    def broken(*_):
         raise AmbushPlannerError('no good')
 
     with stage() as running:

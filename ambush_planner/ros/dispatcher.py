@@ -43,7 +43,7 @@ class Dispatcher:
     """Answers the requests to a configured node; thread-safe.
 
     Requests are answered one after the other on a thread of their own, and no thread waits for a
-    solve. They are refused until ``resume`` is called.
+    solve. They are refused until it is active.
     Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
     """
 
@@ -74,17 +74,13 @@ class Dispatcher:
         self._thread.submit(self._retry)
         self._thread.finish()
 
-    def pause(self) -> None:
-        """Refuse requests, including waiting ones; nothing leaves after this returns."""
-        self._departures.refuse(inactive)
-        self._displayed.may_solve = False
-        self.cancel()
-
-    def resume(self) -> None:
-        """Accept requests."""
-        self._departures.refuse(None)
-        self._displayed.may_solve = True
-        if self._displayed.cached is not None:
+    def set_active(self, active: bool) -> None:
+        """Accept requests; or refuse them, waiting ones, too, and nothing leaves after that."""
+        self._departures.refuse(None if active else inactive)
+        self._displayed.may_solve = active
+        if not active:
+            self.cancel()
+        elif self._displayed.cached is not None:
             self.map_changed()
 
     def close(self) -> None:

@@ -187,11 +187,7 @@ class PlannerNode(LifecycleNode):
         return self._parts
 
     def _set_active(self, active: bool) -> None:
-        dispatcher = self._configured_parts().dispatcher
-        if active:
-            dispatcher.resume()
-        else:
-            dispatcher.pause()
+        self._configured_parts().dispatcher.set_active(active)
         self._settings.active = active
         self._bond.set_active(active)
         self._reporter.set(lifecycle='active' if active else 'inactive')
