@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
 from node_rig import (
@@ -42,6 +41,7 @@ from node_rig import (
     within,
 )
 from rclpy.action import ActionClient
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from report import conditions, new_parser, table
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
@@ -267,12 +267,10 @@ def _wrapped(angle: float) -> float:
 
 def nav2_parameters() -> dict[str, object]:
     """The parameters of config/nav2.yaml, without recordings."""
-    ((_, node),) = yaml.safe_load((ROOT / 'config' / 'nav2.yaml').read_text()).items()
-    found: dict[str, object] = {}
-    for name, value in node['ros__parameters'].items():
-        group = value if isinstance(value, dict) else {'': value}
-        found |= {f'{name}.{key}'.rstrip('.'): each for key, each in group.items()}
-    return {**found, 'recording.enabled': False}
+    file = str(ROOT / 'config' / 'nav2.yaml')
+    found = parameter_dict_from_yaml_file(file, use_wildcard=True)
+    values = {name: parameter_value_to_python(each.value) for name, each in found.items()}
+    return {**values, 'recording.enabled': False}
 
 
 def measure_one(ask: str, speed: float, options: Any) -> tuple[list[str], bool]:
