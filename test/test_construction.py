@@ -227,6 +227,17 @@ def test_narrow_maps(method):
         assert len(network.points) == rows * columns
 
 
+@pytest.mark.parametrize(('method', 'spacing', 'count'), [
+    ('lattice_delaunay', 1.0, 7), ('uniform_delaunay', 7.0, 2)])
+def test_all_nodes_on_one_line_far_from_the_edge_of_the_map(method, spacing, count):
+    """They have no triangles, and no mirror images that would make some."""
+    obstacles = np.ones((60, 60), bool)
+    obstacles[30, 27:34] = False
+    risk_map = RiskMap(np.ones((60, 60)), obstacles, 1.0)
+    network = build(risk_map, (27.5, 30.5), (33.5, 30.5), method, spacing=spacing)
+    assert (len(network.points), len(joined(network))) == (count, count - 1)
+
+
 def test_a_spacing_of_zero_aims_at_the_number_of_nodes_never_below_the_resolution():
     network = build(random_map(0, 40, 0.0), (1, 1), (39, 39), target_nodes=400)
     assert 350 <= len(network.points) <= 450

@@ -34,6 +34,8 @@ def delaunay_pairs(points: FloatArray, mirrored: FloatArray,
     places[:, 0] += ROW_SHIFT * (np.floor(places[:, 1]) % 2)
     triangles = _triangles(places @ TIE_BREAK)
     pairs = _sides(triangles)
+    if triangles.shape[1] == 2:  # a chain has no triangles
+        triangles = np.empty((0, 3), dtype=np.int64)
     return pairs[pairs[:, 1] < len(points)], triangles[(triangles < len(points)).all(axis=1)]
 
 
