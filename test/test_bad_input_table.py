@@ -9,11 +9,10 @@ import interfaces
 import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
-from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped, Quaternion
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage, wait_until
-from test_conversions import turned
 from test_long_solves import NORTH, solving
 
 interfaces.install('map_msgs')
@@ -64,6 +63,13 @@ def refused_map(name):
         client.diagnostics(code='NONE')
         return 'INVALID_MAP'
     return attempt
+
+
+def turned(**orientation):
+    """A start with an orientation."""
+    message = pose(*START)
+    message.pose.orientation = Quaternion(**orientation)
+    return message
 
 
 def plans(*trips):

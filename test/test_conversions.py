@@ -7,26 +7,15 @@ import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
 from games import examples
-from geometry_msgs.msg import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
-from ros_harness import FRAME, header, pose
+from ros_harness import FRAME, header
 
-from ambush_planner.errors import InvalidPose, InvalidRiskMap
-from ambush_planner.maps.ros_messages import (
-    occupancy_from_ros,
-    path_from_ros,
-    pose_from_ros,
-    position_from_ros,
-)
-from ambush_planner.ros.conversions import (
-    occupancy_to_ros,
-    path_to_ros,
-    pose_to_ros,
-)
+from ambush_planner.errors import InvalidRiskMap
+from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros, pose_from_ros
+from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
-NAN, INF = math.nan, math.inf
 coordinates = st.floats(-1e6, 1e6)
 
 
@@ -69,25 +58,3 @@ def test_bad_map_is_refused_by_name_and_number(name):
     message, words = BAD_MAPS[name]
     with pytest.raises(InvalidRiskMap, match=words):
         occupancy_from_ros(message)
-
-
-def turned(**orientation):
-    message = pose(1.0, 2.0)
-    message.pose.orientation = Quaternion(**orientation)
-    return message
-
-
-BAD_POSES = {
-    'NaN': (pose(NAN, 2.0), r'goal: position \(nan, 2.0, 0.0\)'),
-    'infinite': (pose(1.0, INF), r'goal: position \(1.0, inf, 0.0\)'),
-    'quaternion NaN': (turned(w=NAN), 'goal: orientation .*nan'),
-    'quaternion zero': (turned(w=0.0), 'norm is 0'),
-    'quaternion long': (turned(w=1.0, z=1.0), 'norm is 1.41421'),
-}
-
-
-@pytest.mark.parametrize('name', BAD_POSES)
-def test_bad_pose_is_refused_by_name_and_number(name):
-    message, words = BAD_POSES[name]
-    with pytest.raises(InvalidPose, match=words):
-        position_from_ros(message, 'goal')
