@@ -5,7 +5,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from ambush_planner.worker.serial_executor import SerialExecutor
+from ambush_planner.ros.serial_executor import SerialExecutor
 
 
 class Closed(Exception):

@@ -14,13 +14,13 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from ..worker.serial_executor import started
 from .departure_record import Answer
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, Refusal, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .requests import Requests
+from .serial_executor import started
 from .topics import REQUESTS
 
 # The actions and their types.

@@ -19,7 +19,6 @@ from ..errors import AmbushPlannerError, InvalidOption
 from ..planning.plan import Plan
 from ..recordings.metadata import RecordedCall
 from ..recordings.plan_file import SavedPlan
-from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
 from .current_map import ReceivedMessage
 from .departure_record import Answer
@@ -31,6 +30,7 @@ from .inputs import Inputs
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, PlanCache, Task
 from .recordings import Recordings
+from .serial_executor import SerialExecutor
 from .topics import Publishers
 from .trip import Trip, TripRequest
 

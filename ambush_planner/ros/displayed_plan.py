@@ -12,13 +12,13 @@ from std_msgs.msg import Header
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
-from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
 from .diagnostics import Reporter
 from .inputs import Inputs
 from .markers import MARKERS
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, Fit, PlanCache
+from .serial_executor import SerialExecutor
 from .topics import Publishers
 
 

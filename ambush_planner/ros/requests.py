@@ -20,13 +20,13 @@ from ..errors import InvalidOption
 from ..planning.plan import Plan
 from ..recordings import type_name
 from ..recordings.metadata import RecordedCall
-from ..worker.serial_executor import completed, started
 from .conversions import fields_of, installed_type
 from .departure_record import Answer
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
 from .inputs import Inputs
 from .listener import Listener
+from .serial_executor import completed, started
 from .topics import REQUESTS
 from .trip import TripRequest
 
