@@ -91,9 +91,8 @@ def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy,
 
     Without a ``speed``, the network's speeds give the mean one; ``start`` is HH:MM, if it is known.
     """
-    network = strategy.network
-    ends = [network.source, *network.stops, network.target]
-    return Card(path[:, :2], risk_map, network.points[ends], strategy.game.options.secured_distance,
+    return Card(path[:, :2], risk_map, figures.places_of(strategy),
+                strategy.game.options.secured_distance,
                 speed or _mean_speed(*drawn, float(path_lengths([path])[0])),
                 datetime.strptime(start, '%H:%M') if start else None, day)
 
