@@ -39,13 +39,13 @@ class CorridorWidths:
     beyond: FloatArray
 
 
-def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float | None,
+def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float,
                    reach: float) -> CorridorWidths:
     """Widths up to the ``tube`` [m] from routes with cut corners, whose chords may leave them.
 
-    Without a tube: up to the nearest other nodes.
+    If the tube is inf: up to the nearest other nodes.
     """
-    if tube is None:
+    if tube == np.inf:
         return widths_between_nodes(uv, pairs)
     # A chord of two edges is at most a quarter of each away from them.
     aside = np.minimum(0.5 * _frame(uv, pairs)[2], BESIDE * reach)

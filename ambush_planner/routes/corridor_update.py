@@ -70,9 +70,8 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
     neighbours : (K,) int
         The nodes that take the place of those linked with it so far; None: they stay.
     """
-    tube = corridors.tube if corridors.tube < np.inf else None
     if neighbours is not None:
-        corridors = _linked(corridors, node, neighbours, tube is None)
+        corridors = _linked(corridors, node, neighbours)
     links, uv = corridors.links, corridors.uv.copy()
     uv[node] = to_map_axes(corridors.origin, place)
     still = corridors.open_ground.copy()
@@ -81,13 +80,12 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
     distance = np.hypot(*(uv - uv[node]).T)
     nodes = np.flatnonzero(distance <= SEARCH_RADIUS * distance[links[at]].max())
     local_uv, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
-    measured = largest_widths(local_uv, pairs, tube, corridors.reach)
+    measured = largest_widths(local_uv, pairs, corridors.tube, corridors.reach)
     measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
     return _with_widths(replace(corridors, uv=uv, open_ground=still), at, measured)
 
 
-def _linked(corridors: Corridors, node: int, neighbours: IndexArray,
-            shortcut: bool) -> Corridors:
+def _linked(corridors: Corridors, node: int, neighbours: IndexArray) -> Corridors:
     """Replace all links of a node; the new ones have no width yet."""
     kept = ~(corridors.links == node).any(axis=1)
     new = np.stack((np.full(len(neighbours), node), neighbours), axis=1)
@@ -100,7 +98,7 @@ def _linked(corridors: Corridors, node: int, neighbours: IndexArray,
 
     return replace(corridors, links=links[order], widths=extended(corridors.widths, 0.0),
                    beyond=extended(corridors.beyond, 0.0),
-                   shortcut=extended(corridors.shortcut, shortcut))
+                   shortcut=extended(corridors.shortcut, corridors.tube == np.inf))
 
 
 def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:

@@ -145,18 +145,22 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
 
     Raises InvalidOption if the tube is negative or not finite.
     """
-    if tube is not None and not 0.0 <= tube < np.inf:
+    if tube is None:
+        tube = np.inf
+    elif not 0.0 <= tube < np.inf:
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
     uv = risk_map.to_map_axes(network.points[network.representatives])
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
     secured = secured_in_map_axes(secured, risk_map.origin)
-    if tube is None and most == np.inf:
+    shortcuts = tube == most == np.inf
+    if shortcuts:
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, measured = _with_shortcuts(uv, edges, field, clearance)
     else:
-        pairs, free = edges, largest_widths(uv, edges, tube, reach)
-        most = most if tube is None else np.inf
-        measured = CorridorWidths(np.minimum(free.widths, most), np.minimum(free.beyond, most))
+        pairs, measured = edges, largest_widths(uv, edges, tube, reach)
+        if tube == np.inf:
+            measured = CorridorWidths(np.minimum(measured.widths, most),
+                                      np.minimum(measured.beyond, most))
     measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
@@ -165,8 +169,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
     links = links[order]
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
-                     np.full(len(links), tube is None and most == np.inf),
-                     np.inf if tube is None else tube, reach, secured,
+                     np.full(len(links), shortcuts), tube, reach, secured,
                      open_ground(uv, risk_map, clearance, clear_of_edge))
 
 
