@@ -4,12 +4,8 @@
 from functools import cache
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from plain import plain_options
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
-from recording_samples import new_route_call
-from std_msgs.msg import Header
+from recording_samples import metadata_entries, new_route_call
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions
@@ -17,15 +13,12 @@ from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ambush_planner.parameters.table import PARAMETERS
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
-from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.attachments import strategy_file
+from ambush_planner.recordings.plain_messages import map_message, path_message, pose_message
 from ambush_planner.recordings.recording_file import encode
-from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
 START_NS = 1_700_000_000_000_000_000
 DAY_NS = 86_400_000_000_000
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-HEADER = Header(frame_id='map')
 START, GOAL = (12.5, 147.5), (387.5, 152.5)
 SPACING, SECURED = 20.0, 40.0
 
@@ -66,24 +59,15 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, entries=(), stamp
     strategy = strategy_file(a_plan.strategy) if strategy is None else strategy
     stamp = START_NS + number * DAY_NS if stamp_ns is None else stamp_ns
     poses = np.column_stack((a_plan.network.points[route], np.zeros(len(route))))
-    ends = [PoseStamped(header=HEADER, pose=pose_to_ros(*xy)) for xy in (start, GOAL)]
-    roles = {
-        'map': ('/alpha_map', occupancy_to_ros(occupancy(hill), 5.0, (0.0, 0.0, 0.0), HEADER)),
-        'start': ('/start_pose', ends[0]),
-        'goal': ('/goal_pose', ends[1]),
-        'path': ('/path', path_to_ros(poses, ends[0].pose, ends[1].pose, HEADER)),
-    }
-    messages = [
-        RecordedMessage(topic, type_name(message), serialize_message(message), LATCHED, stamp)
-        for topic, message in roles.values()
-    ]
-    metadata = {
+    risk_map = risk_from_occupancy(occupancy(hill), 5.0)
+    messages = [map_message(risk_map, OccupancyOptions(), 'map', stamp),
+                pose_message('/start_pose', start, 'map', stamp),
+                pose_message('/goal_pose', GOAL, 'map', stamp), path_message(poses, 'map', stamp)]
+    metadata = metadata_entries() | {
         'departure_id': f'00000000-0000-4000-8000-{number:012d}', 'departure': number,
-        'frame': 'map', 'versions': {'ambush_planner': '0.1.0', 'numpy': '1.26.4'},
-        'parameters': parameters(), 'topics': {role: topic for role, (topic, _) in roles.items()},
-        'trip': {'start': start, 'goal': GOAL, 'stops': []}, 'ends': [start, GOAL], 'joined': False,
-        'route': [int(node) for node in route], 'route_entropy_source': [source(number)],
-        'call': new_route_call(stamp), **dict(entries),
+        'parameters': parameters(), 'trip': {'start': start, 'goal': GOAL, 'stops': []},
+        'ends': [start, GOAL], 'route': [int(node) for node in route],
+        'route_entropy_source': [source(number)], 'call': new_route_call(stamp), **dict(entries),
     }
     files = {'strategy.npz': strategy, 'map_changes.npz': changes}
     return messages, metadata, {name: data for name, data in files.items() if data}

@@ -93,11 +93,6 @@ def test_planners_that_do_not_follow_the_strategy_are_found(terrain, planner, op
     assert result.finding and result.impossible == 0 and result.departures == len(routes)
 
 
-def test_honest_draws_are_no_finding(terrain):
-    result = run(terrain, drawn(terrain, 60, 9))
-    assert not result.finding and result.p_value > 0.01
-
-
 def test_two_strategies_are_tested_each_under_its_own_distribution(terrain, paper):
     other = solve(terrain.network, options=StrategyOptions(max_detour=1.05))
     three = (terrain, paper, other)

@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from games import examples, least_weight, networks, paper_example, routes_of, terrain_networks
+from games import examples, least_weight, networks, routes_of, terrain_networks
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -56,16 +56,6 @@ def test_measures_of_any_network(network):
         assert row.v_repeated >= strategy.lower_bound
         assert row.p_repeated == (1.0 if row.v_repeated > 0.0 else 0.0)
         assert -1e-12 <= row.p_first <= 1.0 + 1e-9
-
-
-def test_the_papers_example():
-    rows = evaluate(solve(paper_example()))
-    for name in PLANNERS[1:]:
-        assert (rows[name].p_repeated, rows[name].v_repeated) == (1.0, 1.0)
-        assert rows[name].p_first == pytest.approx(1 / 3, abs=1e-5)
-    assert rows['stochastic'].p_first == pytest.approx(1 / 3, rel=1e-2)
-    assert rows['stochastic'].v_repeated == pytest.approx(1 / 3, rel=1e-2)
-    assert rows['energy_efficient'].expected_length == pytest.approx(3.0)
 
 
 def test_three_parallel_nodes_by_hand():

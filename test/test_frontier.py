@@ -24,7 +24,6 @@ from ambush_planner.commands import frontier as command
 from ambush_planner.commands.frontier import COLUMNS
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.planning.frontier import FrontierRow, _best_within
 
 # Tolerance of entropies: a solve may leave some of the entropy and of the slack unused.
 ENTROPY = 0.02
@@ -71,12 +70,6 @@ def test_infeasible_budget_has_a_row_with_the_reason(network):
     tight, loose = rows
     assert 'raise max_detour' in tight.error and np.isnan(tight.value)
     assert not loose.error and loose.value > 0.0
-
-
-def test_a_row_without_a_strategy_keeps_its_error():
-    tight = FrontierRow('max_detour', 1.1, 0.01, value=1.0, lower_bound=0.99)
-    failed = FrontierRow('max_detour', 1.2, 0.01, error='the time limit passed')
-    assert _best_within(failed, [tight, failed]) is failed
 
 
 def test_bad_budgets_are_refused_before_the_first_solve(network):

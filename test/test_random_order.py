@@ -11,6 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from plain import plain_options
 from test_trip import FREE, GOAL, OPTIONS, START, STOPS, drawn_trips, roads_of, there_and_back
+from test_trip import check_laws as check_laws_of_one_order
 
 from ambush_planner import (
     GameOptions,
@@ -109,7 +110,9 @@ def test_laws_of_any_order(seed, stops, reach, detour):
     assert strategy.lower_bound <= strategy.value
     one = solve(roads.network(roads.visits), options, StrategyOptions(
         max_detour=max(1.0, strategy.length_budget / shortest(roads)), risk_slack=0.001))
+    check_laws_of_one_order(one, roads.visits)
     assert strategy.lower_bound <= one.value
+    assert one.reason == 'stalled' or one.value <= one.lower_bound * (1.0 + 0.00101)
 
 
 def shortest(roads):

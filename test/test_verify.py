@@ -94,11 +94,6 @@ FORGERIES = {
     'points moved': (GET_PLAN, lambda f: scaled(f, 'points', 1.0 + 1e-9), 'network: '),
     'another map': (NEW_ROUTE, lambda f: f.edit(
         'map', lambda m: m.data.__setitem__(slice(180, 230), m.data[170:220])), 'network: '),
-    'a number that is a text': (NEW_ROUTE, lambda f: f.entries.update(departure='\x1b[31m'),
-                                'metadata: departure is not of the type int'),
-    'a source of texts': (NEW_ROUTE, lambda f: f.entries.update(route_entropy_source=['7' * 80]),
-                          'metadata: route_entropy_source is not of the type int'),
-    'a parameter of another type': (NEW_ROUTE, other_parameter('seed', '1'), 'seed is not of the'),
     'endless ends': (GET_PLAN, lambda f: f.entries.update(ends=[[math.inf, 0.0], [8.5, 6.5]]),
                      'metadata: a position of trip or ends is not finite'),
     'no place to start': (NEW_ROUTE, lambda f: f.entries['trip'].update(start=[99.0, 0.0]),

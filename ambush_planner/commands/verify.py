@@ -10,7 +10,8 @@ from typing import Any
 
 from ..errors import shown
 from ..recordings import recordings_in
-from ..recordings.verify import Verdict, Verifier, together
+from ..recordings.recorded_departures import together
+from ..recordings.verify import Verdict, Verifier
 from . import cli, readers
 
 EPILOG = """\

@@ -41,6 +41,8 @@ NUMBERS = (
 # Rounding between releases of numpy and scipy, relative and absolute.
 _SAME = 1e-9
 _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg', 'refined')
+# Of networks with driving times, or with lengths over the ground.
+_ON_ROADS = ('seconds', 'ground_length')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
 # What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
 _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_distance'}
@@ -48,6 +50,7 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_dis
 _BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.
 _CIRCULATION = ('through', 'site', 'face', 'flow')
+_ROADS = ('points', 'pairs', 'speeds', 'timed')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
 _FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), 'shares', 'value', 'worst_xy',
@@ -58,23 +61,16 @@ _REASON = 'reason'
 
 def strategy_file(strategy: Strategy) -> bytes:
     """Return the strategy and its network as an npz file."""
-    stream = BytesIO()
+    network, ambusher = strategy.network, strategy.ambusher
     arrays: dict[str, Any] = {
-        **{name: getattr(strategy.network, name) for name in _NETWORK},
+        **{name: getattr(network, name) for name in (*_NETWORK, *_ON_ROADS)},
         **{name: getattr(strategy, name) for name in (*_PROBABILITIES, *NUMBERS)},
         **{name: getattr(strategy.game.options, each) for name, each in _PLANNED.items()},
-        _REASON: strategy.reason,
+        _BY_LEG: ambusher.by_leg, _REASON: strategy.reason,
     }
-    if strategy.ambusher.circulation is not None:
-        arrays |= {name: getattr(strategy.ambusher.circulation, name) for name in _CIRCULATION}
-    if strategy.ambusher.by_leg is not None:
-        arrays[_BY_LEG] = strategy.ambusher.by_leg
-    if strategy.network.seconds is not None:
-        arrays['seconds'] = strategy.network.seconds
-    if strategy.network.ground_length is not None:
-        arrays['ground_length'] = strategy.network.ground_length
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    if ambusher.circulation is not None:
+        arrays |= {name: getattr(ambusher.circulation, name) for name in _CIRCULATION}
+    return _npz({name: array for name, array in arrays.items() if array is not None})
 
 
 def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Mapping[str, float]]:
@@ -84,8 +80,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations and
     multipliers are not recorded.
     """
-    content = arrays_in(BytesIO(data), (*_NETWORK, 'seconds', 'ground_length', *_PROBABILITIES,
-                                        *NUMBERS, *_PLANNED, *_CIRCULATION, _BY_LEG, _REASON))
+    content = arrays_in(BytesIO(data), (*_NETWORK, *_ON_ROADS, *_PROBABILITIES, *NUMBERS,
+                                        *_PLANNED, *_CIRCULATION, _BY_LEG, _REASON))
     ground_length = content.get('ground_length')
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
                       int(content['target']), content['places'], content['leg'],
@@ -137,9 +133,7 @@ def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) 
     cells = np.flatnonzero(before.ravel() != after.ravel()).astype(np.int32)
     if not len(cells):
         return b''
-    stream = BytesIO()
-    np.savez_compressed(stream, cells=cells, values=after.ravel()[cells].astype(np.int8))
-    return stream.getvalue()
+    return _npz({'cells': cells, 'values': after.ravel()[cells].astype(np.int8)})
 
 
 def changed_map(before: npt.NDArray[np.int8], data: bytes) -> npt.NDArray[np.int8]:
@@ -153,17 +147,14 @@ def changed_map(before: npt.NDArray[np.int8], data: bytes) -> npt.NDArray[np.int
 @lru_cache(4)
 def roads_file(roads: RoadGraph) -> bytes:
     """Return roads as an npz file."""
-    stream = BytesIO()
-    np.savez_compressed(stream, points=roads.points, pairs=roads.pairs, speeds=roads.speeds,
-                        timed=roads.timed)
-    return stream.getvalue()
+    return _npz({name: getattr(roads, name) for name in _ROADS})
 
 
 def roads_from_file(data: bytes | None) -> RoadGraph | None:
     """Return the roads in the bytes of a ``roads.npz``; None if there are none."""
     if data is None:
         return None
-    content = arrays_in(BytesIO(data), ('points', 'pairs', 'speeds', 'timed'))
+    content = arrays_in(BytesIO(data), _ROADS)
     return RoadGraph(content['points'], content['pairs'], content['speeds'], bool(content['timed']))
 
 
@@ -175,9 +166,7 @@ def few_file(few: FewRoutes) -> bytes:
             arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
         else:
             arrays[name] = value
-    stream = BytesIO()
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    return _npz(arrays)
 
 
 def few_from_file(data: bytes) -> FewRoutes:
@@ -191,3 +180,9 @@ def few_from_file(data: bytes) -> FewRoutes:
         lower_bound=float(content['lower_bound']), candidates=int(content['candidates']),
         costs=content['costs'],
         curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
+
+
+def _npz(arrays: Mapping[str, Any]) -> bytes:
+    stream = BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()

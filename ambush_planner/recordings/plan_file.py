@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -94,8 +93,10 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None, order: str
     """
     occupancy = occupancy or OccupancyOptions(crs=plan.own_map.crs)
     values = parameter_values(plan, occupancy, order)
+    roads = plan.options.network.roads
+    roads = roads and in_map_frame(roads, plan.own_map.crs)
     source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
-    return SavedPlan(plan, parameters_from(values, _roads(plan)), slots, source, id=str(uuid4()),
+    return SavedPlan(plan, parameters_from(values, roads), slots, source, id=str(uuid4()),
                      made_ns=time.time_ns())
 
 
@@ -152,11 +153,6 @@ def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
     return files
 
 
-def _roads(plan: Plan) -> Any:
-    roads, risk_map = plan.options.network.roads, plan.risk_map
-    return roads and risk_map and in_map_frame(roads, risk_map.crs)
-
-
 def read_plan(path: Path | str) -> SavedPlan:
     """Read a plan file, and check that its numbers are those of its strategy.
 
@@ -188,7 +184,9 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     planning = parameters.planning
     risk_map = map_from_bytes(files[MAP_FILE])
     strategy, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
-    _check_stated(file.path, stated, strategy)
+    for name, number, found in misstated(strategy, stated):
+        raise UnreadableRecording(file.path, f'it was edited: its {name} is stated as '
+                                  f'{number:.9g}, its strategy has {found:.9g}; plan again')
     few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
     if few:
         few_strategy(strategy, few)  # raises an error if its shares and routes are none
@@ -197,11 +195,3 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
                 about.order, about.order_found, risk_map, few)
     return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
                      about.made_ns)
-
-
-def _check_stated(path: Path, stated: Mapping[str, float], strategy: Any) -> None:
-    """Raise UnreadableRecording if a stated number is not that of the strategy."""
-    for name, said, found in misstated(strategy, stated):
-        raise UnreadableRecording(path, f'it was edited: its {name} is stated as {said:.9g}, its '
-                                  f'strategy has {found:.9g}; plan again')
-

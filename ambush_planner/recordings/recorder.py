@@ -18,12 +18,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from ..errors import InvalidOption
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_all_durably
 from .messages import RecordedMessage
 from .recording_errors import RecordingFailed, recording_to
-from .recording_file import COMPRESSIONS, encode
+from .recording_file import encode
 
 SESSION_PREFIX = 'ambush_planner_'
 # Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with
@@ -45,10 +44,6 @@ class Recorder:
 
     def __init__(self, directory: Path, compression: str = 'zstd',
                  only_listed: bool = False) -> None:
-        if compression not in COMPRESSIONS:
-            raise InvalidOption(
-                f'compression {compression!r} is not one of {", ".join(COMPRESSIONS)}'
-            )
         self._directory = Path(directory).expanduser()
         self._compression, self._only_listed = compression, only_listed
         self._folder: Path | None = None

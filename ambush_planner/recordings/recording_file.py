@@ -26,7 +26,6 @@ from .schemas import load_definition
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
-COMPRESSIONS = ('zstd', 'lz4', 'none')
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
 FORMAT = '10'

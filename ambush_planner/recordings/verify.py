@@ -9,7 +9,7 @@ certificate alone proves how close the strategy is to the best one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -37,12 +37,10 @@ from ..planning.path_mixtures import PathMixtures
 from ..planning.plan import Plan, Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
-from ..words import count
 from .attachments import misstated
-from .bag_folder import FILE_NAME, listed_in
 from .metadata import Metadata, RecordedTrip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in
-from .recorded_departures import MIN_BITS, source_findings
+from .recorded_departures import MIN_BITS
 from .recording_errors import UnreadableRecording
 from .recording_file import read_recording
 
@@ -300,51 +298,3 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
     if abs(strategy.value - again.value) <= allowed:
         return []
     return [f'strategy: its value is {strategy.value:.9g}, solved again {again.value:.9g}']
-
-
-def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
-    """Compare the recordings of folders: what does not hold, and notes on missing numbers."""
-    verdicts = list(verdicts)
-    known = [(each, each.metadata) for each in verdicts if each.metadata is not None]
-    unreadable = {each.path.parent for each in verdicts if each.metadata is None}
-    problems = [f'random source: {each}' for each in source_findings(
-        (each.path.name, said) for each, said in known)]
-    first: dict[str, Path] = {}
-    for each, said in known:
-        if (original := first.setdefault(said.recording_id, each.path)) != each.path:
-            problems.append(f'copy: {each.path.name} holds the same departure as {original.name}')
-    notes, all_ids = [], {said.recording_id for _, said in known}
-    for folder in dict.fromkeys(each.path.parent for each, _ in known):
-        here = {said.recording_id: (each, said) for each, said in known
-                if each.path.parent == folder}
-        if len(here) > 1 and folder not in unreadable:
-            problems += _missing(folder, here)
-            early, said = min(here.values(), key=lambda each: each[1].departure)
-            if said.previous and said.previous not in all_ids:
-                notes.append(f'{folder.name}: the recording before {early.path.name} is in another '
-                             'folder, or missing')
-        numbers = {said.departure for _, said in here.values()}
-        if missing := max(numbers) - min(numbers) + 1 - len(numbers):
-            notes.append(f'{folder.name}: no recording of {count(missing, "departure")} between '
-                         'the first and the last')
-    return problems, notes
-
-
-def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iterator[str]:
-    """Report recordings that others in a folder, or its list, say have been there."""
-    begins = min(said.departure for _, said in here.values())
-    for each, said in here.values():
-        name, diversion = each.path.name, said.diversion
-        if diversion is None:
-            if said.previous and said.previous not in here and said.departure > begins:
-                yield f'missing: the recording before {name}'
-            continue
-        before = here.get(replace(said, diversion=replace(diversion, number=diversion.number - 1)
-                                  if diversion.number > 1 else None).recording_id)
-        if before is None:
-            yield f'missing: what {name} was diverted from'
-        elif before[0].route != diversion.left or not {*diversion.ahead} <= {*before[0].drawn}:
-            yield f'diversion: {name} does not begin on the route before it'
-    for name in listed_in(folder):
-        if not (folder / name).exists():
-            yield f'missing: {name}, which {FILE_NAME} lists'
