@@ -6,8 +6,7 @@ import os
 import numpy as np
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
-from ambush_planner.maps import Elevation, OccupancyOptions, terrain_map
-from ambush_planner.maps.occupancy import risk_from_occupancy
+from ambush_planner.maps import Elevation, terrain_map
 
 # Hills of 6 km x 4.5 km in UTM zone 33. For a GeoTIFF use
 # elevation_from_raster(read_raster(Path('dem.tif'))), of maps and maps.elevation_file.
@@ -18,8 +17,7 @@ elevation = Elevation(heights, 50.0, (west, south), 'EPSG:32633')
 
 # Low, visible, steep ground with cover nearby is dangerous; too steep ground is an obstacle.
 ground = terrain_map(elevation)
-risk_map = risk_from_occupancy(ground.values, ground.resolution, (west, south, 0.0),
-                                   OccupancyOptions(crs=elevation.crs))
+risk_map = ground.risk_map()
 
 options = PlanningOptions(game=GameOptions(ambush_radius=300.0))
 plan = plan_trip(risk_map, (west + 300.0, south + 2200.0), (west + 5700.0, south + 2300.0), options)

@@ -77,10 +77,13 @@ def test_wide_roads_have_no_holes_on_finer_cells():
     assert mask[28:35].all() and mask.sum() == 7 * 70
 
 
-def test_rejects_roads_that_cover_another_area():
-    elevation = Elevation(np.zeros((60, 50)), 10.0)
+@pytest.mark.parametrize(('rows', 'corner', 'crs'), [
+    (50, (0.0, 0.0), 'EPSG:32616'), (60, (0.0, 50.0), 'EPSG:32616'), (60, (0.0, 0.0), 'EPSG:32617'),
+])
+def test_rejects_roads_that_cover_another_area(rows, corner, crs):
+    elevation = Elevation(np.zeros((60, 50)), 10.0, crs='EPSG:32616')
     with pytest.raises(InvalidTerrain, match='same area'):
-        mask_from_raster(Raster(np.zeros((50, 50)), 10.0, 10.0), elevation)
+        mask_from_raster(Raster(np.zeros((rows, 50)), 10.0, 10.0, corner, crs), elevation)
 
 
 @examples(20)

@@ -32,7 +32,7 @@ def test_npz_has_north_first(tmp_path):
     ({'elevation': np.zeros((3, 3))}, 'resolution'),
     ({'elevation': np.zeros(3), 'resolution': 1.0}, 'shape'),
     ({'elevation': np.zeros((3, 3)), 'resolution': -1.0}, 'positive'),
-    ({'elevation': np.array([['a', 'b']]), 'resolution': 1.0}, 'numeric'),
+    ({'elevation': np.array([['a', 'b']]), 'resolution': 1.0}, 'npz'),
     ({'elevation': np.array([[None, 1]], dtype=object), 'resolution': 1.0}, 'npz'),
 ])
 def test_rejects_unusable_npz_files(tmp_path, arrays, reason):

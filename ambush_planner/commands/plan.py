@@ -11,9 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..maps.occupancy import OccupancyOptions
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import agreed_crs, read_risk_map
+from ..maps.risk_map_file import read_risk_map
 from ..planning.concerns import assumptions, concerns, is_sound, main_assumption
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
@@ -101,8 +99,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                              'MAP is an elevation model')
     check_outputs(arguments.output, console)
     planning = replace(planning, game=replace(planning.game, loads=tuple(arguments.load)))
-    risk_map = (_of_terrain(arguments, of_map, console) if arguments.terrain
-                else read_risk_map(arguments.map, of_map))
+    risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
+                if arguments.terrain else read_risk_map(arguments.map, of_map))
     rng = np.random.default_rng(arguments.seed)
     start, goal, stops = places_on(arguments, risk_map)
     limit = planning.strategy.time_limit
@@ -142,13 +140,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
     tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
-
-
-def _of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
-                console: cli.Console) -> RiskMap:
-    elevation, ground = terrain_of(arguments, arguments.map, None, console)
-    return ground.risk_map(elevation.corner,
-                           replace(options, crs=agreed_crs(elevation.crs, options.crs)))
 
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,

@@ -14,23 +14,22 @@ from matplotlib.figure import Figure
 from .. import map_figures
 from ..arrays import BoolArray
 from ..colours import ROUTES
-from ..maps import Elevation, TerrainMap
-from ..maps.occupancy import OccupancyOptions
+from ..maps import TerrainMap
 from ..maps.risk_layers import Layer
 from ..maps.risk_map import RiskMap
 
 
-def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
+def terrain_figure(ground: TerrainMap) -> Figure:
     """Height, slope, depth, exposure and approach, and the risk map with roads."""
     layers = [Layer(title, np.asarray(values, dtype=np.float64)) for title, values in (
-        ('Height [m]', elevation.heights),
+        ('Height [m]', ground.elevation.heights),
         ('Slope, rise over run', ground.slope),
         ('Depth below the ground in range [m]', ground.depth),
         ('Share of ground in range that sees you', ground.exposure),
         ('Mean distance to hidden ground [m]', ground.approach),
     )]
-    return layers_figure(ground.risk_map(elevation.corner, OccupancyOptions(crs=elevation.crs)),
-                         layers, ('cividis', *['magma_r'] * 3, 'magma'), ground.roads)
+    return layers_figure(ground.risk_map(), layers, ('cividis', *['magma_r'] * 3, 'magma'),
+                         ground.roads)
 
 
 def layers_figure(risk_map: RiskMap, layers: Sequence[Layer], colours: Sequence[str] | None = None,

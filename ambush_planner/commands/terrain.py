@@ -8,16 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..maps import (
-    Elevation,
-    TerrainMap,
-    TerrainOptions,
-    ViewOptions,
-    elevation_from_raster,
-    mask_from_raster,
-    terrain_map,
-)
-from ..maps.elevation_file import read_raster
+from ..maps import TerrainMap, TerrainOptions, ViewOptions
+from ..maps.terrain_file import terrain_of_file
 from . import cli
 
 # Options of an elevation model, for which ``ViewOptions`` and ``TerrainOptions`` have defaults.
@@ -49,11 +41,9 @@ def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any
 
 
 def terrain_of(arguments: argparse.Namespace, source: Path, roads: Path | None,
-               console: cli.Console) -> tuple[Elevation, TerrainMap]:
-    """An elevation model, and its risk map with a raster of roads."""
+               console: cli.Console) -> TerrainMap:
+    """The terrain map of an elevation model, with a raster of roads."""
     views = ViewOptions(**_given(arguments, _VIEW))
     options = TerrainOptions(view=views, **_given(arguments, (*_GROUND, 'weights')))
-    raster = read_raster(source, crs=arguments.crs or None)
-    elevation = elevation_from_raster(raster, arguments.resolution or 0.0)
-    mask = mask_from_raster(read_raster(roads, 'roads'), elevation) if roads else None
-    return elevation, terrain_map(elevation, options, mask, console.bar('lines of sight'))
+    return terrain_of_file(source, options, arguments.resolution, roads, arguments.crs or None,
+                           console.bar('lines of sight'))

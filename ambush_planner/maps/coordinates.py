@@ -57,15 +57,13 @@ class Coordinates:
             raise InvalidCoordinates(
                 f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
         self.crs = utm_zone(latitude, longitude)
-        turn = _proj(self.crs).get_factors(longitude, latitude).meridian_convergence
+        turn = _pyproj().Proj(self.crs).get_factors(longitude, latitude).meridian_convergence
         (x, y), = self.from_lat_lon([(latitude, longitude)])
         self.origin = x, y, yaw + math.radians(turn)
 
     @cached_property
     def _to_degrees(self) -> Any:
-        from pyproj import Transformer
-
-        return Transformer.from_crs(self.crs, WGS84, always_xy=True)
+        return _pyproj().Transformer.from_crs(self.crs, WGS84, always_xy=True)
 
     def to_crs(self, xy: npt.ArrayLike) -> FloatArray:
         """Convert world positions (..., 2) to easting and northing in ``crs`` (..., 2) [m]."""
@@ -119,19 +117,15 @@ def utm_zone(latitude: float, longitude: float) -> Any:
 
     Raises InvalidCoordinates if there is none: beyond 84 degrees north or 80 degrees south.
     """
-    _import_pyproj()
-    from pyproj import CRS
-    from pyproj.aoi import AreaOfInterest
-    from pyproj.database import query_utm_crs_info
-
+    pyproj = _pyproj()
     if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:
         longitude = 9.0  # zone 32 is widened for the Norwegian coast
-    here = AreaOfInterest(longitude, latitude, longitude, latitude)
-    found = query_utm_crs_info('WGS 84', here)
+    here = pyproj.aoi.AreaOfInterest(longitude, latitude, longitude, latitude)
+    found = pyproj.database.query_utm_crs_info('WGS 84', here)
     if not found:
         raise InvalidCoordinates(f'no UTM zone contains latitude {latitude:g}, longitude '
                                  f'{longitude:g}; reproject the map by hand')
-    return CRS.from_authority(found[0].auth_name, found[0].code)
+    return pyproj.CRS.from_authority(found[0].auth_name, found[0].code)
 
 
 def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
@@ -139,13 +133,12 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
 
     It is the system itself if its metres are metres on the ground, else the UTM zone.
     """
-    from pyproj import Transformer
-
     crs = horizontal(wkt)
-    longitude, latitude = Transformer.from_crs(crs, WGS84, always_xy=True).transform(x, y)
+    to_degrees = _pyproj().Transformer.from_crs(crs, WGS84, always_xy=True)
+    longitude, latitude = to_degrees.transform(x, y)
     longitude = (longitude + 180.0) % 360.0 - 180.0  # rasters can have 0 to 360
     if crs.is_projected and in_metres(crs):
-        factors = _proj(crs).get_factors(longitude, latitude)
+        factors = _pyproj().Proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale
         if max(abs(scale - 1.0) for scale in scales) <= MAX_STRETCH:
             return crs, False
@@ -154,32 +147,26 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
 
 def horizontal(text: str) -> Any:
     """Return the ``pyproj.CRS`` of a text without its heights; raises InvalidCoordinates."""
-    _import_pyproj()
-    from pyproj import CRS
-    from pyproj.exceptions import CRSError
-
+    pyproj = _pyproj()
     try:
-        crs = CRS.from_user_input(text)
-    except CRSError as error:
+        crs = pyproj.CRS.from_user_input(text)
+    except pyproj.exceptions.CRSError as error:
         raise InvalidCoordinates(f'not a coordinate system: {text!r} ({error})') from error
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
-def _import_pyproj() -> None:
+def _pyproj() -> Any:
+    """The module with its parts."""
     try:
-        import pyproj  # noqa: F401
+        import pyproj.aoi
+        import pyproj.database
     except ModuleNotFoundError:
         raise InvalidCoordinates(
             "coordinate systems need pyproj: in a checkout of ambush_planner, run "
             "pip install '.[gis]'") from None
+    return pyproj
 
 
 def in_metres(crs: Any) -> bool:
     """Whether the axes of a coordinate system (pyproj) are in metres."""
     return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
-
-
-def _proj(crs: Any) -> Any:
-    from pyproj import Proj
-
-    return Proj(crs)

@@ -124,6 +124,12 @@ def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
             f'the roads cover {len(row)} x {len(column)} cells of {resolution:g} m, the elevation '
             f'{shape[0]} x {shape[1]}; both files must cover the same area'
         )
+    apart = math.dist(raster.corner, elevation.corner)
+    if raster.crs and elevation.crs and (
+            raster.crs != elevation.crs or apart > 2.0 * max(raster.row_step, resolution)):
+        raise InvalidTerrain(f'the roads begin at {raster.corner} ({raster.crs}), the elevation at '
+                             f'{elevation.corner} ({elevation.crs}); both files must cover the '
+                             'same area')
     marked = np.nan_to_num(raster.values) != 0.0
     mask = nearest_cells(marked, row, column)
     rows, columns = np.nonzero(marked)

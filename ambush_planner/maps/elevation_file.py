@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, arrays_in
 from ..errors import InvalidRiskMap, warn
 from .coordinates import InvalidCoordinates, horizontal, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
@@ -57,33 +57,25 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
     """
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'
-    raster = _read_npz(path, name, crs) if is_zip else _read_gdal(path, name, crs)
-    if raster.values.ndim != 2 or raster.values.size == 0:
-        raise InvalidTerrain(f'{path}: must be (H, W), got shape {raster.values.shape}')
-    for step in (raster.row_step, raster.column_step):
-        if not (math.isfinite(step) and step > 0.0):
-            raise InvalidTerrain(f'{path}: cell size must be positive [m], got {step}')
-    return raster
+    return (_read_npz if is_zip else _read_gdal)(path, name, crs)
 
 
 def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if name in file and file.zip.getinfo(f'{name}.npy').file_size > 9 * MAX_CELLS:
-                raise ValueError(f'{name} exceeds the limit of {MAX_CELLS} cells; crop it')
-            content = {key: file[key] for key in (name, 'resolution', 'dx', 'dy') if key in file}
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        found = arrays_in(path, (name, 'resolution', 'dx', 'dy'))
+        values = found[name].astype(np.float64)[::-1]
+        column_step, row_step = (float(found[key if key in found else 'resolution'])
+                                 for key in ('dx', 'dy'))
+    except KeyError as error:
+        raise InvalidTerrain(f'{path}: no array {error}; see ambush risk --help for the '
+                             'layout') from None
+    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
-    if name not in content:
-        raise InvalidTerrain(f'{path}: no array {name!r}; see ambush risk --help for the layout')
-    try:
-        column_step = float(content['dx' if 'dx' in content else 'resolution'])
-        row_step = float(content['dy' if 'dy' in content else 'resolution'])
-        values = content[name].astype(np.float64)[::-1]
-    except KeyError:
-        raise InvalidTerrain(f'{path}: needs resolution, or dx and dy [m]') from None
-    except (TypeError, ValueError) as error:
-        raise InvalidTerrain(f'{path}: not numeric: {error}') from error
+    if values.ndim != 2 or values.size == 0:
+        raise InvalidTerrain(f'{path}: must be (H, W), got shape {values.shape}')
+    if not (0.0 < row_step < math.inf and 0.0 < column_step < math.inf):
+        raise InvalidTerrain(f'{path}: cell size must be positive [m], got {column_step:g} x '
+                             f'{row_step:g}')
     values = _without_holes(path, values) if name == 'elevation' else values
     return Raster(values, row_step, column_step, crs=crs)
 

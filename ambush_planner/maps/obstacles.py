@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from .risk_map import TOUCH, RiskMap
@@ -12,6 +13,21 @@ from .risk_map import TOUCH, RiskMap
 CHUNK = 1_000_000
 # Longest segment tested in one piece [cells]: its bounding box grows with the square of this.
 PIECE = 8.0
+
+
+class CellCounts:
+    """How many of the marked cells (H, W) lie in boxes, by a summed-area table."""
+
+    def __init__(self, marked: BoolArray) -> None:
+        counts = marked.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
+        self._sums = np.pad(counts, ((1, 0), (1, 0)))
+
+    def within(self, rows: tuple[IndexArray, IndexArray],
+               columns: tuple[IndexArray, IndexArray]) -> npt.NDArray[np.int32]:
+        """Count in boxes from the first of their rows and columns to before the second ones."""
+        (low, high), (left, right), sums = rows, columns, self._sums
+        return np.asarray(sums[high, right] - sums[low, right] - sums[high, left]
+                          + sums[low, left])
 
 
 class ObstacleField:
@@ -26,9 +42,8 @@ class ObstacleField:
         self._size = risk_map.size
         self.clear_of_edge = clear_of_edge
         self._shape = risk_map.obstacles.shape
-        counts = risk_map.obstacles.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
-        self._sums = np.pad(counts, ((1, 0), (1, 0)))
         self._obstacles = risk_map.obstacles
+        self._counts = CellCounts(risk_map.obstacles)
 
     def clear_points(self, uv: FloatArray, clearance: float) -> BoolArray:
         """Return which points (K, 2) have no obstacle cell within ``clearance`` [m]."""
@@ -57,7 +72,8 @@ class ObstacleField:
         high = self._cell(np.maximum(a, b) + reach + TOUCH)
         middle = self._cell((a + b) / 2)
         blocked = self._obstacles[middle[:, 1], middle[:, 0]]  # finds most blocked ones cheaply
-        near = np.flatnonzero(~blocked & (self._count(low, high) > 0))
+        columns, rows = zip(low.T, high.T + 1, strict=True)
+        near = np.flatnonzero(~blocked & (self._counts.within(rows, columns) > 0))
         blocked[near] = self._hits(a[near], b[near], low[near], high[near], reach)
         return blocked
 
@@ -65,50 +81,34 @@ class ObstacleField:
         rows, columns = self._shape
         return np.clip(np.floor(uv), 0, (columns - 1, rows - 1)).astype(np.int64)
 
-    def _count(self, low: IndexArray, high: IndexArray) -> FloatArray:
-        """Count the obstacle cells in boxes with inclusive corners (summed-area table)."""
-        (c0, r0), (c1, r1) = low.T, high.T + 1
-        sums = self._sums
-        counts: FloatArray = sums[r1, c1] - sums[r0, c1] - sums[r1, c0] + sums[r0, c0]
-        return counts
-
     def _hits(self, a: FloatArray, b: FloatArray, low: IndexArray, high: IndexArray,
               reach: float) -> BoolArray:
         """Test each segment against every obstacle cell of its box, in chunks."""
         hit = np.zeros(len(a), dtype=bool)
         sizes = np.prod(high - low + 1, axis=1)
-        ends = np.cumsum(sizes)
-        start = 0
-        while start < len(a):
-            base = ends[start - 1] if start else 0
-            stop = max(int(np.searchsorted(ends, base + CHUNK)), start + 1)
-            part = slice(start, stop)
-            segment, cell = self._pairs(low[part], high[part], sizes[part])
-            touching = _touch(a[part][segment], b[part][segment], cell, reach)
-            hit[start + segment[touching]] = True
-            start = stop
+        step = max(CHUNK // int(sizes.max(initial=1)), 1)
+        for start in range(0, len(a), step):
+            part = slice(start, start + step)
+            segment, place = _repeated(sizes[part])
+            width = (high - low + 1)[part][segment, 0]
+            cell = low[part][segment] + np.stack((place % width, place // width), axis=1)
+            blocked = self._obstacles[cell[:, 1], cell[:, 0]]
+            segment, cell = segment[blocked], cell[blocked]
+            hit[start + segment[_touch(a[part][segment], b[part][segment], cell, reach)]] = True
         return hit
 
-    def _pairs(self, low: IndexArray, high: IndexArray,
-               sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """List each segment with every obstacle cell (column, row) in its box."""
-        segment = np.repeat(np.arange(len(low)), sizes)
-        offset = np.arange(len(segment)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        width = (high - low + 1)[segment, 0]
-        column = low[segment, 0] + offset % width
-        row = low[segment, 1] + offset // width
-        blocked = self._obstacles[row, column]
-        return segment[blocked], np.stack((column[blocked], row[blocked]), axis=1)
+
+def _repeated(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Each index as often as its count says, and how often it has come before."""
+    index = np.repeat(np.arange(len(counts)), counts)
+    return index, np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _pieces(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Cut segments into pieces of at most ``PIECE`` cells: (segment, from, to) of each."""
     length = np.hypot(*(b - a).T)
     count = np.maximum(np.ceil(length / PIECE), 1.0).astype(np.int64)
-    segment = np.repeat(np.arange(len(a)), count)
-    if len(segment) == len(a):
-        return segment, a, b
-    place = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    segment, place = _repeated(count)
     step = ((b - a) / count[:, None])[segment]
     start = a[segment] + step * place[:, None]
     return segment, start, start + step

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,22 @@ class OccupancyMap:
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crs: str | None = None
+
+    def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
+        """Convert the values to losses; raises InvalidRiskMap, also if ``crs`` is another one."""
+        options = options or OccupancyOptions()
+        options = replace(options, crs=agreed_crs(self.crs, options.crs))
+        return risk_from_occupancy(self.values, self.resolution, self.origin, options)
+
+
+def agreed_crs(known: str | None, given: str | None) -> str | None:
+    """Return the coordinate system of a file, or the given one if it has none; None if unknown.
+
+    Raises InvalidRiskMap if both are known and differ.
+    """
+    if known and given and known != given:
+        raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
+    return known or given or None
 
 
 @dataclass(frozen=True, kw_only=True)

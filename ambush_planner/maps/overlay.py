@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
+from .obstacles import CellCounts
 from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap
 from .risk_map import TOUCH, to_map_axes
 
@@ -24,23 +24,20 @@ def with_obstacles_of(risk: OccupancyMap, other: OccupancyMap, threshold: int,
     cover stays as it is.
     """
     blocked = (other.values >= threshold) | (unknown & (other.values == UNKNOWN))
-    sums = np.pad(blocked.cumsum(axis=0, dtype=np.int32).cumsum(axis=1), ((1, 0), (1, 0)))
-    rows, columns = (np.arange(count) + 0.5 for count in risk.values.shape)
+    y, x = np.ix_(*(np.arange(count) + 0.5 for count in risk.values.shape))
     scale = risk.resolution / other.resolution
     turn = risk.origin[2] - other.origin[2]
     cosine, sine = scale * math.cos(turn), scale * math.sin(turn)
     if abs(sine) < TOUCH * scale:
         sine = 0.0
     shift = to_map_axes(other.origin, risk.origin[:2]) / other.resolution
-    x, y = columns[None, :], rows[:, None]
     # Without a rotation, rows and columns broadcast instead of all cells being computed.
     u = shift[0] + cosine * x - (sine * y if sine else 0.0)
     v = shift[1] + cosine * y + (sine * x if sine else 0.0)
     half = (abs(cosine) + abs(sine)) / 2.0
-    ends = [_range(each, half, size) for each, size in
-            zip((v, u), other.values.shape, strict=True)]
-    count = sum((1 - 2 * ((i + j) % 2)) * sums[ends[0][i], ends[1][j]]
-                for i, j in product((0, 1), repeat=2))
+    rows, columns = (_range(each, half, size) for each, size in
+                     zip((v, u), other.values.shape, strict=True))
+    count = CellCounts(blocked).within(rows, columns)
     values = np.where(count > 0, np.int8(OBSTACLE), risk.values)
     return replace(risk, values=values)
 

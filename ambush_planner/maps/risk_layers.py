@@ -36,19 +36,19 @@ from ..arrays import BoolArray, FloatArray
 from ..errors import AmbushPlannerError
 from ..option_checks import check_at_least
 from .coordinates import Coordinates
-from .elevation import MAX_CELLS, elevation_from_raster
-from .elevation_file import read_raster
+from .elevation import MAX_CELLS
 from .incidents import (
     count_near,
     cross_validated_bandwidth,
     kernel_density,
     weighted_incidents,
 )
-from .occupancy import OccupancyOptions, risk_from_occupancy
+from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
 from .road_file import connected_parts
 from .road_tags import roads_among
-from .terrain_risk import TerrainOptions, terrain_map
+from .terrain_file import terrain_of_file
+from .terrain_risk import TerrainOptions
 from .vector_file import InvalidFeatures, attribute_values, features_on
 from .visibility import ViewOptions
 
@@ -188,14 +188,13 @@ def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution:
              progress: Callable[[float], None] | None) -> _Joined:
     if crs and crs.startswith('datum'):
         raise InvalidLayers(f'crs: {crs}: a terrain is in a coordinate system; name that')
-    elevation = elevation_from_raster(read_raster(path, crs=crs), resolution)
     given = {key: each for key, each in values.items() if each is not None}
     view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
-    made = terrain_map(elevation, TerrainOptions(view=view, **options), None, progress)
-    scale = OccupancyOptions(alpha_min=0.0, alpha_max=_number('loss', values['loss']),
-                             crs=elevation.crs)
-    ground = risk_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
+    made = terrain_of_file(path, TerrainOptions(view=view, **options), resolution, crs=crs,
+                           progress=progress)
+    ground = made.occupancy.risk_map(
+        OccupancyOptions(alpha_min=0.0, alpha_max=_number('loss', values['loss'])))
     shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.
     return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)])

@@ -18,7 +18,7 @@ from .coordinates import Coordinates, InvalidCoordinates
 from .elevation import HeightArray, InvalidTerrain, square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
-from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, risk_from_occupancy
+from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, agreed_crs
 from .risk_map import RiskMap, to_map_axes
 
 _UNKNOWN = 255  # in a GeoTIFF
@@ -55,9 +55,7 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
     is_yaml = path.suffix.lower() in ('.yaml', '.yml')
     grid, heights = (read_map(path), None) if is_yaml else _read_raster(path)
     try:
-        options = replace(options, crs=agreed_crs(grid.crs, options.crs))
-        return replace(risk_from_occupancy(grid.values, grid.resolution, grid.origin, options),
-                       heights=heights)
+        return replace(grid.risk_map(options), heights=heights)
     except InvalidRiskMap as error:
         hint = ('; is it an elevation model? Make a risk map of it with ambush risk'
                 if 'cell values' in str(error) else '')
@@ -77,16 +75,6 @@ def _read_raster(path: Path) -> tuple[OccupancyMap, HeightArray | None]:
     grid = OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
                         (*raster.corner, 0.0), raster.crs)
     return grid, raster.heights
-
-
-def agreed_crs(known: str | None, given: str | None) -> str | None:
-    """Return the coordinate system of a file, or the given one if it has none; None if unknown.
-
-    Raises InvalidRiskMap if both are known and differ.
-    """
-    if known and given and known != given:
-        raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
-    return known or given or None
 
 
 def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,35 +138,31 @@ def lines_of_graph(graph: Any) -> GeoDataFrame:
 
 
 def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
-    places: dict[Any, int] = {}
-    points: list[list[float]] = []
-    for each in features:
-        if each['geometry']['type'] == 'Point':
-            places[each['properties']['id']] = len(points)
-            points.append(each['geometry']['coordinates'][:2])
-    tails, heads, speeds = [], [], []
+    nodes = [each for each in features if each['geometry']['type'] == 'Point']
+    places = {each['properties']['id']: k for k, each in enumerate(nodes)}
+    points = [each['geometry']['coordinates'][:2] for each in nodes]
+    segments: list[tuple[int, int]] = []
+    speeds: list[float] = []
     for each in features:
         properties, shape = each['properties'], each['geometry']
         if 'startid' not in properties:
             continue
-        ends = []
         for name in ('startid', 'endid'):
             if properties[name] not in places:
                 raise InvalidFeatures(f'edge {properties.get("id")}: no point has the id '
                                       f'{properties[name]} of its {name}')
-            ends.append(places[properties[name]])
         lines = shape['coordinates']
         lines = lines if shape['type'] == 'MultiLineString' else [lines]
         bends = [place[:2] for line in lines for place in line][1:-1]
-        chain = [ends[0], *range(len(points), len(points) + len(bends)), ends[1]]
+        segments += pairwise((places[properties['startid']],
+                              *range(len(points), len(points) + len(bends)),
+                              places[properties['endid']]))
         points += bends
         limit = (properties.get('metadata') or {}).get('abs_speed_limit')
-        tails += chain[:-1]
-        heads += chain[1:]
-        speeds += [np.nan if limit is None else float(limit)] * (len(chain) - 1)
-    forward = _speeds(np.array(speeds), 'abs_speed_limit')
-    way = np.ones(len(tails), dtype=np.int64)
-    return _graph(np.array(points, dtype=float), np.array([tails, heads]).T, way, forward, '')
+        speeds += [np.nan if limit is None else float(limit)] * (len(bends) + 1)
+    return _graph(np.array(points, dtype=float), np.array(segments),
+                  np.ones(len(segments), dtype=np.int64),
+                  _speeds(np.array(speeds), 'abs_speed_limit'), '')
 
 
 def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool = False) -> RoadGraph:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 from .elevation import elevation_from_raster, mask_from_raster
 from .elevation_file import read_raster
 from .occupancy import OccupancyOptions
 from .risk_map import RiskMap
-from .terrain_risk import TerrainOptions, terrain_map
+from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
 from .visibility import ViewOptions
 
 
@@ -50,10 +50,13 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
     >>> risk_map = risk_from_terrain('dem.tif', weapon_range=500.0)  # doctest: +SKIP
     """
     options = options or TerrainOptions(view=ViewOptions(weapon_range=weapon_range))
-    elevation = elevation_from_raster(read_raster(Path(file)), resolution or 0.0)
-    on_roads = None
-    if roads is not None:
-        on_roads = mask_from_raster(read_raster(Path(roads), 'roads'), elevation)
-    ground = terrain_map(elevation, options, on_roads)
-    made = ground.risk_map(elevation.corner, occupancy or OccupancyOptions())
-    return replace(made, crs=elevation.crs)
+    return terrain_of_file(file, options, resolution, roads).risk_map(occupancy)
+
+
+def terrain_of_file(file: Path | str, options: TerrainOptions, resolution: float | None = None,
+                    roads: Path | str | None = None, crs: str | None = None,
+                    progress: Callable[[float], None] | None = None) -> TerrainMap:
+    """Make the terrain map of an elevation model, whose system is ``crs`` if the file has none."""
+    elevation = elevation_from_raster(read_raster(Path(file), crs=crs), resolution or 0.0)
+    mask = mask_from_raster(read_raster(Path(roads), 'roads'), elevation) if roads else None
+    return terrain_map(elevation, options, mask, progress)

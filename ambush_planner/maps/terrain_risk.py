@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from ..arrays import BoolArray
 from .elevation import Elevation, HeightArray, InvalidTerrain
-from .occupancy import OBSTACLE, UNKNOWN, OccupancyOptions, risk_from_occupancy
+from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions
 from .relief import relative_depth, slope
 from .risk_map import RiskMap
 from .visibility import ViewOptions, viewshed
@@ -80,28 +80,32 @@ class TerrainMap:
 
     Attributes
     ----------
+    elevation : Elevation
+        The terrain, with its place and cell size.
     values : int8
         As in an occupancy grid: 0..99 risk, 100 obstacle, -1 unknown.
-    resolution : float
-        Cell size [m].
-    heights, slope, depth, exposure, approach
-        [m]; rise over run; [m]; share 0..1; [m].
+    slope, depth, exposure, approach
+        Rise over run; [m]; share 0..1; [m].
     roads : bool
     """
 
+    elevation: Elevation
     values: npt.NDArray[np.int8]
-    resolution: float
-    heights: HeightArray
     slope: HeightArray
     depth: HeightArray
     exposure: HeightArray
     approach: HeightArray
     roads: BoolArray
 
-    def risk_map(self, corner: tuple[float, float], options: OccupancyOptions) -> RiskMap:
-        """Return the map whose lower left corner is at ``corner`` [m], with its heights."""
-        made = risk_from_occupancy(self.values, self.resolution, (*corner, 0.0), options)
-        return replace(made, heights=self.heights)
+    @property
+    def occupancy(self) -> OccupancyMap:
+        """The values, where the terrain is."""
+        place = self.elevation
+        return OccupancyMap(self.values, place.resolution, (*place.corner, 0.0), place.crs)
+
+    def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
+        """Return the losses of the values, with the terrain's heights."""
+        return replace(self.occupancy.risk_map(options), heights=self.elevation.heights)
 
 
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
@@ -127,7 +131,7 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     values = _values(elevation, layers, options)
     for layer in (values, *layers):
         layer.setflags(write=False)
-    return TerrainMap(values, elevation.resolution, elevation.heights, *layers)
+    return TerrainMap(elevation, values, *layers)
 
 
 def _values(elevation: Elevation,

@@ -22,12 +22,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from .elevation import MAX_CELLS, Elevation, HeightArray, InvalidTerrain
 
@@ -90,8 +90,7 @@ class Views:
     approach: HeightArray
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """A point on a ray between two cells at offsets (row, column), with its distance [cells].
 
     ``share`` is the interpolation weight of ``second``; ``weight`` is that of the sample.
@@ -126,16 +125,16 @@ def viewshed(elevation: Elevation, options: ViewOptions | None = None,
         )
     padded = np.pad(elevation.heights, reach, constant_values=np.nan)
     views = Views(np.empty_like(elevation.heights), np.empty_like(elevation.heights))
-    tiles = list(_tiles(elevation.heights.shape))
+    tiles = [(slice(row, row + TILE[0]), slice(column, column + TILE[1]))
+             for row in range(0, views.exposure.shape[0], TILE[0])
+             for column in range(0, views.exposure.shape[1], TILE[1])]
 
     def work(tile: tuple[slice, slice]) -> None:
         rows, columns = tile
         window = padded[rows.start : rows.stop + 2 * reach,
                         columns.start : columns.stop + 2 * reach]
-        cells = _Tile(window, reach, elevation.resolution, options)
-        for ray in rays:
-            cells.follow(ray)
-        views.exposure[tile], views.approach[tile] = cells.result(len(rays))
+        views.exposure[tile], views.approach[tile] = _views(window, rays, reach,
+                                                            elevation.resolution, options)
 
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for done, _ in enumerate(pool.map(work, tiles), start=1):
@@ -165,112 +164,72 @@ def make_rays(reach: float, count: int) -> list[list[Sample]]:
 
 
 def _ray(rise: float, run: float, reach: float) -> list[Sample]:
-    """One ray in the direction (run, rise), a unit vector."""
-    longer = max(abs(rise), abs(run))
+    """One ray in the direction (run, rise), a unit vector; a sample at some crossings of centres.
+
+    These are the centres of rows, if it is steep, or of columns.
+    """
+    is_steep = abs(rise) > abs(run)
+    longer, shorter = (rise, run) if is_steep else (run, rise)
     crossings, k = [], 1
-    while k <= reach * longer:
+    while k <= reach * abs(longer):
         crossings.append((k, max(1, k // DENSE_CELLS)))
         k += crossings[-1][1]
     # On one ray, distance times length is proportional to k times gap. All rays represent sectors
     # of the same angle, so they get the same total weight.
     scale = _TOTAL_WEIGHT / sum(k * gap for k, gap in crossings) if crossings else 0.0
-    return [_sample(rise, run, k, max(1, int(k * gap * scale))) for k, gap in crossings]
+    samples = []
+    for k, gap in crossings:
+        along, across = int(math.copysign(k, longer)), k * shorter / abs(longer)
+        near = math.floor(across)
+        first, second = (along, near), (along, near + 1)
+        if not is_steep:
+            first, second = first[::-1], second[::-1]
+        samples.append(Sample(first, second, across - near, k / abs(longer),
+                              max(1, int(k * gap * scale))))
+    return samples
 
 
-def _sample(rise: float, run: float, crossing: int, weight: int) -> Sample:
-    """Sample at a ray's n-th crossing of the centre of a column or row."""
-    is_steep = abs(rise) > abs(run)
-    longer, shorter = (rise, run) if is_steep else (run, rise)
-    along = int(math.copysign(crossing, longer))
-    across = crossing * shorter / abs(longer)
-    near = math.floor(across)
-    first, second = (along, near), (along, near + 1)
-    if not is_steep:
-        first, second = first[::-1], second[::-1]
-    return Sample(first, second, across - near, crossing / abs(longer), weight)
+def _views(window: HeightArray, rays: list[list[Sample]], reach: int, resolution: float,
+           options: ViewOptions) -> tuple[HeightArray, HeightArray]:
+    """Exposure and approach of the cells of ``window``, without ``reach`` cells along its rim."""
+    rows, columns = (count - 2 * reach for count in window.shape)
 
+    def shifted(row: int, column: int) -> HeightArray:
+        return window[reach + row:, reach + column:][:rows, :columns]
 
-def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
-    for row in range(0, shape[0], TILE[0]):
-        for column in range(0, shape[1], TILE[1]):
-            yield (
-                slice(row, min(row + TILE[0], shape[0])),
-                slice(column, min(column + TILE[1], shape[1])),
-            )
-
-
-class _Tile:
-    """Cells whose rays advance together; ``window`` holds them and ``reach`` cells around them."""
-
-    def __init__(self, window: HeightArray, reach: int, resolution: float,
-                 options: ViewOptions) -> None:
-        self._window = window
-        self._all_known = bool(np.isfinite(window).all())
-        self._reach = reach
-        self._cell = resolution
-        self._person = options.person_height
-        self._range = options.weapon_range
-        self._top = self._shifted((0, 0)) + np.float32(options.vehicle_height)
-        self._seen = np.zeros(self._top.shape, np.float32)
-        self._ground = np.zeros(self._top.shape, np.float32)
-        self._near = np.zeros(self._top.shape, np.float32)
-
-    def _shifted(self, offset: tuple[int, int]) -> HeightArray:
-        """Heights at an offset from the tile's cells."""
-        row, column = self._reach + offset[0], self._reach + offset[1]
-        rows, columns = (count - 2 * self._reach for count in self._window.shape)
-        return self._window[row : row + rows, column : column + columns]
-
-    def _heights(self, sample: Sample, out: HeightArray) -> None:
-        """Interpolated terrain heights at a sample of each of the tile's cells."""
-        first = self._shifted(sample.first)
-        np.subtract(self._shifted(sample.second), first, out)
-        np.multiply(out, np.float32(sample.share), out)
-        np.add(out, first, out)
-
-    def follow(self, ray: list[Sample]) -> None:
-        """Accumulate the visibility along one ray."""
-        shape = self._top.shape
-        horizon = np.full(shape, -np.inf, np.float32)
-        angle, bar = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        seen, hidden, clear = np.empty(shape, bool), np.empty(shape, bool), np.ones(shape, bool)
-        weighted, total = np.empty(shape, np.uint16), np.zeros(shape, np.uint16)
-        before = np.zeros(shape, np.uint8 if len(ray) < 256 else np.uint16)
+    top = shifted(0, 0) + np.float32(options.vehicle_height)
+    seen, ground, near = (np.zeros(top.shape, np.float32) for _ in range(3))
+    angle, bar = np.empty_like(top), np.empty_like(top)
+    mask, weighted = np.empty(top.shape, bool), np.empty(top.shape, np.uint16)
+    for ray in rays:
+        horizon, clear = np.full(top.shape, -np.inf, np.float32), np.ones(top.shape, bool)
+        visible, known, before = (np.zeros(top.shape, np.uint16) for _ in range(3))
         for sample in ray:
-            distance = sample.distance * self._cell
-            # Comparisons with NaN are false: unknown terrain is neither visible nor hidden.
-            self._heights(sample, angle)
-            np.subtract(angle, self._top, angle)
+            distance, weight = sample.distance * resolution, np.uint16(sample.weight)
+            first = shifted(*sample.first)
+            np.subtract(shifted(*sample.second), first, angle)
+            np.multiply(angle, np.float32(sample.share), angle)
+            np.add(angle, first, angle)
+            np.subtract(angle, top, angle)
             np.multiply(angle, np.float32(1.0 / distance), angle)
-            np.subtract(horizon, np.float32(self._person / distance), bar)
-            np.greater_equal(angle, bar, seen)
-            np.less(angle, bar, hidden)
+            np.subtract(horizon, np.float32(options.person_height / distance), bar)
             np.fmax(horizon, angle, horizon)
-            np.multiply(seen.view(np.uint8), np.uint16(sample.weight), weighted)
-            np.add(total, weighted, total)
-            np.greater(clear, hidden, clear)
+            # Comparisons with NaN are false: unknown terrain is neither visible nor hidden.
+            np.greater_equal(angle, bar, mask)
+            np.multiply(mask.view(np.uint8), weight, weighted)
+            np.add(visible, weighted, visible)
+            np.less(angle, bar, mask)
+            np.greater(clear, mask, clear)
             np.add(before, clear.view(np.uint8), before)
-        self._seen += total
-        self._ground += self._ground_on(ray)
-        edges = [sample.distance * self._cell for sample in ray] + [self._range]
-        self._near += np.array(edges, np.float32)[before]
-
-    def _ground_on(self, ray: list[Sample]) -> npt.NDArray[np.float32] | np.float32:
-        """Weight of the known terrain along a ray."""
-        if self._all_known:
-            return np.float32(sum(sample.weight for sample in ray))
-        total, heights = np.zeros(self._top.shape, np.float32), np.empty_like(self._top)
-        for sample in ray:
-            self._heights(sample, heights)
-            total += np.isfinite(heights) * np.float32(sample.weight)
-        return total
-
-    def result(self, rays: int) -> tuple[HeightArray, HeightArray]:
-        """Exposure and approach of the tile's cells after all rays."""
-        with np.errstate(invalid='ignore'):
-            exposure = self._seen / self._ground
-        unknown = np.isnan(self._top)
-        # Without known terrain around it, nobody can see a cell.
-        exposure = np.where(self._ground > 0.0, exposure, np.float32(0.0))
-        return (np.where(unknown, np.float32(np.nan), exposure),
-                np.where(unknown, np.float32(np.nan), self._near / rays))
+            np.isfinite(angle, mask)
+            np.multiply(mask.view(np.uint8), weight, weighted)
+            np.add(known, weighted, known)
+        seen += visible
+        ground += known
+        ends = [sample.distance * resolution for sample in ray] + [options.weapon_range]
+        near += np.array(ends, np.float32)[before]
+    # Without known terrain around it, nobody can see a cell.
+    exposure = np.divide(seen, ground, np.zeros_like(seen), where=ground > 0.0)
+    approach = near / np.float32(len(rays))
+    exposure[np.isnan(top)] = approach[np.isnan(top)] = np.nan
+    return exposure, approach
