@@ -140,20 +140,3 @@ def test_a_map_in_a_robots_frame_stays_where_it_is_on_the_earth(tmp_path):
                                    atol=1e-4)
     with pytest.raises(InvalidCoordinates, match='reproject'):
         in_local_frame(before, 'datum 50 10 0')
-
-
-def test_geotiffs_that_are_no_risk_maps_are_refused(tmp_path):
-    def write(name, values, step):
-        with rasterio.open(tmp_path / name, 'w', driver='GTiff', height=4, width=5, count=1,
-                           dtype=values.dtype, crs='EPSG:32616',
-                           transform=rasterio.Affine(30, 0, 7e5, 0, -step, 4e6)) as file:
-            file.write(values, 1)
-        return tmp_path / name
-
-    heights = np.full((4, 5), 312.5, np.float32)
-    with pytest.raises(InvalidRiskMap, match=r'h\.tif: its values are no whole .*ambush risk'):
-        read_risk_map(write('h.tif', heights, 30))
-    with pytest.raises(InvalidRiskMap, match=r'w\.tif: cell values must be .*ambush risk'):
-        read_risk_map(write('w.tif', (heights + 0.5).astype(np.int16), 30))
-
-

@@ -6,9 +6,8 @@ import pytest
 
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
-import rasterio
 from commands import heard
-from rasterio.transform import from_origin
+from rasters import write_geotiff
 from shapely.geometry import LineString, MultiPoint, Point, box
 
 from ambush_planner import AmbushPlannerError, AmbushPlannerWarning
@@ -104,9 +103,7 @@ def test_incidents_from_csv_and_gpx(name, text, tmp_path):
 
 def test_the_system_at_the_top_is_that_of_files_without_one(tmp_path):
     heights = 300.0 + np.mgrid[:40, :40][0]
-    with rasterio.open(tmp_path / 'dem.tif', 'w', driver='GTiff', height=40, width=40, count=1,
-                       dtype='float64', transform=from_origin(WEST, SOUTH + 400, 10, 10)) as file:
-        file.write(heights, 1)
+    write_geotiff(tmp_path / 'dem.tif', heights, None, (10, 0, WEST, 0, -10, SOUTH + 400))
     geopandas.GeoDataFrame(geometry=[FIELD]).to_file(tmp_path / 'bare.gpkg')
     geopandas.GeoDataFrame(geometry=[FIELD], crs=CRS).to_crs(4326).to_file(tmp_path / 'f.geojson')
     terrain = {'terrain': 'dem.tif', 'weapon_range': 60}

@@ -10,7 +10,8 @@ pytest.importorskip('PIL', reason='Pillow comes with the extra "figures"')
 import rasterio
 from commands import heard
 from PIL import Image
-from rasterio.enums import ColorInterp
+from rasters import SQUARE, UTM
+from rasters import write_geotiff as write
 
 from ambush_planner import AmbushPlannerError, read_risk_map
 from ambush_planner.maps.elevation_file import read_raster
@@ -20,31 +21,7 @@ ROW, COLUMN = np.mgrid[:30, :40]
 HILLS = np.rint(300.0 + 20.0 * np.sin(COLUMN / 4.0) + 10.0 * np.cos(ROW / 5.0))
 RISK = (HILLS - HILLS.min()).astype(np.uint8)
 HOLE = np.s_[8:20, 10:22]
-SQUARE = (30.0, 0.0, 7.4e5, 0.0, -30.0, 4.05e6)
 DEGREES = (1 / 3600, 0.0, -84.3, 0.0, -1 / 3600, 36.6)
-UTM = 'EPSG:32616'
-
-
-def write(path, values, crs=UTM, place=SQUARE, nodata=None, alpha=None, **declared):
-    """A GeoTIFF and what its band declares: scale, offset, unit, description, tags, colours."""
-    bands = [values] if alpha is None else [values, alpha]
-    with rasterio.open(path, 'w', driver='GTiff', height=values.shape[0], width=values.shape[1],
-                       count=len(bands), dtype=values.dtype, crs=crs, nodata=nodata,
-                       transform=rasterio.Affine(*place)) as file:
-        for k, band in enumerate(bands, start=1):
-            file.write(band, k)
-        file.scales = (declared.pop('scale', 1.0),) * len(bands)
-        file.offsets = (declared.pop('offset', 0.0),) * len(bands)
-        if alpha is not None:
-            file.colorinterp = (ColorInterp.gray, ColorInterp.alpha)
-        if colours := declared.pop('colours', None):
-            file.write_colormap(1, colours)
-        if unit := declared.pop('unit', ''):
-            file.units = (unit,)
-        if name := declared.pop('description', ''):
-            file.set_band_description(1, name)
-        file.update_tags(1, **declared)
-    return path
 
 
 def read(path, name='elevation', **more):
@@ -113,6 +90,9 @@ def test_heights_in_other_units_are_converted(metres, declared, words, tmp_path)
     ({'crs': 'EPSG:32616+6360', 'unit': 'm'}, "'m' by the band, in 'US survey foot' by the vert"),
     ({'colours': {1: (255, 0, 0)}}, 'table of colours'), ({'crs': None, 'place': (
         1, 0, 0, 0, 1, 0)}, 'no georeference'),
+    ({'place': (9, 3, 0, 3, -9, 0)}, 'gdalwarp'),  # rotated
+    ({'crs': 'EPSG:4326', 'place': (0.001, 0, 179.95, 0, -0.001, -85.0)},
+     r'a\.tif: .*latitude -85'),  # near a pole
 ])
 def test_what_cannot_be_applied_is_refused(declared, words, tmp_path):
     path = write(tmp_path / 'a.tif', (HILLS - 100.0).astype(np.uint8), **declared)

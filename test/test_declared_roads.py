@@ -223,6 +223,7 @@ def test_lines_across_the_antimeridian_join():
     (geopandas.GeoDataFrame(geometry=[Point(1, 1)]), 'no LineString in it, but 1 Point'),
     (networkx.DiGraph([(1, 2)]), 'node 1 has no numbers x and y'),
     (table({'highway': 'path'}, {'highway': 'steps'}), '2 of 2 lines are no roads .*path 1'),
+    (table({'oneway': 'sometimes'}).iloc[1:], 'known values of oneway are yes, true'),
 ])
 def test_other_kinds_of_roads_are_refused(source, words):
     with pytest.raises(InvalidOption, match=words):

@@ -17,10 +17,10 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 import geopandas
 import gpxpy
 import pyogrio
-import rasterio
 import shapely
 from audit_samples import GOAL, START, parameters, record_drawn
 from pyproj import CRS, Geod, Transformer
+from rasters import write_geotiff
 
 from ambush_planner import (
     InvalidOption,
@@ -47,11 +47,8 @@ def write_dem(path, latitude, longitude, crs='EPSG:4326'):
     row, column = np.mgrid[:CELLS, :CELLS]
     heights = 20.0 * np.sin(row / 7.0) + 15.0 * np.cos(column / 9.0) + 100.0
     step = 1 / 1200
-    with rasterio.open(path, 'w', driver='GTiff', height=CELLS, width=CELLS, count=1, crs=crs,
-                       dtype='float32', transform=rasterio.Affine(
-                           step, 0, longitude, 0, -step, latitude + CELLS * step)) as file:
-        file.write(heights.astype(np.float32), 1)
-    return path
+    return write_geotiff(path, heights.astype(np.float32), crs,
+                         (step, 0, longitude, 0, -step, latitude + CELLS * step))
 
 
 def metres_between(one, other):

@@ -14,7 +14,7 @@ import geopandas
 import rasterio
 import shapely
 from commands import run_script, script_of
-from rasterio.transform import from_origin
+from rasters import write_geotiff
 from shapely.geometry import LineString, Point, box
 
 from ambush_planner.commands import cli
@@ -56,10 +56,8 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp('layers')
     rng = np.random.default_rng(2)
     heights = 80.0 * np.sin(np.mgrid[0:ROWS, 0:COLUMNS][1] / 6.0) + rng.normal(0.0, 0.5, (ROWS, 1))
-    place = from_origin(WEST, SOUTH + ROWS * STEP, STEP, STEP)
-    with rasterio.open(folder / 'dem.tif', 'w', driver='GTiff', height=ROWS, width=COLUMNS, count=1,
-                       dtype='float32', crs=CRS, transform=place) as file:
-        file.write(heights[::-1].astype(np.float32), 1)
+    write_geotiff(folder / 'dem.tif', heights[::-1].astype(np.float32), CRS,
+                  (STEP, 0.0, WEST, 0.0, -STEP, SOUTH + ROWS * STEP))
     zones = rows(at(300, 300).buffer(150), at(400, 300).buffer(150), severity=[1.5, 2.5],
                  barred=['no', 'yes'])
     zones.to_crs('EPSG:4326').to_file(folder / 'zones.geojson', COORDINATE_PRECISION=9)
