@@ -7,6 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,6 +111,15 @@ class TimeLimit(AmbushPlannerError):
 
 class SolverFailed(AmbushPlannerError):
     """A solver failed, or its strategy has no valid certificate."""
+
+
+def import_extra(module: str, what: str, extra: str, error: type[AmbushPlannerError]) -> Any:
+    """Import a module that ``what`` need; else raise ``error``, which names the extra with it."""
+    try:
+        return import_module(module)
+    except ModuleNotFoundError:
+        raise error(f"{what} need {module}: in a checkout of ambush_planner, run pip install "
+                    f"'.[{extra}]'") from None
 
 
 def shown(name: Path | str) -> str:

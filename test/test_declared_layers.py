@@ -193,10 +193,3 @@ def test_files_that_end_early_are_read_up_to_there(cut, count, words, tmp_path):
     with pytest.warns(AmbushPlannerWarning, match=words):
         (track,) = read_tracks(str(tmp_path / 'a.gpx'), CRS)
     assert count <= len(track.xy) <= count + 2
-
-
-def test_errors_of_positions_are_one_line():
-    for places in (DEGREES + 60.0, DEGREES * np.nan):
-        with pytest.raises(AmbushPlannerError, match='20 such positions') as refused:
-            Coordinates(CRS).from_lat_lon(places)
-        assert len(str(refused.value)) < 200

@@ -91,12 +91,6 @@ def test_rejects_malformed_maps(change, words):
         RiskMap(**{**good, **change})
 
 
-def test_occupancy_values_by_hand():
-    risk_map = risk_from_occupancy([[0, 50, 99], [100, -1, 10]], 0.05)
-    assert risk_map.alpha[0] == pytest.approx([1.0, 5.5, 9.91])
-    assert risk_map.obstacles.tolist() == [[False] * 3, [True, True, False]]
-
-
 def test_unknown_cells_can_have_a_loss_and_thresholds_move():
     options = OccupancyOptions(alpha_min=2.0, alpha_max=4.0, obstacle_threshold=50,
                                unknown_alpha=7.0)
@@ -119,9 +113,3 @@ def test_every_value_in_range_is_read(dtype):
 def test_rejects_values_out_of_range(value):
     with pytest.raises(InvalidRiskMap, match=rf'{value}.* \(0, 1\)'):
         risk_from_occupancy([[0, value]], 1.0)
-
-
-@pytest.mark.parametrize('values', [[], [1, 2], [[[1]]]])
-def test_rejects_grids_of_other_shapes(values):
-    with pytest.raises(InvalidRiskMap, match='shape'):
-        risk_from_occupancy(values, 1.0)

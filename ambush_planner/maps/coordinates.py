@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError
+from ..errors import AmbushPlannerError, import_extra
 from .risk_map import to_map_axes, to_world
 
 # Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
@@ -156,15 +156,7 @@ def horizontal(text: str) -> Any:
 
 
 def _pyproj() -> Any:
-    """The module with its parts."""
-    try:
-        import pyproj.aoi
-        import pyproj.database
-    except ModuleNotFoundError:
-        raise InvalidCoordinates(
-            "coordinate systems need pyproj: in a checkout of ambush_planner, run "
-            "pip install '.[gis]'") from None
-    return pyproj
+    return import_extra('pyproj', 'coordinate systems', 'gis', InvalidCoordinates)
 
 
 def in_metres(crs: Any) -> bool:

@@ -95,7 +95,7 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     """
     resolution = resolution or min(raster.row_step, raster.column_step)
     row, column = _positions(raster, resolution)
-    if _is_same_grid(raster, row, column):
+    if raster.row_step == raster.column_step == resolution:
         return Elevation(raster.values.astype(np.float32), resolution, raster.corner, raster.crs)
     # The odd reflection extrapolates linearly by one cell.
     values = np.pad(raster.values, 1, 'reflect', reflect_type='odd')
@@ -173,8 +173,3 @@ def _positions(raster: Raster, resolution: float) -> tuple[FloatArray, FloatArra
     row, column = (np.asarray((np.arange(count) + 0.5) * resolution / step - 0.5, dtype=np.float64)
                    for count, step in zip(counts, steps, strict=True))
     return row, column
-
-
-def _is_same_grid(raster: Raster, *positions: FloatArray) -> bool:
-    return all(len(index) == count and np.allclose(index, np.arange(count), atol=1e-6)
-               for index, count in zip(positions, raster.values.shape, strict=True))

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray, arrays_in
-from ..errors import InvalidRiskMap, warn
+from ..errors import InvalidRiskMap, import_extra, warn
 from .coordinates import InvalidCoordinates, horizontal, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
 
@@ -81,11 +81,7 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
 
 
 def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
-    try:
-        import rasterio.io
-    except ModuleNotFoundError:
-        raise InvalidTerrain(f'{path}: not an .npz file; other formats need rasterio: '
-                             "pip install '.[gis]', in a checkout of ambush_planner") from None
+    rasterio = import_extra('rasterio', f'{path}: formats other than .npz', 'gis', InvalidTerrain)
     try:
         with rasterio.Env(), rasterio.io.DatasetReader(path, driver=list(_DRIVERS)) as dataset:
             _check(path, dataset, name)

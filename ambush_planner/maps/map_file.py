@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray
-from ..errors import InvalidOption, InvalidRiskMap
+from ..errors import InvalidOption, InvalidRiskMap, import_extra
 from .elevation import MAX_CELLS
 from .occupancy import OccupancyMap
 
@@ -132,22 +132,17 @@ def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
 
 
 def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
+    pillow = import_extra('PIL.Image', f'{path}: images other than binary PGM', 'figures',
+                          InvalidRiskMap)
     try:
-        from PIL import Image
-    except ModuleNotFoundError:
-        raise InvalidRiskMap(
-            f'{path}: not a binary PGM; for other images, in a checkout of ambush_planner, run '
-            "pip install '.[figures]'"
-        ) from None
-    try:
-        with Image.open(path) as image:
+        with pillow.open(path) as image:
             if image.mode[0] in 'IF':
                 return _deep_pixels(path, image)
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info
             pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
     except InvalidRiskMap:
         raise
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError, pillow.DecompressionBombError) as error:
         raise InvalidRiskMap(f'{path}: not a readable image: {error}') from error
     # Only in trinary mode does map_server average opacity together with the colours.
     channels = 4 if has_alpha and mode == 'trinary' else 3

@@ -38,11 +38,9 @@ class ObstacleField:
     """
 
     def __init__(self, risk_map: RiskMap, clear_of_edge: bool = True) -> None:
-        self._resolution = risk_map.resolution
-        self._size = risk_map.size
-        self.clear_of_edge = clear_of_edge
-        self._shape = risk_map.obstacles.shape
+        self._size, self._resolution = risk_map.size, risk_map.resolution
         self._obstacles = risk_map.obstacles
+        self.clear_of_edge = clear_of_edge
         self._counts = CellCounts(risk_map.obstacles)
 
     def clear_points(self, uv: FloatArray, clearance: float) -> BoolArray:
@@ -78,7 +76,7 @@ class ObstacleField:
         return blocked
 
     def _cell(self, uv: FloatArray) -> IndexArray:
-        rows, columns = self._shape
+        rows, columns = self._obstacles.shape
         return np.clip(np.floor(uv), 0, (columns - 1, rows - 1)).astype(np.int64)
 
     def _hits(self, a: FloatArray, b: FloatArray, low: IndexArray, high: IndexArray,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError, warn
+from ..errors import AmbushPlannerError, import_extra, warn
 from ..option_checks import check_at_least
 from .coordinates import WGS84, Coordinates, InvalidCoordinates, in_metres
 from .risk_map import RiskMap, to_map_axes
@@ -52,12 +52,7 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
     path = Path(name).expanduser()
     if not path.exists():
         raise InvalidFeatures(f'{path}: no such file')
-    try:
-        import geopandas  # noqa: F401
-    except ModuleNotFoundError:
-        raise InvalidFeatures(
-            f"{path}: vector files need: pip install '.[gis]', in a checkout of ambush_planner"
-        ) from None
+    import_extra('geopandas', f'{path}: vector files', 'gis', InvalidFeatures)
     frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
     return single_parts(str(path), frame, kinds, refused)
 
