@@ -95,7 +95,7 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
         grid = in_local_frame(grid, crs_text(arguments))
     picture = as_png(terrain_figure(ground))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture,
-                     ground.elevation.heights)
+                     ground.heights)
     console.line(_summary(ground))
     unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
     return _told(files, LEAST, MOST, [] if grid.crs else [unknown], console)
@@ -152,7 +152,7 @@ def _summary(ground: TerrainMap) -> str:
     values = ground.values
     risk = values[(values >= 0) & (values < 100)]
     low, middle, high = np.percentile(risk, [10, 50, 90]) if risk.size else (0.0, 0.0, 0.0)
-    return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.elevation.resolution:g} m: '
+    return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
             f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
             f' % unknown; risk of drivable cells, 0 to 99: half are below {middle:.0f}, '
             f'a tenth below {low:.0f}, a tenth above {high:.0f}')

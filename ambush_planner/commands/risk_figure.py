@@ -22,7 +22,7 @@ from ..maps.risk_map import RiskMap
 def terrain_figure(ground: TerrainMap) -> Figure:
     """Height, slope, depth, exposure and approach, and the risk map with roads."""
     layers = [Layer(title, np.asarray(values, dtype=np.float64)) for title, values in (
-        ('Height [m]', ground.elevation.heights),
+        ('Height [m]', ground.heights),
         ('Slope, rise over run', ground.slope),
         ('Depth below the ground in range [m]', ground.depth),
         ('Share of ground in range that sees you', ground.exposure),

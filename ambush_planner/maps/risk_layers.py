@@ -244,22 +244,17 @@ class _Joined:
     def add_shapes(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply polygons or roads."""
         roads = 'roads' in values
-        if roads:
-            shown = connected_parts(features)
-            width = attribute_values(features, 'width', values['width'])
-            wide = features.buffer(width / 2.0).where(width > 0.0, features.geometry)
-            features = features.set_geometry(wide)
-        else:
-            buffer = attribute_values(features, 'buffer', values['buffer'])
-            if flat := Counter(features.geom_type[(features.geom_type != 'Polygon')
-                                                  & (buffer == 0.0)]):
-                what = ', '.join(f'{count} {kind}' for kind, count in flat.items())
-                raise InvalidFeatures(f'{name}: {sum(flat.values())} of {len(features)} shapes are '
-                                      f'no polygons ({what}); make them polygons, or give the '
-                                      'layer a buffer [m], which all shapes grow by')
-            features = features.set_geometry(
-                features.buffer(buffer).where(buffer > 0.0, features.geometry))
-            shown = features.boundary
+        size = (attribute_values(features, 'width', values['width']) / 2.0 if roads
+                else attribute_values(features, 'buffer', values['buffer']))
+        flat = Counter(features.geom_type[(features.geom_type != 'Polygon') & (size == 0.0)])
+        if flat and not roads:
+            what = ', '.join(f'{count} {kind}' for kind, count in flat.items())
+            raise InvalidFeatures(f'{name}: {sum(flat.values())} of {len(features)} shapes are '
+                                  f'no polygons ({what}); make them polygons, or give the '
+                                  'layer a buffer [m], which all shapes grow by')
+        given = features
+        features = given.set_geometry(given.buffer(size).where(size > 0.0, given.geometry))
+        shown = connected_parts(given) if roads else features.boundary
         before = self.loss
         for key, apply in (('loss', np.multiply), ('factor', np.power)):
             column = attribute_values(features, key, values[key])

@@ -98,6 +98,16 @@ class TerrainMap:
     roads: BoolArray
 
     @property
+    def heights(self) -> HeightArray:
+        """Height of each cell [m]."""
+        return self.elevation.heights
+
+    @property
+    def resolution(self) -> float:
+        """Cell size [m]."""
+        return self.elevation.resolution
+
+    @property
     def occupancy(self) -> OccupancyMap:
         """The values, where the terrain is."""
         place = self.elevation
@@ -105,7 +115,7 @@ class TerrainMap:
 
     def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
         """Return the losses of the values, with the terrain's heights."""
-        return replace(self.occupancy.risk_map(options), heights=self.elevation.heights)
+        return replace(self.occupancy.risk_map(options), heights=self.heights)
 
 
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
