@@ -9,7 +9,6 @@ from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from ros_harness import header, wait_until
 from scipy.spatial.transform import Rotation
 
-from ambush_planner.parameters.values import RobotOptions
 from ambush_planner.ros.topics import TF
 
 interfaces.install('tf2_msgs')
@@ -52,5 +51,4 @@ class Robot:
 
     def _known(self):
         """Where the node believes the robot to be, None if it does not know."""
-        robot = RobotOptions(self._frame, math.inf)
-        return self._running.planner._parts.inputs.robot_place(robot, 'map')
+        return self._running.planner._parts.inputs.robot_place(self._frame, 'map', math.inf)

@@ -60,21 +60,12 @@ class RecordingOptions:
 
 
 @dataclass(frozen=True)
-class RobotOptions:
-    """The robot's frame ('': unknown), and the maximum age of its transforms [s]."""
-
-    frame: str = ''
-    max_age: float = math.inf
-
-
-@dataclass(frozen=True)
 class NodeParameters:
     """All parameters: ``values`` by the names of ``PARAMETERS``, and the options that some make."""
 
     occupancy: OccupancyOptions
     planning: PlanningOptions
     recording: RecordingOptions
-    robot: RobotOptions
     values: Mapping[str, Any]
 
     def with_plain_network(self) -> NodeParameters:
@@ -118,7 +109,6 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
             max_gap=values['strategy.max_gap'],
         ),
         recording=_options(RecordingOptions, 'recording', values),
-        robot=RobotOptions(values['robot_base_frame'], values['transform.max_age']),
         values=MappingProxyType(dict(values)),
     )
 

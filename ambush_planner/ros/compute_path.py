@@ -114,7 +114,8 @@ class ComputePath:
         if goal.planner_id not in names:
             raise Refusal('INVALID_PLANNER', f'planner_id is {goal.planner_id[:80]!r}, but must be '
                           f'one of {sorted(names)} (planner_ids)')
-        start = goal.start if goal.use_start else robot_pose(self._settings.current.robot)
+        robot = self._settings.current.values['robot_base_frame']
+        start = goal.start if goal.use_start else robot_pose(robot)
         if start is None:
             raise Refusal('NO_START', 'use_start is false, so the route begins at the robot: set '
                           'robot_base_frame, or give a start')

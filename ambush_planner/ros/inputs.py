@@ -15,7 +15,6 @@ from std_msgs.msg import Header
 
 from ..errors import InvalidPose, InvalidRiskMap
 from ..maps.ros_messages import path_from_ros, pose_from_ros, position_from_ros
-from ..parameters.values import RobotOptions
 from ..planning.clear_ground import ClearGround
 from ..recordings import type_name
 from .conversions import pose_to_ros
@@ -91,11 +90,11 @@ class Inputs:
             return None
         self._refused = None
         if costmap is not None:
-            values, header = self._settings.current, Header(frame_id=costmap.frame)
+            current, header = self._settings.current, Header(frame_id=costmap.frame)
             origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
             there = pose_from_ros(self._transforms.to_frame(
-                origin, 'the costmap', new.frame, values.robot.max_age).pose)
-            joined = new, costmap, there, values.occupancy.unknown_alpha is None
+                origin, 'the costmap', new.frame, current.values['transform.max_age']).pose)
+            joined = new, costmap, there, current.occupancy.unknown_alpha is None
             if self.map is not None and joined == self._joined:
                 return self.map
             self._joined = joined
@@ -106,7 +105,7 @@ class Inputs:
 
     def missing(self) -> tuple[str, ...]:
         """Return the full names of the topics of the inputs that have not arrived."""
-        poses = {'start_pose': self.start or self._settings.current.robot.frame,
+        poses = {'start_pose': self.start or self._robot,
                  'goal_pose': self.goal}
         inputs = {**self._arrived, **({} if self.asked_directly else poses)}
         return tuple(self._full_name(name) for name, given in inputs.items() if not given)
@@ -118,7 +117,7 @@ class Inputs:
         each other.
         """
         self.current_map()
-        if self.start is None and not self._settings.current.robot.frame:
+        if self.start is None and not self._robot:
             start, estimate = map(self._full_name, ('start_pose', 'initialpose'))
             raise Refusal('NO_START', f'no start yet: publish one on {start} or {estimate}, or set '
                           'robot_base_frame')
@@ -160,14 +159,15 @@ class Inputs:
         Raises Refusal if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
         transformed into the map's frame or is not a valid pose.
         """
-        present, robot, start = self.current_map(), request.parameters.robot, request.start
+        present, start, values = self.current_map(), request.start, request.parameters.values
+        robot, max_age = values['robot_base_frame'], values['transform.max_age']
 
         def on_map(pose: PoseStamped, name: str) -> PoseStamped:
-            return self._transforms.to_frame(pose, name, present.frame, robot.max_age)
+            return self._transforms.to_frame(pose, name, present.frame, max_age)
 
         frame = start.message.header.frame_id if start else ''
-        if start is None or (robot.frame and not frame):
-            start_pose, frame = on_map(robot_pose(robot), 'start'), robot.frame
+        if start is None or (robot and not frame):
+            start_pose, frame = on_map(robot_pose(robot), 'start'), robot
             start = ReceivedMessage(self._full_name('start_pose'), type_name(start_pose),
                                     start_pose, LATEST)
         else:
@@ -185,12 +185,17 @@ class Inputs:
                           for name, stop in stops.items()),
                     '' if frame == present.frame else frame)
 
-    def robot_place(self, robot: RobotOptions, frame: str) -> tuple[float, float] | None:
-        """Return where the robot is in a frame [m]; None if that is not known."""
+    @property
+    def _robot(self) -> str:
+        """The robot's frame; '' if it is not known."""
+        return str(self._settings.current.values['robot_base_frame'])
+
+    def robot_place(self, robot: str, frame: str, max_age: float) -> tuple[float, float] | None:
+        """Return where a robot's frame is in another one [m]; None if that is not known."""
         pose = robot_pose(robot)
         with suppress(FrameMismatch):
             return pose and position_from_ros(
-                self._transforms.to_frame(pose, 'start', frame, robot.max_age), 'start')
+                self._transforms.to_frame(pose, 'start', frame, max_age), 'start')
         return None
 
     def invalid_poses(self, path: Path) -> list[int] | None:
@@ -206,7 +211,7 @@ class Inputs:
             raise FrameMismatch(f'the path is in the frame {path.header.frame_id[:80]!r}, the map '
                                 f'in {newest.frame!r}')
         points = path_from_ros(path)[:, :2]
-        place = self.robot_place(parameters.robot, newest.frame)
+        place = self.robot_place(self._robot, newest.frame, parameters.values['transform.max_age'])
         first = int(np.hypot(*(points - place).T).argmin()) if place else 0
         rest = points[first:]
         ground = ClearGround(newest, parameters.occupancy, parameters.planning.network)
@@ -215,8 +220,6 @@ class Inputs:
         return (np.flatnonzero(~ground.drivable_steps(rest)) + first + 1).tolist()
 
 
-def robot_pose(robot: RobotOptions) -> PoseStamped | None:
-    """Return the pose of the robot, in its own frame; None if that has no name."""
-    if not robot.frame:
-        return None
-    return PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))
+def robot_pose(frame: str) -> PoseStamped | None:
+    """Return the pose of the robot in its own frame; None if that has no name."""
+    return PoseStamped(header=Header(frame_id=frame), pose=pose_to_ros(0.0, 0.0)) if frame else None
