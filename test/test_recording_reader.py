@@ -5,6 +5,7 @@ import shutil
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -15,10 +16,13 @@ from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, reco
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
+from plain import plain_options
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, recorded, small_departure
 from std_msgs.msg import Header
 
+from ambush_planner import PlanningOptions, StrategyOptions, plan_trip
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import (
     UnreadableRecording,
@@ -28,6 +32,7 @@ from ambush_planner.recordings import (
     recordings_in,
     source_findings,
 )
+from ambush_planner.recordings.recorded_departure import SharedParts
 from ambush_planner.recordings.recording_file import FORMAT, decode
 
 VERIFY = NO_ROS + """
@@ -211,6 +216,22 @@ def test_a_part_that_cannot_be_read_is_named(files, tmp_path, spoil, words):
     errors = []
     assert [each.path for each in read_departures([path, files[0]], errors.append)] == [files[0]]
     assert [str(each) for each in errors] == [str(caught.value)]
+
+
+def test_routes_that_are_still_clear_may_cost_less_than_the_bound_within_the_budget():
+    """They may be longer: here all lead through a far gate, where an ambush costs little."""
+    values = np.zeros((20, 30), np.int8)
+    values[9:11, 13:18] = 90
+    values[:, 15] = 100
+    values[[9, 10, 17, 18], 15] = 90, 90, 0, 0
+    on, risk_map = OccupancyMap(values, 1.0), risk_from_occupancy(values, 1.0)
+    plan = plan_trip(risk_map, (2.5, 10.0), (27.5, 10.0), PlanningOptions(
+        network=plain_options(spacing=2.0), strategy=StrategyOptions(max_detour=1.05)))
+    newest, shared = replace(on, values=values.copy()), SharedParts()
+    newest.values[9:11, 15] = 100
+    ground = shared.ground(plan.strategy, on, OccupancyOptions(), plan.options, risk_map)
+    clear = shared.conditioned(ground, newest)
+    assert clear.lower_bound <= clear.value < 0.5 * plan.lower_bound
 
 
 def test_what_is_no_file(tmp_path):

@@ -152,4 +152,4 @@ def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
         row = replace(best, swept=row.swept, max_detour=row.max_detour, lower_bound=row.lower_bound)
     bound = max((each.lower_bound for each in same if each.max_detour >= row.max_detour),
                 default=row.lower_bound)
-    return replace(row, lower_bound=max(row.lower_bound, bound))
+    return replace(row, lower_bound=min(max(row.lower_bound, bound), row.value))

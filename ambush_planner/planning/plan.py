@@ -19,8 +19,7 @@ from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
 from ..game.informant import Informant, worst_informant
 from ..game.strategy import Strategy
-from ..maps.obstacles import nearest_free_cell
-from ..maps.occupancy import OccupancyOptions, risk_from_occupancy
+from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..notebook import Shown
@@ -338,18 +337,6 @@ def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptio
     return make_corridors(strategy.network, risk_map, options.network.clearance, limit,
                           options.network.clear_of_edge, most, reach,
                           game.secured.shrunk(game.options.tube))
-
-
-def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:
-    """The risk map and the goal, moved off obstacles within the tolerance [m].
-
-    Raises InvalidRiskMap if the map is malformed.
-    """
-    risk_map = risk_from_occupancy(request.values, request.resolution, request.origin,
-                                       request.occupancy)
-    network = request.options.network
-    return risk_map, nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,
-                                       network.clearance, network.clear_of_edge)
 
 
 def depart(a_plan: Plan, rng: np.random.Generator) -> Route:

@@ -18,6 +18,8 @@ from ..arrays import FloatArray
 from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, TimeLimit, warn
 from ..game.search import Search
 from ..game.value.routes import Progress, no_progress
+from ..maps.obstacles import nearest_free_cell
+from ..maps.occupancy import risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..network.construction import build_trip_graph
 from ..network.network import Network
@@ -26,7 +28,7 @@ from .concerns import concerns
 from .few_routes import few_routes
 from .options import PlanningOptions, grading, is_graded
 from .path_mixtures import check_judged
-from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
+from .plan import Plan, PlanRequest, make_plan
 from .refinement import refine
 from .solving import WarmStart, find_value_on, finish_on, solve_on_network, with_time
 from .stop_order import Planned, StopOrderSearch, in_order
@@ -221,7 +223,11 @@ def plan_from_request(request: PlanRequest) -> Plan:
 
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
-    risk_map, goal_xy = risk_map_and_goal(request)
+    risk_map = risk_from_occupancy(request.values, request.resolution, request.origin,
+                                   request.occupancy)
+    network = request.options.network
+    goal_xy = nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,
+                                network.clearance, network.clear_of_edge)
     made = plan_quietly(risk_map, request.start_xy, goal_xy, request.options, request.stops_xy,
                         request.order, request.warm)
     return replace(made, risk_map=None)  # too large to send to another process

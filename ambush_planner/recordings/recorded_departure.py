@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array
+from ..game.certificate.certificate import Certificate
 from ..game.distribution.acyclic import is_acyclic
 from ..game.hits import worst_loss
 from ..game.strategy import Strategy
@@ -147,13 +148,11 @@ class SharedParts:
         self.ground = lru_cache(most)(ground_of)
         self.conditioned = lru_cache(most)(_conditioned)
         self.joined = lru_cache(most)(_joined)
-        self._message = lru_cache(most)(decode)
         self._map = lru_cache(most)(_map)
 
     def map_in(self, definition: str, kind: str, data: bytes) -> OccupancyMap:
         """Read a serialised map. Maps that differ only in their header are one object."""
-        message = self._message(definition, kind, data)
-        values, resolution, origin = occupancy_from_ros(message)
+        values, resolution, origin = occupancy_from_ros(decode(definition, kind, data))
         return self._map(values.tobytes(), values.shape, resolution, origin)
 
 
@@ -279,8 +278,10 @@ def _conditioned(ground: ChangedGround, newest: OccupancyMap) -> Strategy:
     share, p = ground.conditioned.avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
-    certificate = replace(strategy.certificate, value=worst_loss(strategy.game, p))
-    return replace(strategy, edge_probability=frozen_array(p, np.float64), certificate=certificate)
+    # What is clear may be longer than the budgets, to which the bound belongs, and cost less.
+    value = worst_loss(strategy.game, p)
+    return replace(strategy, edge_probability=frozen_array(p, np.float64),
+                   certificate=Certificate(value, min(strategy.lower_bound, value)))
 
 
 def _joined(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan:
