@@ -21,11 +21,11 @@ from .certificate.best_response import NEGLIGIBLE
 from .distribution.acyclic import acyclic_subnetwork, order_potential, topological_order
 from .distribution.chain import chain_of
 from .distribution.gibbs import acyclic_network
-from .distribution.route_distribution import RouteDistribution
+from .distribution.route_distribution import DISTRIBUTION, RouteDistribution
 from .game import Game
 from .hits import hits_can_differ
-from .search import ROUNDS, Drawn, Incumbent, Search
-from .slack import ceiling
+from .search import Drawn, Incumbent, Search
+from .slack import ROUNDS, ceiling
 from .value.routes import ROUTES
 
 
@@ -35,8 +35,10 @@ class ChainSearch(NamedTuple):
     # Rounds of constraint generation before the distribution, in the last of them with sites at any
     # distance from each other; more while the value is 0.
     sweeps: int = 3
-    joining: float = 0.8  # share of the slack beyond which sites join a distribution
-    growth: float = 0.01  # least relative growth of the entropy for another round
+    # Share of the slack beyond which sites join a distribution: halfway from what it aims at.
+    joining: float = (1.0 + DISTRIBUTION.early_aim) / 2.0
+    # Least relative growth of the entropy for another round: what a rough one may miss.
+    growth: float = DISTRIBUTION.early_accuracy.missing
     # Share of the time until the deadline after which the flow is improved, if no distribution is
     # within the slack by then.
     rounds: float = 0.8

@@ -28,8 +28,6 @@ from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, sum_of_largest, withi
 from .strategy import Multipliers, Strategy, strategy_of
 from .value.routes import Progress, no_progress
 
-# Largest number of rounds in which sites join a search, or of a route distribution.
-ROUNDS = 25
 # Share of the slack that an LP's strategy may use; a distribution around it may use the rest.
 FLOW_SLACK = 0.5
 

@@ -13,6 +13,9 @@ from ..arrays import ROUNDING, FloatArray
 # solver failed, or no method finds a better strategy or bound.
 Reason = Literal['complete', 'time', 'solver', 'stalled']
 
+# Most rounds of a search: in which sites join it, of a route distribution, in which an LP over
+# routes hardly gains, by which a solution comes nearer to double precision.
+ROUNDS = 25
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
 # Least slack of a search, so that it ends within the tolerance if none is asked for.

@@ -17,8 +17,8 @@ from .chain_search import find_sites
 from .distribution.chain import SeparateLegs, chain_of, conserved_strategy
 from .distribution.route_distribution import RouteDistribution
 from .layered_graph import LayeredGraph
-from .search import FLOW_SLACK, ROUNDS, Incumbent, Search
-from .slack import ceiling, within
+from .search import FLOW_SLACK, Incumbent, Search
+from .slack import ROUNDS, ceiling, within
 from .value.mixtures import Mixtures
 from .value.routes import ROUTES, Routes
 

@@ -32,7 +32,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import BoolArray, FloatArray, IndexArray
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from ..ambusher import Ambusher
 from ..budget import Budget
 from ..game import Game
@@ -41,8 +41,6 @@ from ..game import Game
 # which it stops: a second or two each. The cost reached by then is still a lower bound.
 SEARCHES = tuple((9.0**k, 3_000_000) for k in (0, 1, 2, math.inf))
 Searches = Sequence[tuple[float, int]]
-# Relative rounding of a route's cost.
-_ROUNDING = 1e-12
 # Dual weights, flows and values below this share of the largest are rounding, and not counted.
 NEGLIGIBLE = 1e-7
 
@@ -195,8 +193,8 @@ class Subnetwork:
     def shortest(self, base: FloatArray, dual_weights: FloatArray) -> IndexArray:
         """The edges (K,) of the way of least cost if every entry is counted."""
         weights = base[self.edge] + dual_weights @ self.entering
-        # By far less than costs differ, so that of equal ways the one of fewest edges is taken.
-        weights += _ROUNDING * (float(weights.max()) or 1.0)
+        # By what sums are rounded, so that of equal ways the one of fewest edges is taken.
+        weights += self.count * np.finfo(float).eps * (float(weights.max()) or 1.0)
         graph = csr_matrix((weights, self.head, self.out), (self.count, self.count))
         distance, before, _ = dijkstra(graph, indices=self.first, return_predecessors=True,
                                        min_only=True)
@@ -229,7 +227,7 @@ class Subnetwork:
             cost = self.cost(route, base, dual_weights)
             if cost < best:
                 best, edges = cost, route
-            if best <= least * (1.0 + _ROUNDING):
+            if best <= least * (1.0 + ROUNDING):
                 break
         return least, edges
 

@@ -24,12 +24,11 @@ from ..distribution.chain import NO_FLOW
 from ..faces import Faces
 from ..game import Game
 from ..route_sampler import shortest_route_strategy
+from ..slack import ROUNDS
 
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
 # several rounds on the residual network reach double precision.
 INTEGER_FLOW = 2**29
-# The most rounds by which a solution comes nearer to double precision.
-MAX_ROUNDS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,7 @@ def _solve_by_rounds(game: Game) -> CutSolution:
     # All sites together are a cut, as no route avoids them all.
     flow, sites = np.zeros(len(split.edge)), game.loss > 0.0
     bound, best = float((1.0 / game.loss[sites]).sum()), (np.inf, sites)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(ROUNDS):
         total = split.total(flow)
         flow, cut = split.augment(flow, INTEGER_FLOW / (bound - total))
         capacity = float((1.0 / game.loss[cut]).sum())

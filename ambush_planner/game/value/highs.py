@@ -19,9 +19,9 @@ if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
-# Values of ipm_optimality_tolerance, tried in turn, but none finer than requested; HiGHS' default
-# is 1e-8.
-OPTIMALITY = (1e-11, 1e-8, 1e-7)
+# Values of ipm_optimality_tolerance, tried in turn, but none finer than requested: one finer than
+# HiGHS' default of 1e-8, and a coarser one.
+OPTIMALITY = (1e-11, 1e-7)
 # HiGHS' primal and dual feasibility tolerances, as a share of a rough precision.
 OF_PRECISION = 2e-6
 

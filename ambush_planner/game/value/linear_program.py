@@ -20,9 +20,10 @@ from ..distribution.chain import NO_FLOW
 from ..game import Game
 from ..hits import entry_value, hits_can_differ
 from ..route_sampler import shortest_route_strategy
+from ..slack import ROUNDS
 from ..strategy import Strategy, StrategyOptions, strategy_of, within_slack
 from . import highs
-from .cut import MAX_ROUNDS, solve_by_min_cut
+from .cut import solve_by_min_cut
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
@@ -148,7 +149,7 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
     if length_weight == 0.0 and _leaves_no_slack(length):
         near = game.through(length.reduced_cost) <= ROUNDING * length.limit
         game = game.restricted_to(near) or game
-    for _ in range(MAX_ROUNDS):
+    for _ in range(ROUNDS):
         lp = linear_program(game, length_weight, length.limit, unit)
         result = _run(lp, solver, deadline)
         value = float(result.x[-1])
@@ -161,7 +162,7 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
 def _conserved(lp: LinearProgram, p: FloatArray) -> FloatArray:
     """Make p satisfy ``A p = b`` to rounding by small relative changes; HiGHS stops near 1e-8."""
     rows = lp.equalities[:, :-1]
-    for _ in range(MAX_ROUNDS):
+    for _ in range(ROUNDS):
         missing = lp.rhs - rows @ p
         if np.abs(missing).max() < NO_FLOW:
             break

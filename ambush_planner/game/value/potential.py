@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ..ambusher import Ambusher, at_nodes, on_nodes, padded
-from ..budget import Budget
+from ..budget import BUDGET_TOLERANCE, Budget
 from ..distribution.acyclic import without_cycles
 from ..distribution.chain import conserved_strategy
 from ..faces import Circulation, Faces
@@ -37,13 +37,11 @@ class PotentialSearch(NamedTuple):
 
     precision: float = 1e-3  # largest, relative: of z, and of the share at which faces join
     step: float = 0.92  # factor by which z falls at most at once, until a budget is exceeded
-    # While the budget is kept, z stays if more than this share of the discs' columns is new: at a
-    # lower z, most of the columns that join would not be needed in the end.
-    many: float = 0.03
-    endless: float = 1e6  # flow through a disc that counts as unbounded: z is infeasible
+    endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
 
 
 POTENTIAL = PotentialSearch()
+
 
 class Potential:
     """The LP, at first with the game's sites; ``solve`` goes on from where it is.
@@ -109,14 +107,11 @@ class Potential:
         while True:
             endless = self._solve(z)
             height = self._heights()
-            new = self._join(z, height) if self._kept is self._potential else 0
-            if new > POTENTIAL.many * len(self._joined):
-                continue
             newer = (self.bound * (1.0 + self._precision) if endless
                      else max(self.bound, POTENTIAL.step * z))
             found = abs(newer - z) <= self._precision * z and not endless
             z = z if found else newer
-            if not (new + self._join(z, height)) and found:
+            if not self._join(z, height) and found:
                 self._z = z
                 return
 
