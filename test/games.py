@@ -4,7 +4,6 @@
 The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, random examples.
 """
 
-import heapq
 import os
 import warnings
 from collections.abc import Sequence
@@ -373,20 +372,13 @@ def value_is_right(network: Network, value: float, budget: float, slack: float =
 
 def least_weight(network: Network, weights: np.ndarray) -> float:
     """Least sum of edge weights (M,) >= 0 over all routes: a plain Dijkstra."""
-    leaving: dict[int, list[tuple[int, float]]] = {}
-    for (tail, head), weight in zip(network.edges.tolist(), weights.tolist(), strict=True):
-        leaving.setdefault(tail, []).append((head, weight))
-    queue, done = [(0.0, network.source)], set()
-    while queue:
-        distance, node = heapq.heappop(queue)
-        if node == network.target:
-            return distance
-        if node in done:
-            continue
-        done.add(node)
-        for head, weight in leaving.get(node, ()):
-            heapq.heappush(queue, (distance + weight, head))
-    return np.inf
+    graph = networkx.DiGraph()
+    graph.add_nodes_from((network.source, network.target))
+    graph.add_weighted_edges_from(np.column_stack((network.edges, weights)).tolist())
+    try:
+        return float(networkx.dijkstra_path_length(graph, network.source, network.target))
+    except networkx.NetworkXNoPath:
+        return np.inf
 
 
 def unbalanced(network: Network, p: np.ndarray) -> float:

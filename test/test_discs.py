@@ -88,13 +88,6 @@ def test_every_walk_into_a_disc_on_a_rotated_lattice_is_counted(radius):
         assert len({*into, *(1.0 - out)}) == 1
 
 
-def test_an_edge_that_only_passes_through_a_disc_hits():
-    points = np.array([[0, 0], [10, 0], [5, 1.0]])
-    network = Network(points, np.array([0, 0, 1.0]), np.array([[0, 1], [0, 2], [2, 1]]), 0, 1)
-    assert solve(network, GameOptions(ambush_radius=2.0)).value == pytest.approx(1.0, rel=1e-6)
-    assert solve(network, GameOptions(ambush_radius=0.5)).value == 0.0
-
-
 def test_without_sites_there_are_no_rows():
     network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
     assert _everywhere(network).entering(np.empty((0, 2)), 1.0).shape == (0, 2)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from games import (
     examples,
-    geometric_hits,
-    hit_once,
     planar_network,
     reached,
     routes_of,
@@ -108,13 +106,3 @@ def test_places_may_be_numbered_in_any_order():
                   for each in (network, replace(network, places=places)))
     assert other.reason == 'complete'
     assert other.lower_bound == pytest.approx(one.lower_bound, rel=1e-3)
-
-
-@examples(12)
-@given(st.integers(0, 10**6), st.floats(0.8, 3.0), st.sampled_from((1.2, np.inf)))
-def test_the_value_is_the_worst_loss_with_each_route_counted_once(seed, reach, detour):
-    network = terrain_network(seed, cells=11)
-    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(max_detour=detour))
-    hits = geometric_hits(network, reach).toarray() > 0.0
-    losses = network.alpha * hit_once(network, strategy.edge_probability, hits)
-    assert strategy.value == pytest.approx(losses.max(), rel=1e-9, abs=1e-12)

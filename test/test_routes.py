@@ -126,19 +126,6 @@ def test_sites_that_join_count_like_those_from_the_beginning(seed, stops, ambush
                                       np.append(game.loss[game.sites], loss)))
 
 
-def test_two_ways_and_a_detour_by_hand():
-    """Losses 1 and 2 on two ways of the same length: 2 / 3 of the routes take the first."""
-    points = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)])
-    edges = [(0, 1), (0, 2), (1, 3), (2, 3)]
-    network = Network(points, np.array([0.0, 1.0, 2.0, 0.0]), edges, 0, 3)
-    game = make_game(network, GameOptions())
-    found = Routes(game, make_budgets(game, StrategyOptions()), GAP, math.inf)
-    found.solve()
-    assert found.value == pytest.approx(2.0 / 3.0, rel=1e-3)
-    assert found.bound == pytest.approx(2.0 / 3.0, rel=1e-3)
-    assert found.q == pytest.approx([2.0 / 3.0, 1.0 / 3.0], rel=1e-2)
-
-
 def test_without_sites_the_value_is_0():
     points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
     game = make_game(Network(points, np.zeros(3), [(0, 1), (1, 2)], 0, 2), GameOptions())
