@@ -39,8 +39,8 @@ FIRST_CAP = 2.0
 # A search ends before its time limit by a share of it or by a time [s], whichever is less; its
 # judge ends at most half of the greater after it. On a trip the judge takes seconds.
 RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
-# Share of the routes that a single ambush hits from which they count as all.
-ALL_ROUTES = 0.99
+# Share of the routes from which an ambush that hits them hits all, up to the slack.
+ALL_ROUTES = 1.0 - StrategyOptions.risk_slack
 
 
 def solve(network: Network, game: GameOptions | None = None, options: StrategyOptions | None = None,

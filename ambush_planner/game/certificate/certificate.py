@@ -90,16 +90,9 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
         return best_response(game, ambusher, budgets, deadline, enough)
     same = faces is not None and len(faces.link) == len(game.network.edges)
     faces = replace(faces, game=game) if faces and same else make_faces(game)
-    used = [k for k, price in enumerate(ambusher.prices) if price > 0.0]
-    if faces is None or len(used) > 1:
+    if faces is None or np.count_nonzero(ambusher.prices) > 1:
         raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
-    dual_weights = game.loss * ambusher.q
-    if not used:
-        return curve_bound(faces, 0.0 * game.network.lengths, 0.0, dual_weights, 0.0,
-                           ambusher.circulation, deadline, enough)
-    budget, price = budgets[used[0]], ambusher.prices[used[0]]
-    return curve_bound(faces, budget.cost, budget.limit, dual_weights, price, ambusher.circulation,
-                       deadline, enough)
+    return curve_bound(faces, ambusher, ambusher.circulation, budgets, deadline, enough)
 
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:

@@ -28,6 +28,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
+from ..ambusher import Ambusher
+from ..budget import Budget
 from ..distribution.acyclic import simple_cycles
 from ..faces import Circulation, Faces
 from .best_response import NEGLIGIBLE
@@ -36,21 +38,25 @@ from .best_response import NEGLIGIBLE
 MOST_SETS = 300
 
 
-def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: FloatArray,
-                price: float, given: Circulation, deadline: float = math.inf,
-                enough: float = math.inf) -> float:
-    """What a circulation proves about strategies with a mean ``cost`` (M,) of at most ``limit``.
+def curve_bound(faces: Faces, ambusher: Ambusher, given: Circulation,
+                budgets: tuple[Budget, ...], deadline: float, enough: float) -> float:
+    """What an ambusher proves by a circulation about strategies within the budgets.
 
-    ``dual_weights`` (N,) are q_j alpha_j at each node. Flow beyond a dual weight, or beyond a
-    link's share of the price, counts for nothing. How often curves count that wind more than once
-    is found until ``enough`` is proved, or to ``deadline`` (``time.monotonic``); the others count
-    once. Raises SolverFailed if the circulation is that of another network.
+    At most one of these has a price. Flow beyond q_j alpha_j, or beyond a link's share of the
+    price, counts for nothing. How often curves count that wind more than once is found until
+    ``enough`` is proved, or to ``deadline`` (``time.monotonic``); the others count once. Raises
+    SolverFailed if the circulation is that of another network.
     """
-    game, given = faces.game, given.at(dual_weights > 0.0)
+    game, paid, worth = faces.game, np.zeros(len(faces.link)), 0.0
+    for budget, price in zip(budgets, ambusher.prices, strict=True):
+        if price > 0.0:
+            paid, worth = price * budget.cost, price * budget.limit
+    dual_weights = game.loss * ambusher.q
+    given = given.at(dual_weights > 0.0)
     if len(given.through) != len(faces.left):
         raise SolverFailed('the circulation is that of another network')
     edge, most = np.flatnonzero(game.playable), np.full(len(faces.left), np.inf)
-    np.minimum.at(most, faces.link[edge], price * cost[edge])
+    np.minimum.at(most, faces.link[edge], paid[edge])
     passed = sums(given.site, np.maximum(given.flow, 0.0), len(dual_weights))
     fits = np.minimum(dual_weights, passed) / np.where(passed > 0.0, passed, 1.0)
     inside = np.where(given.flow > 0.0, given.flow * fits[given.site], given.flow)
@@ -61,7 +67,7 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, dual_weights: Floa
     arcs = _arcs(faces, np.clip(given.through, -most, most), inside, entering, row.ravel(),
                  given.face)
     once, winding = _curves(arcs)
-    total, across = once + sum(curve.weight for curve in winding) - price * limit, None
+    total, across = once + sum(curve.weight for curve in winding) - worth, None
     for curve in sorted(winding, key=lambda curve: -curve.weight * curve.winds):
         if total >= enough or time.monotonic() > deadline:
             break

@@ -37,6 +37,9 @@ class PotentialSearch(NamedTuple):
 
     precision: float = 1e-3  # largest, relative: of z, and of the share at which faces join
     step: float = 0.92  # factor by which z falls at most at once, until a budget is exceeded
+    # While the budget is kept, z stays if more than this share of the discs' columns is new: at a
+    # lower z, most of the columns that join would not be needed in the end.
+    many: float = 0.03
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
 
 
@@ -107,11 +110,15 @@ class Potential:
         while True:
             endless = self._solve(z)
             height = self._heights()
+            new = self._join(z, height) if self._kept is self._potential else 0
+            if new > POTENTIAL.many * len(self._joined):
+                continue
             newer = (self.bound * (1.0 + self._precision) if endless
                      else max(self.bound, POTENTIAL.step * z))
             found = abs(newer - z) <= self._precision * z and not endless
             z = z if found else newer
-            if not self._join(z, height) and found:
+            new += self._join(z, height)
+            if found and not new:
                 self._z = z
                 return
 

@@ -92,11 +92,11 @@ class Routes:
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
                  progress: Progress = no_progress, planar: Potential | None = None) -> None:
-        self.game, self.gap, self.deadline, self.budgets = game, gap, deadline, budgets
+        self.game, self.gap, self.deadline = game, gap, deadline
+        self.budgets = binding = [b for b in budgets if b.binds]
         self.planar, self._by_planar = planar, False
         self._progress = progress
         self._newest: Mixture | None = None  # of the legs
-        binding = [b for b in budgets if b.binds]
         shares = [np.minimum(b.reduced_cost / b.slack, 1.0 / NEGLIGIBLE) for b in binding]
         self.reduced_cost = np.reshape([np.where(game.playable, each, 0.0) for each in shares],
                                        (len(binding), len(game.playable)))
@@ -141,8 +141,7 @@ class Routes:
         """His prices of the budgets that bind [loss per unit of cost]."""
         if self.planar and self._by_planar:
             return self.planar.prices
-        slacks = [b.slack for b in self.budgets if b.binds]
-        return np.asarray(self._prices / np.array(slacks))
+        return np.asarray(self._prices / np.array([b.slack for b in self.budgets]))
 
     @property
     def provers(self) -> list[Potential | Routes]:
@@ -238,7 +237,7 @@ class Routes:
                 self._whole.shortest(least.prices @ self.reduced_cost, free)):
             least = self.mixtures.of_least_reduced_cost()
         if least.value > 1.0 + ROUNDING:
-            names = ' and '.join(b.option for b in self.budgets if b.binds)
+            names = ' and '.join(b.option for b in self.budgets)
             raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
         self.mixtures.limit = max(least.value, 1.0)
         self.shares, self.value = least.shares, self.mixtures.value(least.shares)
