@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import IndexArray, frozen_array
+from ..arrays import ROUNDING, IndexArray, frozen_array
 from .certificate.best_response import NEGLIGIBLE
 from .discs import secured_area
 from .revaluation import budgets_in_game
@@ -18,8 +18,8 @@ from .strategy import Strategy
 
 # Sites are near the source, a stop or the target within this many median edge lengths.
 NEAR_EDGES = 2.0
-# Relative tolerance of the secured bound.
-SECURED_TOLERANCE = 0.05
+# Risk slack of the search for the secured bound.
+SECURED_SLACK = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,8 @@ def secured_bound(strategy: Strategy, distance: float,
     """
     near = secured_area(strategy.network, distance).covers(strategy.network.points)
     game = strategy.game.without_layers().without_sites(near)
-    search = find_value(SearchProblem(game, budgets_in_game(game, strategy), SECURED_TOLERANCE,
-                                      deadline))
-    return min(search.lp.bound, strategy.value) if search.reason == 'stalled' else None
+    budgets = budgets_in_game(game, strategy)
+    search = find_value(SearchProblem(game, budgets, SECURED_SLACK, deadline, judged=deadline))
+    kept, enough = np.ones(len(game.sites), dtype=bool), search.lp.bound * (1.0 - ROUNDING)
+    bound, _ = search.proof(game, kept, budgets, enough)
+    return None if search.problem.late or search.reason != 'stalled' else min(bound, strategy.value)

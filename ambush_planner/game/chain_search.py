@@ -32,8 +32,8 @@ from .value.routes import ROUTES
 class ChainSearch(NamedTuple):
     """The constants of the search for one chain."""
 
-    # Rounds of constraint generation before the distribution, in the last of them with sites at any
-    # distance from each other; more while the value is 0.
+    # Times that sites join before the distribution, more while the value is 0; from the last of
+    # them on they may be as near to each other as the LP allows.
     sweeps: int = 3
     # Share of the slack beyond which sites join a distribution: halfway from what it aims at.
     joining: float = (1.0 + DISTRIBUTION.early_aim) / 2.0
@@ -61,8 +61,9 @@ def find_sites(search: Search, solve: Callable[[], None], drawn: Callable[[], Dr
             solve()
         if search.problem.late or (sweep >= sweeps and search.lp.bound > 0.0):
             break
-        above, apart = ceiling(search.lp.bound, search.slack), sweep < CHAIN.sweeps - 1
-        if search.join_worst(drawn(), above, ROUTES.apart * apart, rough=sweep == 0) is None:
+        apart = ROUTES.apart if sweep < CHAIN.sweeps - 1 else 0.0
+        above = ceiling(search.lp.bound, search.slack)
+        if search.join_worst(drawn(), above, apart, rough=sweep == 0) is None:
             break
 
 

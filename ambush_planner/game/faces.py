@@ -2,8 +2,8 @@
 """The faces of a planar two-way network, and which of them the rim of each site's reach touches.
 
 Edges that join the same two nodes are one link, with a face on either side. A curve through faces
-that separates the source from the target crosses every route an odd number of times. So counting
-its crossings of one reference route decides whether a closed curve through faces separates them (J.
+that separates the source from the target crosses every route. So adding up its crossings of one
+reference route, by their direction, decides whether a closed curve through faces separates them (J.
 H. Reif, Minimum s-t cut of a planar undirected network, SIAM Journal on Computing 12, 1983).
 """
 
@@ -108,7 +108,7 @@ class Faces:
         return csr_matrix(entering.astype(bool) @ links)
 
     def _winding_offsets(self, link: IndexArray, left: IndexArray, right: IndexArray,
-               part: IndexArray) -> tuple[IndexArray, IndexArray]:
+                         part: IndexArray) -> tuple[IndexArray, IndexArray]:
         """For each pair (T,) of a disc and a face, the crossings of the route on the way there.
 
         The way goes along the rim, from the first pair of the ``part`` (T,), across links (K,) with

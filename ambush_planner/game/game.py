@@ -35,12 +35,12 @@ class GameOptions:
     Parameters
     ----------
     ambush_radius
-        An ambush hits every route that passes within this distance of its site [m]; 0: routes
-        through the site's node.
+        An ambush hits every route that passes within this distance of its site [m]; 0, and no
+        tube: routes through the site's node.
     secured_radius
         Radius of the secured area around the source, each stop and the target [m]: nobody can wait
         there, and with a reach nobody who drives there is hit. None: as far as the reach and the
-        tube, an assumption.
+        tube, an assumption; also -1.
     held_places
         More of the secured area: discs (x, y, radius) [m] in world coordinates, such as a
         checkpoint on the way. As around the ends, nobody can wait there, and with a reach nobody

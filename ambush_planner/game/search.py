@@ -269,7 +269,7 @@ class Search:
             length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in budgets)
             budgets = length, exposure
         game = game.with_sites(self.points[added], self.loss[added], csr_matrix(entering))
-        bound, ambusher = self._proof(game, kept, budgets, best.value / ceiling(1.0, self.slack))
+        bound, ambusher = self.proof(game, kept, budgets, best.value / ceiling(1.0, self.slack))
         per_hit = np.zeros(game.node_count)
         per_hit[game.sites] = weights[kept]
         multipliers = Multipliers(frozen_array(per_hit, np.float64),
@@ -281,8 +281,8 @@ class Search:
             return found
         return replace(found, reason='time' if self.problem.late else self.reason)
 
-    def _proof(self, game: Game, kept: BoolArray, budgets: tuple[Budget, Budget],
-               enough: float) -> tuple[float, Ambusher]:
+    def proof(self, game: Game, kept: BoolArray, budgets: tuple[Budget, Budget],
+              enough: float) -> tuple[float, Ambusher]:
         """The best bound that an ambusher proves, and he; a bound of ``enough`` will do."""
         found = []
         for prover in self.lp.provers:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solve the game: the least value within the budgets, then the most unpredictable routes.
 
-One of three linear programs (LPs) finds the least value (``value``): a cut without a reach while no
-budget binds, face potentials on a planar network whose links cost the same both ways, whole routes
-otherwise. A search makes a strategy of it: a chain (``chain_search``), or on a trip one on a
-layered graph (``trip_search``). The paper's linear programs are another choice.
+One of three linear programs (LPs) finds the least value (``value``): a cut without a reach if its
+flow keeps the budgets, or nearly; face potentials on a planar network whose links cost the same
+both ways; whole routes otherwise. A search makes a strategy of it: a chain (``chain_search``), or
+on a trip one on a layered graph (``trip_search``). The paper's linear programs are another choice.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ from .value.linear_program import linear_program_strategy
 from .value.potential import Potential
 from .value.routes import Progress, Routes, no_progress
 
-# Relative optimality gaps of an LP in potentials, and of one over routes, in slacks.
+# Optimality gaps of an LP in potentials, and of one over routes [slacks].
 POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
 # Largest share by which the flow of a cut exceeds a budget if a distribution is sought around it,
 # which then keeps the budget in nearly all games, without a loss of entropy.
 MAX_OVERRUN = 0.07
 # Cap at which an LP in potentials begins, as a multiple of the value without budgets.
 FIRST_CAP = 2.0
-# A search ends before its time limit by a share of it or by a time [s], whichever is less; its
-# judge ends at most half of the greater after it. On a trip the judge takes seconds.
+# A search ends before its time limit by a share of it or by a time [s], whichever is less. Its
+# judge, which takes seconds on a trip, ends by half of the first share or time after the limit,
+# whichever is greater.
 RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
 # Share of the routes from which an ambush that hits them hits all, up to the slack.
 ALL_ROUTES = 1.0 - StrategyOptions.risk_slack

@@ -121,7 +121,7 @@ def _around(search: Search, lp: Routes, count: int
     if not within(few.value(shares), lp.value, FLOW_SLACK * slack) and count < len(lp.shares):
         return None
     flow = conserved_strategy(game, few.flow(shares, len(game.playable)), NEGLIGIBLE)
-    assert flow is not None  # a route has a share of at least one in their number
+    assert flow is not None  # one route of n has a share of 1 / n or more
     layers = LayeredGraph(game, flow, few.routes, shares, max(TRIP.width // count, 1))
     distribution = RouteDistribution(layers.network, layers.p, search.problem.budgets,
                                      few.ambushers, slack, False, deadline)

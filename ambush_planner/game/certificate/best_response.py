@@ -93,13 +93,13 @@ class TripNetworks:
         begins = [first, *(nodes[at == k] for k in np.unique(at)), last]
         self._stop = {node: k for k, own in enumerate(begins) for node in own.tolist()}
         self.legs = []
-        for number, before in enumerate(network.stops_before.tolist()):
-            inside = game.playable & (leg[network.tails] == number)
+        for layer, number in enumerate(network.stops_before.tolist()):  # one for stops visited
+            inside = game.playable & (leg[network.tails] == layer)
             own_edges, heads = Subnetwork(network.edges, inside, hits, exact), network.heads[inside]
             ends = [k for k, own in enumerate(begins) if np.isin(own, heads[
-                (leg[heads] > number) | (heads == network.target)]).any()]
-            self.legs += [Leg(before, begin, end, own_edges.between(own, begins[end]))
-                          for begin, own in enumerate(begins[:-1]) if leg[own[0]] == number
+                (leg[heads] > layer) | (heads == network.target)]).any()]
+            self.legs += [Leg(number, begin, end, own_edges.between(own, begins[end]))
+                          for begin, own in enumerate(begins[:-1]) if leg[own[0]] == layer
                           for end in ends]
 
     def least_cost(self, base: FloatArray, dual_weights: FloatArray, searches: Searches,
@@ -256,9 +256,10 @@ class _Labels:
 
     def search(self, kept: float, comparisons: int,
                deadline: float) -> tuple[float, IndexArray | None]:
-        """A lower bound of the least cost, and a route as edges; None after ``comparisons``.
+        """A lower bound of the least cost, and a route as edges.
 
-        Or at ``deadline``. It keeps at most ``kept`` labels at each node.
+        The route is None after ``comparisons``, or at ``deadline``. The search keeps at most
+        ``kept`` labels at each node.
         """
         behind = self._behind
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)

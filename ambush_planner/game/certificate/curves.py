@@ -100,7 +100,7 @@ def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, entering: csr_m
     ``entering`` (S, M) are the edges that enter each disc.
     """
     link, pair = np.flatnonzero(through), np.flatnonzero(inside)
-    found, offset, part = _winding_offsets(faces, entering, row[pair], face[pair])
+    found, offset, part = _disc_pairs(faces, entering, row[pair], face[pair])
     tail = np.concatenate((faces.left[link], face[pair]))
     head = np.concatenate((faces.right[link], faces.count + part))
     gain = np.concatenate((faces.crossed[link], offset))
@@ -160,8 +160,8 @@ class _RoutesAcross:
         return min(round(away), most) if np.isfinite(away) else most
 
 
-def _winding_offsets(faces: Faces, entering: csr_matrix, row: IndexArray,
-                     face: IndexArray) -> tuple[FloatArray, IndexArray, IndexArray]:
+def _disc_pairs(faces: Faces, entering: csr_matrix, row: IndexArray,
+                face: IndexArray) -> tuple[FloatArray, IndexArray, IndexArray]:
     """Whether each pair (T,) of a disc and a face exists, as 0 or 1, its winding offset, its part.
 
     A curve passes a disc only within one part of its rim: it does not cross the secured area.

@@ -52,7 +52,7 @@ def order_potential(game: Game) -> FloatArray:
     return potential
 
 
-def positions_by(potential: FloatArray | IndexArray) -> IndexArray:
+def positions_by(potential: FloatArray) -> IndexArray:
     """Position (N,) of each node in the order of the potential."""
     position = np.empty(len(potential), dtype=np.int64)
     position[np.argsort(potential, kind='stable')] = np.arange(len(potential))

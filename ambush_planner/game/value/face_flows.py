@@ -96,7 +96,7 @@ class KeptFlows:
                                f'{self._model.modelStatusToString(self._model.getModelStatus())}')
         found = self._model.getSolution()
         return _solution(np.array(found.col_value), np.array(found.row_dual),
-                            self._model.getInfo().objective_function_value)
+                         self._model.getInfo().objective_function_value)
 
 
 class RepeatedFlows:

@@ -239,7 +239,10 @@ class Potential:
         return len(new)
 
     def _solve(self, z: float) -> bool:
-        """Solve for a fixed z and keep what it proves; True if a flow is endless."""
+        """Solve for a fixed z and keep what it proves; True if a flow is endless.
+
+        What flows through a disc enters and leaves it by columns of their own, so each counts half.
+        """
         joined, links = self._joined, len(self._real)
         loss = self._loss[self._site[joined]]
         turned = np.where(self._up, -1.0, 1.0)
@@ -252,7 +255,7 @@ class Potential:
         endless = bool((flow > POTENTIAL.endless * (1.0 - ROUNDING)).any())
         if gain <= 1.0 + self._precision and not endless:
             self._kept = self._potential
-        proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0
+        proved = z + (gain - float(self.budget.binds)) / total if total > 0.0 else 0.0
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
             self.price = 1.0 / (total * self.budget.limit)

@@ -175,7 +175,7 @@ class Routes:
             room = np.maximum(self.mixtures.limit - self.reduced_cost @ inside, 0.0)[over > 0.0]
             used = inside + float((room / (room + over[over > 0.0])).min()) * (used - inside)
         found = conserved_strategy(self.game, used, NEGLIGIBLE)
-        assert found is not None  # a route has a share of at least one in their number
+        assert found is not None  # one route of n has a share of 1 / n or more
         return found
 
     @property
