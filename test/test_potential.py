@@ -209,7 +209,7 @@ def test_an_lp_without_time_or_without_an_optimum_ends_by_name(flows):
     lp.add_nodes(2)
     ends = np.array([0, 1])
     lp.add_columns(ends, ends[::-1], -np.ones(2), np.zeros(2), np.full(2, np.inf))
-    with pytest.raises(SolverFailed, match='LP in potentials'):
+    with pytest.raises(SolverFailed, match='LP in potentials|simplex'):
         lp.solve(math.inf)
     with pytest.raises(TimeLimit):
         lp.solve(time.monotonic() - 1.0)

@@ -35,8 +35,7 @@ class ChainSearch(NamedTuple):
     # Times that sites join before the distribution, more while the value is 0; from the last of
     # them on they may be as near to each other as the LP allows.
     sweeps: int = 3
-    # Share of the slack beyond which sites join a distribution: halfway from what it aims at.
-    joining: float = (1.0 + DISTRIBUTION.early_aim) / 2.0
+    joining: float = 0.8  # share of the slack beyond which sites join a distribution
     # Least relative growth of the entropy for another round: what a rough one may miss.
     growth: float = DISTRIBUTION.early_accuracy.missing
     # Share of the time until the deadline after which the flow is improved, if no distribution is

@@ -11,8 +11,9 @@ links, or the curve's sites hit it. Let curves c of weights w_c go through each 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is decomposed into simple cycles, and those whose
-crossings add up to 1 or -1 count. A curve that winds around an end more than once counts as often
-as each route meets its links and sites.
+crossings add up to 1 or -1 count. A curve that winds around an end n times counts n times if each
+route meets n of its links and sites. Of the others, through which some route spirals, a search over
+labels finds the least that any route pays.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from ..ambusher import Ambusher
 from ..budget import Budget
 from ..distribution.acyclic import simple_cycles
 from ..faces import Circulation, Faces
-from .best_response import NEGLIGIBLE
+from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
 
 # Maximum number of sets of a curve's sites, all of one size, whose routes are looked for.
 MOST_SETS = 300
@@ -66,15 +67,30 @@ def curve_bound(faces: Faces, ambusher: Ambusher, given: Circulation,
     entering = csr_matrix(game.hits[row_of[site]])
     arcs = _arcs(faces, np.clip(given.through, -most, most), inside, entering, row.ravel(),
                  given.face)
-    once, winding = _curves(arcs)
-    total, across = once + sum(curve.weight for curve in winding) - worth, None
+    once, used, winding = _curves(arcs)
+    total, spirals = once + sum(curve.weight for curve in winding) - worth, 0.0
+    if not winding:
+        return max(total, 0.0)
+    routes = _RoutesAcross(faces, entering)
     for curve in sorted(winding, key=lambda curve: -curve.weight * curve.winds):
         if total >= enough or time.monotonic() > deadline:
-            break
-        across = across or _RoutesAcross(faces, entering)
+            return max(total, 0.0)
         link, inner = arcs.link[curve.arcs], np.unique(arcs.row[curve.arcs])
-        met = across.least_met(link[link >= 0], inner[inner >= 0], curve.winds)
+        met = routes.least_met(link[link >= 0], inner[inner >= 0], curve.winds)
         total += (met - 1) * curve.weight
+        if met == curve.winds:
+            used[curve.arcs] += curve.weight
+        else:
+            spirals += met * curve.weight
+    if spirals > 0.0 and total < enough:
+        across = arcs.link >= 0
+        spent = sums(arcs.link[across], used[across], len(most))
+        left = np.append(np.maximum(np.where(np.isfinite(most), most, 0.0) - spent, 0.0), 0.0)
+        shares = _shares(faces, arcs, used, site, dual_weights)
+        searched = (each.network.least_cost(left[faces.link], shares[each.number, game.sites],
+                                            SEARCHES, deadline, enough - total + spirals)
+                    for each in TripNetworks(game, game.hits).legs)
+        total += max(sum(least for least, _ in searched) - spirals, 0.0)
     return max(total, 0.0)
 
 
@@ -111,6 +127,21 @@ def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, entering: csr_m
     return _Arcs(*(each[kept] for each in (
         tail, head, gain, size, np.append(link, np.full(len(pair), -1)),
         np.append(np.full(len(link), -1), row[pair]))))
+
+
+def _shares(faces: Faces, arcs: _Arcs, used: FloatArray, site: IndexArray,
+            dual_weights: FloatArray) -> FloatArray:
+    """What ``used`` flows (K,) leave of the dual weights (N,), shared among the legs (legs, N).
+
+    In proportion to the other flows there into each site.
+    """
+    legs, count, into = len(faces.first), len(dual_weights), arcs.head >= faces.count
+    at, leg = site[arcs.row[into]], faces.leg(arcs.tail[into])
+    left = np.maximum(dual_weights - sums(at, used[into], count), 0.0)
+    others = (arcs.size - used)[into]
+    flow = sums(leg * count + at, others, legs * count).reshape(legs, count)
+    through = flow.sum(axis=0)
+    return left * np.where(through > 0.0, flow / np.where(through > 0.0, through, 1.0), 1.0 / legs)
 
 
 class _Winding(NamedTuple):
@@ -177,12 +208,18 @@ def _disc_pairs(faces: Faces, entering: csr_matrix, row: IndexArray,
     return found.astype(np.float64), offset, discs.part[at]
 
 
-def _curves(arcs: _Arcs) -> tuple[float, list[_Winding]]:
-    """The weight of a circulation's simple cycles of gain 1 or -1, and those of a larger gain."""
-    once, winding = 0.0, []
+def _curves(arcs: _Arcs) -> tuple[float, FloatArray, list[_Winding]]:
+    """Take a circulation apart into simple cycles.
+
+    Returns the weight and the flow (K,) of those of gain 1 or -1, and those of a larger gain.
+    """
+    once, used = 0.0, np.zeros(len(arcs.size))
+    winding: list[_Winding] = []
     for cycle, least in simple_cycles(arcs.tail, arcs.head, arcs.size):
         winds = abs(int(arcs.gain[cycle].sum()))
-        once += least * (winds == 1)
-        if winds > 1:
+        if winds == 1:
+            once += least
+            used[cycle] += least
+        elif winds > 1:
             winding.append(_Winding(least, winds, cycle))
-    return once, winding
+    return once, used, winding

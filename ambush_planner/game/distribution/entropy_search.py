@@ -34,6 +34,7 @@ class EntropySearch(NamedTuple):
     evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
     newton_limits: int = 500  # that Newton's method moves at once
     damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
+    floor: float = 1e-3  # share of its mean that is added to the diagonal for that
     max_weight: float = 1.0 / np.finfo(float).eps  # of an edge: sums along a route lose all digits
     max_scaled: float = 1.0 / ROUNDING  # multiplier in a line search: proves limits infeasible
 
@@ -186,7 +187,7 @@ def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,
                   damping: float) -> FloatArray:
     """Step (K,) to the minimum of the damped model that keeps v + step >= 0."""
     diagonal = np.diag(hessian)
-    damped = hessian + np.diag(damping * np.maximum(diagonal, damping * diagonal.mean()))
+    damped = hessian + np.diag(damping * (diagonal + ENTROPY.floor * diagonal.mean()))
     step, free = np.zeros(len(v)), np.ones(len(v), dtype=bool)
     while free.any():
         inner = np.flatnonzero(free)

@@ -39,7 +39,6 @@ class AcyclicNetwork:
     def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray) -> None:
         self.tail, self.head, self.edge = tail, head, edge
         self.count = int(head.max()) + 1
-        self._repeated = len(np.unique(edge)) < len(edge)
         self._first = np.searchsorted(tail, np.arange(self.count + 1))
         self._log_scale = np.zeros(self.count)
         last = self.count - 1
@@ -48,14 +47,7 @@ class AcyclicNetwork:
 
     def columns(self, rows: csr_matrix) -> csr_matrix:
         """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
-        if self._repeated:
-            return csr_matrix(rows[:, self.edge])
-        place = np.full(rows.shape[1], -1)
-        place[self.edge] = np.arange(len(self.edge))
-        column = place[rows.indices]
-        kept = column >= 0
-        first = np.concatenate(([0], np.cumsum(kept)))[rows.indptr]
-        return csr_matrix((rows.data[kept], column[kept], first), (rows.shape[0], len(self.edge)))
+        return csr_matrix(rows[:, self.edge])
 
     @cached_property
     def part(self) -> IndexArray:
@@ -83,7 +75,9 @@ class AcyclicNetwork:
         if not partition.min() > 0.0:
             share[partition[self.tail] <= 0.0] = 0.0
         self._log_scale = self._log_scale + np.log(np.maximum(partition, TINY))
-        p = self._forward(share)[self.tail]
+        begin = np.zeros(self.count)
+        begin[0] = 1.0
+        p = self.onwards.solve(share, begin)[self.tail]
         p *= share
         return float(self._log_scale[0]), p, share
 
@@ -110,15 +104,15 @@ class AcyclicNetwork:
 
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         factor = self._log_scale[self.head]
-        last = np.zeros(self.count)
-        last[-1] = 1.0
+        end = np.zeros(self.count)
+        end[0] = 1.0
         with np.errstate(over='ignore', invalid='ignore'):
             factor -= self._log_scale[self.tail]
             factor -= weights
             np.exp(factor, out=factor)
             if not np.isfinite(factor).all():
                 return None
-            partition = self._behind(factor, last)
+            partition = self.backwards.solve(factor, end)[::-1]
         good = np.isfinite(partition).all() and partition[0] > TINY and partition.max() < 1.0 / TINY
         return (factor, partition) if good else None
 
@@ -126,16 +120,6 @@ class AcyclicNetwork:
         """Probability (m,) of each edge at its tail when the scale is log Z itself."""
         choice = np.exp(self._log_scale[self.head] - self._log_scale[self.tail] - weights)
         return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
-
-    def _behind(self, factor: FloatArray, right: FloatArray) -> FloatArray:
-        """y with y_i = right_i + sum over edges out of i of factor * y_head."""
-        return self.backwards.solve(factor, right[::-1])[::-1]
-
-    def _forward(self, share: FloatArray) -> FloatArray:
-        """x with x_k = sum over edges into k of x_tail * share, x_source = 1."""
-        first = np.zeros(self.count)
-        first[0] = 1.0
-        return self.onwards.solve(share, first)
 
     def most(self, weights: FloatArray) -> float:
         """The largest sum of weights (m,) along a route."""

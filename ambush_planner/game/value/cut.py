@@ -26,9 +26,9 @@ from ..game import Game
 from ..route_sampler import shortest_route_strategy
 from ..slack import ROUNDS
 
-# scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
-# several rounds on the residual network reach double precision.
-INTEGER_FLOW = 2**29
+# scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this,
+# a quarter of them; several rounds on the residual network reach double precision.
+INTEGER_FLOW = (np.iinfo(np.int32).max + 1) / 2**2
 
 
 @dataclass(frozen=True, eq=False)

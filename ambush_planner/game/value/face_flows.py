@@ -20,6 +20,7 @@ from scipy.sparse import csr_matrix
 
 from ...arrays import FloatArray, IndexArray
 from ...errors import SolverFailed, TimeLimit
+from . import highs
 
 HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
 
@@ -123,18 +124,13 @@ class RepeatedFlows:
 
     def solve(self, deadline: float) -> FlowSolution:
         """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
-        from scipy.optimize import linprog  # takes a seventh of the package's loading time
-
         tail, head, cost, low, high = self._columns
         each = np.arange(len(tail))
         places = np.concatenate((tail, head)).astype(np.int64), np.concatenate((each, each))
         balance = csr_matrix((np.repeat([1.0, -1.0], len(each)), places), (self._nodes, len(each)))
-        found = linprog(cost, A_eq=balance[1:], b_eq=np.zeros(self._nodes - 1),
-                        bounds=np.column_stack((low, high)), method='highs-ds',
-                        options={'time_limit': _time_left(deadline)})
-        if found.status != 0:
-            _time_left(deadline)
-            raise SolverFailed(f'the LP in potentials: {found.message}')
+        lp = highs.LP(cost, csr_matrix((0, len(each))), np.zeros(0), balance[1:],
+                      np.zeros(self._nodes - 1), bounds=np.column_stack((low, high)))
+        found = highs.run(lp, 'simplex', deadline)
         return _solution(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
 
 

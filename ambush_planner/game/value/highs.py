@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ...errors import SolverFailed, TimeLimit
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
-OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
+OPTIMAL, LIMIT_REACHED, INFEASIBLE = 0, 1, 2  # greater: unbounded, or numerical trouble
 # Values of ipm_optimality_tolerance, tried in turn, but none finer than requested: one finer than
 # HiGHS' default of 1e-8, and a coarser one.
 OPTIMALITY = (1e-11, 1e-7)
@@ -28,13 +28,17 @@ OF_PRECISION = 2e-6
 
 @dataclass(frozen=True, eq=False)
 class LP:
-    """Minimise cost' v with ``inequalities v <= limits``, ``equalities v = rhs`` and v >= 0."""
+    """Minimise cost' v with ``inequalities v <= limits``, ``equalities v = rhs`` and v >= 0.
+
+    ``bounds`` (variables, 2), least and most, replace v >= 0.
+    """
 
     cost: FloatArray
     inequalities: csr_matrix
     limits: FloatArray
     equalities: csr_matrix
     rhs: FloatArray
+    bounds: FloatArray | tuple[float, None] = field(default=(0.0, None), kw_only=True)
 
 
 def run(lp: LP, solver: str, deadline: float, presolve: bool = True,
@@ -79,7 +83,7 @@ def _interior_point(lp: LP, options: dict[str, Any], presolve_first: bool,
                 tried |= dict.fromkeys(('optimality_tolerance', 'primal_residual_tolerance',
                                         'dual_residual_tolerance'), tolerance)
             result = _linprog(lp, 'highs-ipm', options | tried)
-            if result.status != NUMERICAL_TROUBLE:
+            if result.status <= INFEASIBLE:
                 return result
     return result
 
@@ -93,7 +97,7 @@ def _linprog(lp: LP, method: str, options: dict[str, Any]) -> OptimizeResult:
         warnings.simplefilter('ignore', OptimizeWarning)
         return linprog(lp.cost, A_ub=lp.inequalities if constrained else None,
                        b_ub=lp.limits if constrained else None, A_eq=lp.equalities,
-                       b_eq=lp.rhs, method=method, options=options)
+                       b_eq=lp.rhs, bounds=lp.bounds, method=method, options=options)
 
 
 def _no_crossover() -> bool | str:

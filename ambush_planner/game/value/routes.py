@@ -39,8 +39,9 @@ class ColumnGeneration(NamedTuple):
     loose: float = 5e-2  # relative gap of the LPs while routes join
     tight: float = 1e-4  # the same once none does
     gain: float = 0.25  # share of the wanted gap by which a route must cost less to join
-    # Where sites can be met twice, also of the gap that is open, and the LP ends after ``ROUNDS``
-    # rounds in which the value does not fall by as much of the wanted one.
+    # Where sites can be met twice, it is at least this share of the open gap, and the LP ends after
+    # ``ROUNDS`` rounds in which the value falls by less than ``gain`` of the wanted gap.
+    open_gain: float = 0.5
     starts: int = 4  # trips that are improved leg by leg in a round, of the mixture twice as many
     comparisons: int = 1_000_000  # of labels in a search
     # Share of the largest dual weight below which label searches leave out sites, of a whole route
@@ -252,7 +253,7 @@ class Routes:
         base, dual_weights = prices @ self.reduced_cost, q[0] * self.loss
         gain = ROUTES.gain * self.gap
         if self.bound > 0.0 and not self._whole.exact:
-            gain = max(gain, ROUTES.gain * (1.0 - self.bound / self.value))
+            gain = max(gain, ROUTES.open_gain * (1.0 - self.bound / self.value))
         most = self.value * (1.0 - gain) + float(prices.sum())
         for routes in self._responses(mixture, base, dual_weights, precision, prove):
             added = sum(self._add(route) for route in routes
