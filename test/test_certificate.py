@@ -113,19 +113,6 @@ def test_weak_duality_holds_for_any_q_and_price(network, seed, price, detour):
     assert bound <= value * (1 + 1e-9) + 1e-7 * price * budgets[0].limit
 
 
-def test_several_ambushers_hold_different_sites():
-    network = paper_example()
-    game, p, ambusher, budgets = case(np.inf, network, ambushers=2)
-    q = ambusher.q
-    assert q.sum() == pytest.approx(2.0) and q.max() <= 1.0
-    both = certify(game, p, ambusher, budgets)
-    assert both.value == pytest.approx(2 / 3, rel=2e-2)
-    one_site = np.zeros_like(q)
-    one_site[1] = 2.0
-    with pytest.raises(SolverFailed, match='must be in'):
-        certify(game, p, replace(ambusher, q=one_site), budgets)
-
-
 @examples(30)
 @given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
 def test_capped_probabilities_keep_their_sum(masses, count):

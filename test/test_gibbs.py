@@ -76,19 +76,6 @@ def rows_of(part, acyclic, budget=1.3) -> csr_matrix:
     return vstack((2.0 * part.hits[:, acyclic.edge], csr_matrix(lengths / lengths.sum() * budget)))
 
 
-@examples(12)
-@given(st.integers(0, 10**6), st.floats(0.0, 3.0))
-def test_the_entropy_of_p_is_the_dual_value(seed, size):
-    network = terrain_network(seed, cells=8)
-    part, acyclic = forward(network)
-    rows = rows_of(part, acyclic)
-    v = size * np.random.default_rng(seed).random(rows.shape[0])
-    log_z, p, _ = acyclic.distribution(rows.T @ v)
-    whole = on_all(network, acyclic, p)
-    assert unbalanced(network, whole) < 1e-12 and p.min() >= 0.0
-    assert route_entropy(network, whole) == pytest.approx(log_z + v @ (rows @ p), rel=1e-9)
-
-
 @examples(6)
 @given(st.integers(0, 10**6), st.floats(0.0, 3.0), st.sampled_from((0.0, 2.0)))
 def test_covariances_are_derivatives(seed, size, reach):

@@ -50,16 +50,6 @@ def test_the_papers_example_interior_point_uses_all_seven():
     assert strategy.route_entropy == pytest.approx(1.90, abs=5e-3)
 
 
-@pytest.mark.parametrize('method', METHODS)
-def test_simplex_has_less_edge_entropy_than_interior_point(method):
-    network = terrain_network(1, method, 14)
-    vertex, centre = solved(network, 'simplex'), solved(network, 'interior_point')
-    assert vertex.edge_entropy < centre.edge_entropy
-    assert np.count_nonzero(vertex.edge_probability > 1e-9) < np.count_nonzero(
-        centre.edge_probability > 1e-9
-    )
-
-
 def test_the_interior_point_solution_has_cycles_and_the_default_has_none():
     network = terrain_network(5, 'uniform_delaunay', 20)
     raw, ours = solved(network, 'interior_point'), solved(network, 'max_entropy')

@@ -4,5 +4,5 @@
 ``game`` has the ambush sites and losses, ``discs`` the edges that enter an ambush's reach.
 ``certificate`` bounds the value from both sides. ``solver`` finds the strategy: ``value`` has the
 linear programs (LPs) that find the least value, ``distribution`` the most unpredictable strategy
-near it. Use ``strategy`` from outside: the record ``Strategy``, its options, and ``solve``.
+near it. From outside, use ``solve`` of ``solver``, and ``strategy``: the record and its options.
 """
