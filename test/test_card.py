@@ -66,7 +66,7 @@ def runs(tmp_path_factory):
 
 def written(recording, folder, *options):
     """The text of a card, and its table: a list of cells for each way point."""
-    done = run_here(card, recording, '-o', folder / 'card.html', '--speed', 36, *options)
+    done = run_here(card, recording, '-o', folder / 'card.html', *options)
     assert done.code == 0, done.err
     page = (folder / 'card.html').read_text()
     rows = re.findall(r'<tr>(<td>.*?)</tr>', page)
@@ -95,7 +95,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
 def test_grid_references_agree_with_pyproj(runs, tmp_path):
     pyproj = pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
     mgrs = pytest.importorskip('mgrs', reason='MGRS takes the extra "gis"')
-    _, rows = written(runs[0] / 'known/run_0.mcap', tmp_path)
+    _, rows = written(runs[0] / 'known/run_0.mcap', tmp_path, '--speed', 36)
     degrees = pyproj.Transformer.from_crs('EPSG:32616', 'EPSG:4326')
     path = Coordinates(FRAME).to_crs(runs[1][0])  # EPSG:32616
     for _, square, utm, lat_lon, *_ in rows:
@@ -121,10 +121,7 @@ def test_one_of_few_routes(tmp_path):
         ambush_radius=25.0, secured_radius=0.0))
     plan = plan_trip(ground, start, goal, options, stops=[stop], routes=3, rng=1)
     plan.save(tmp_path / 'few.plan', n=0)
-    done = run_here(card, tmp_path / 'few.plan', '--route', 1, '-o', tmp_path / 'card.html')
-    assert done.code == 0, done.err
-    page = (tmp_path / 'card.html').read_text()
-    rows = [re.findall('<td>(.*?)</td>', row) for row in re.findall(r'<tr>(<td>.*?)</tr>', page)]
+    page, rows = written(tmp_path / 'few.plan', tmp_path, '--route', 1)
     places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
     assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
