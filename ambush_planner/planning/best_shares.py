@@ -61,7 +61,7 @@ class SharesLP:
         losses, costs = self.losses[:, columns], self.costs[:, columns]
         while True:
             sites = self.sites
-            value, shares, q, prices = _vertex(csr_matrix(losses[sites]), costs, self.deadline)
+            value, shares, q, prices = vertex(csr_matrix(losses[sites]), costs, self.deadline)
             if not self.misses(losses @ shares, value):
                 break
         column_costs = q @ self.losses[sites] + prices @ self.costs
@@ -76,9 +76,12 @@ class SharesLP:
         return len(worst) > 0
 
 
-def _vertex(losses: csr_matrix, costs: FloatArray,
-            deadline: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Value and shares (K,) of the LP on some rows, and its duals q (S,) and prices (B,)."""
+def vertex(losses: csr_matrix, costs: FloatArray,
+           deadline: float = math.inf) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    """Value and shares (K,) of the LP with a row for each site, its duals q (S,) and prices (B,).
+
+    The value is inf if no shares are within the budgets. Raises TimeLimit.
+    """
     count = losses.shape[1]
     unit = float(losses.max()) if losses.nnz else 1.0
     sites = np.column_stack((losses.toarray() / unit, -np.ones(losses.shape[0])))

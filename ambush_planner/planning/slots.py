@@ -14,10 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
 
 from ..arrays import ROUNDING, FloatArray, frozen_array
 from ..errors import InvalidOption
 from ..option_checks import check_whole
+from .best_shares import vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +65,11 @@ def mix_slots(values: npt.ArrayLike, lower_bounds: npt.ArrayLike, window: int = 
 
 def _least(values: FloatArray, window: int) -> tuple[FloatArray, float]:
     """The shares (T,) that minimise the largest sum of share times value in a window, and it."""
-    from scipy.optimize import linprog
-
-    slots, unit = len(values), float(values.max())
+    slots = len(values)
     if window >= slots or values.min() == 0.0:  # one ambush covers all, or some slots are safe
         least = values == values.min()
         return least / least.sum(), float(values.min())
     first = np.arange(slots - window + 1)[:, None]
     covered = (np.arange(slots) >= first) & (np.arange(slots) < first + window)
-    rows = np.column_stack((covered * values / unit, -np.ones(len(first))))
-    found = linprog(np.append(np.zeros(slots), 1.0), A_ub=rows, b_ub=np.zeros(len(first)),
-                    A_eq=[np.append(np.ones(slots), 0.0)], b_eq=[1.0], method='highs')
-    shares = np.maximum(found.x[:slots], 0.0)
-    shares /= shares.sum()
+    _, shares, *_ = vertex(csr_matrix(covered * values), np.zeros((0, slots)))
     return shares, float((covered @ (shares * values)).max())
