@@ -138,7 +138,7 @@ class CellSearch:
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         if np.sqrt(2.0) * side * self._cells.resolution <= apart:
-            order = _apart(self._cells.centres(blocks, side), order, apart)
+            order = thinned(self._cells.centres(blocks, side), order, apart)
         return np.asarray(blocks[np.sort(order)])
 
     def _of_parts(self, cells: IndexArray, drawn: Drawn,
@@ -160,7 +160,7 @@ class CellSearch:
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)
-        found = _apart(points, order[np.sort(first)], apart)
+        found = thinned(points, order[np.sort(first)], apart)
         self._returned = np.append(self._returned, row[found])
         return FoundSites(points[found], loss[which[found]], losses[found],
                           csr_matrix(rows[row[found]]))
@@ -175,7 +175,7 @@ class CellSearch:
         return kept.find(blocks, lambda some: self._cells.centres(some, side))
 
 
-def _apart(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
+def thinned(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
     """Those of the points ``order`` that are not within ``apart`` [m] of one before."""
     if apart == 0.0 or not len(order):
         return order

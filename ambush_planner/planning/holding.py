@@ -24,6 +24,7 @@ from ..game.slack import within
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
+from .cell_losses import thinned
 from .options import PlanningOptions
 from .solving import WarmStart, solve_on_network
 from .trip import Position, plan_trip, trip_network
@@ -142,11 +143,8 @@ def _by_dual_weight(strategy: Strategy, given: Sequence[_Place] | None,
     taken = sums(pairs['i'], near, len(centres))
     if given is not None:
         return [given[k] for k in np.argsort(-taken, kind='stable')]
-    kept: list[int] = []
-    for k in np.lexsort((-game.site_losses(strategy.edge_probability), -taken)).tolist():
-        away = np.hypot(*(points[kept] - points[k]).T).min(initial=np.inf)
-        if away > APART * radius and len(kept) < MAX_CANDIDATES:
-            kept.append(k)
+    most_first = np.lexsort((-game.site_losses(strategy.edge_probability), -taken))
+    kept = thinned(points, most_first, APART * radius)[:MAX_CANDIDATES]
     return [('', (x, y)) for x, y in points[kept].tolist()]
 
 

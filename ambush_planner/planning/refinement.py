@@ -15,12 +15,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
 from ..game.search import Search
 from ..game.slack import ceiling
 from ..maps.risk_map import RiskMap
+from .cell_losses import thinned
 from .options import PlanningOptions, finest_spacing, grading, node_spacing
 from .solving import WarmStart
 
@@ -111,15 +111,8 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
         return None
     added = np.column_stack((points[coarse], finest[coarse]))
     every = np.concatenate((network.refined, added))
-    return every[_thinned(every, APART * grades.around)]
-
-
-def _thinned(places: FloatArray, apart: float) -> IndexArray:
-    """Those places (K, 3) that are not within ``apart`` [m] of a finer one, or of one before."""
-    order, kept = np.argsort(places[:, 2], kind='stable'), np.ones(len(places), dtype=bool)
-    for k, near in enumerate(cKDTree(places[order, :2]).query_ball_point(places[order, :2], apart)):
-        kept[k] = not any(other < k and kept[other] for other in near)
-    return np.sort(order[kept])
+    finest_first = np.argsort(every[:, 2], kind='stable')
+    return every[np.sort(thinned(every[:, :2], finest_first, APART * grades.around))]
 
 
 def _round(search: Search, begin: float) -> Round:
