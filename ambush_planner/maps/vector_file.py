@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -148,7 +147,7 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
     if not map_crs:
         if not in_metres(own):
             raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the map '
-                                     'has no coordinate system; name it with map.crs')
+                                     'has no coordinate system; name it with crs (map.crs)')
         return points
     system = Coordinates(map_crs)
     to_map = Transformer.from_crs(own, system.crs, always_xy=True)
@@ -165,19 +164,16 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
     import shapely
 
     features = read_features(source, *kinds, refused=refused)
-    if risk_map.crs:
-        own = None if features.crs is not None else crs
-        if features.crs is None and not own:
-            raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
-                                  f'{risk_map.crs}; name it in the file, or with crs for all files')
-        if own != risk_map.crs:
-            system = Coordinates(risk_map.crs)
-            features = (features.set_crs(own) if own else features).to_crs(system.crs)
-            features.geometry = shapely.transform(features.geometry,
-                                                  partial(to_map_axes, system.origin))
-    elif features.crs is not None and not in_metres(features.crs):
-        raise InvalidFeatures(f'{source}: not in metres ({features.crs.name}), and the coordinate '
-                              'system of the map is unknown; name it with crs')
+    own = features.crs if features.crs is not None else crs
+    if risk_map.crs and not own:
+        raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
+                              f'{risk_map.crs}; name it in the file, or with crs for all files')
+    if own and own != risk_map.crs:
+        try:
+            features = features.set_geometry(shapely.transform(
+                features.geometry, lambda xy: from_system(xy, own, risk_map.crs)), crs=None)
+        except InvalidCoordinates as error:
+            raise InvalidFeatures(f'{source}: {error}') from error
     low, high = risk_map.bounds
     if not features.intersects(shapely.box(*low, *high)).any():
         raise InvalidFeatures(f'{source}: nothing in it lies on the map, which reaches from '
