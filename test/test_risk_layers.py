@@ -179,7 +179,9 @@ POLYGON = rows(box(WEST, SOUTH, WEST + 100, SOUTH + 100))
 
 
 @pytest.mark.parametrize(('text', 'features', 'words'), [
-    ('layers: [', None, 'YAML'), ('- 3', None, 'layers'), ('layers: []', None, 'layers'),
+    ('layers: [', None, 'YAML'), ('- 3', None, 'keys and values'),
+    ('until: 2024-13-01', None, 'month'),
+    ('layers: []', None, 'layers'),
     ('layers: [{land: dem.tif}]', None, 'layer 1 .*terrain, polygons, roads, incid'),
     ('layers: [{polygons: x, los: 3}]', None, r'layer 1 \(polygons\): .*los'),
     ('{grid: 3, layers: [{polygons: x}]}', None, 'grid'),

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray
-from ..errors import InvalidOption, InvalidRiskMap, import_extra
+from ..errors import AmbushPlannerError, InvalidOption, InvalidRiskMap, import_extra
 from .elevation import MAX_CELLS
 from .occupancy import OccupancyMap
 
@@ -60,14 +60,7 @@ def read_map(path: Path) -> OccupancyMap:
 
     Raises InvalidRiskMap if either file is malformed, OSError if it cannot be opened.
     """
-    import yaml
-
-    try:
-        fields = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
-        raise InvalidRiskMap(f'{path}: not a YAML file: {error}') from error
-    if not isinstance(fields, dict):
-        raise InvalidRiskMap(f'{path}: not the YAML file of a map')
+    fields = read_yaml(path, InvalidRiskMap)
     for name in ('image', 'resolution', 'origin'):
         if name not in fields:
             raise InvalidRiskMap(f'{path}: {name!r} is missing')
@@ -83,6 +76,19 @@ def read_map(path: Path) -> OccupancyMap:
     crs = fields.get('crs')
     return OccupancyMap(values[::-1], resolution, (origin[0], origin[1], origin[2]),
                         str(crs) if crs else None)
+
+
+def read_yaml(path: Path, error: type[AmbushPlannerError]) -> dict[str, Any]:
+    """Read the keys and values of a YAML file; raises ``error`` if it is no such file, OSError."""
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, ValueError) as reason:  # ValueError: no UTF-8, or no such date
+        raise error(f'{path}: not a YAML file: {" ".join(str(reason).split())}') from reason
+    if not isinstance(content, dict):
+        raise error(f'{path}: must have keys and values, in YAML')
+    return content
 
 
 def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[float]:

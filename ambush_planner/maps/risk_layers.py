@@ -43,6 +43,7 @@ from .incidents import (
     kernel_density,
     weighted_incidents,
 )
+from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
 from .road_file import connected_parts
@@ -115,7 +116,7 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
     """
     if not isinstance(description, Mapping):
         file = Path(description)
-        folder, description = folder or file.parent, _read(file)
+        folder, description = folder or file.parent, read_yaml(file, InvalidLayers)
         if 'layers' not in description:
             hint = '; it is a map for map_server' * ('image' in description)
             raise InvalidLayers(f'{file}: layers is missing{hint}; see docs/risk_layers.md')
@@ -153,18 +154,6 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             raise InvalidLayers(f'layer {number} ({kind}): {error}') from error
     assert joined is not None  # there is a line
     return joined.result()
-
-
-def _read(path: Path) -> Mapping[str, Any]:
-    import yaml
-
-    try:
-        content = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InvalidLayers(f'{path}: not YAML: {" ".join(str(error).split())}') from error
-    if not isinstance(content, Mapping):
-        raise InvalidLayers(f'{path}: not a description of layers')
-    return content
 
 
 def _line(number: int, line: Any) -> tuple[str, Mapping[str, Any]]:

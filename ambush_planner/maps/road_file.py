@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
 from .road_tags import roads_among
-from .vector_file import InvalidFeatures, read_features, single_parts
+from .vector_file import InvalidFeatures, file_and_layer, read_features, single_parts
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -86,7 +86,7 @@ def read_roads(source: Any, node_crossings: bool = False) -> RoadGraph:
             return roads_from_lines('roads', lines, node_crossings)
         if not str(source):
             raise InvalidFeatures('must name a file with roads if method is graph')
-        path = Path(str(source).partition('|layername=')[0]).expanduser()
+        path, _ = file_and_layer(str(source))
         changed = path.stat()
         return _read(str(source), path, node_crossings, (changed.st_mtime_ns, changed.st_size))
     except (OSError, InvalidFeatures) as error:

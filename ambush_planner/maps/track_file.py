@@ -15,6 +15,7 @@ from ..errors import shown, warn
 from .coordinates import Coordinates
 from .vector_file import (
     InvalidFeatures,
+    file_and_layer,
     from_system,
     read_features,
     read_positions,
@@ -51,7 +52,7 @@ def read_tracks(source: str, crs: str | None) -> list[Track]:
     1990) are ignored, and a GPX file that ends early is read up to there; warnings say so. Raises
     InvalidFeatures if the file is unreadable, has no track, or has unusable coordinates.
     """
-    path = Path(source.partition('|')[0])
+    path, _ = file_and_layer(source)
     read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
     try:
         xy, names, times = read(source, crs)

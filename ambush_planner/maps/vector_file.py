@@ -47,13 +47,18 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
     Warns of unread features; ``refused`` says why that is an error instead. Raises InvalidFeatures
     if there are none, or if several layers have some.
     """
-    name, _, layer = str(source).partition('|layername=')
-    path = Path(name).expanduser()
+    path, layer = file_and_layer(source)
     if not path.exists():
         raise InvalidFeatures(f'{path}: no such file')
     import_extra('geopandas', f'{path}: vector files', 'gis', InvalidFeatures)
     frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
     return single_parts(str(path), frame, kinds, refused)
+
+
+def file_and_layer(source: str) -> tuple[Path, str]:
+    """The two parts of ``FILE|layername=NAME``; without a name it is ''."""
+    name, _, layer = source.partition('|layername=')
+    return Path(name).expanduser(), layer
 
 
 def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
