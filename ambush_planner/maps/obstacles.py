@@ -88,10 +88,11 @@ class ObstacleField:
         for start in range(0, len(a), step):
             part = slice(start, start + step)
             segment, place = _repeated(sizes[part])
-            width = (high - low + 1)[part][segment, 0]
-            cell = low[part][segment] + np.stack((place % width, place // width), axis=1)
-            blocked = self._obstacles[cell[:, 1], cell[:, 0]]
-            segment, cell = segment[blocked], cell[blocked]
+            width = (high - low + 1)[part, 0][segment]
+            column = low[part, 0][segment] + place % width
+            row = low[part, 1][segment] + place // width
+            blocked = self._obstacles[row, column]
+            segment, cell = segment[blocked], np.stack((column[blocked], row[blocked]), axis=1)
             hit[start + segment[_touch(a[part][segment], b[part][segment], cell, reach)]] = True
         return hit
 

@@ -151,8 +151,9 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
     own = CRS.from_user_input(crs)
     if not map_crs:
         if not in_metres(own):
-            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the map '
-                                     'has no coordinate system; name it with crs (map.crs)')
+            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the '
+                                     'coordinate system of the map is unknown; name it with crs '
+                                     '(map.crs)')
         return points
     system = Coordinates(map_crs)
     to_map = Transformer.from_crs(own, system.crs, always_xy=True)
