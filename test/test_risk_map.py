@@ -9,7 +9,7 @@ from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import InvalidRiskMap, RiskMap
+from ambush_planner import InvalidRiskMap, RiskMap, arrays, read_risk_map
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 
 origins = st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-7, 7))
@@ -113,3 +113,13 @@ def test_every_value_in_range_is_read(dtype):
 def test_rejects_values_out_of_range(value):
     with pytest.raises(InvalidRiskMap, match=rf'{value}.* \(0, 1\)'):
         risk_from_occupancy([[0, value]], 1.0)
+
+
+def test_an_npz_file_inflates_only_what_a_map_has_and_nothing_too_large(tmp_path, monkeypatch):
+    path, layers = tmp_path / 'm.npz', {'alpha': np.ones((9, 9)), 'obstacles': np.eye(9) > 0}
+    np.savez_compressed(path, **layers, resolution=1.0, other=np.zeros(10**6))
+    monkeypatch.setattr(arrays, 'MAX_BYTES', 10**4)
+    assert read_risk_map(path).alpha.shape == (9, 9)
+    np.savez_compressed(path, **layers | {'alpha': np.ones((99, 99))}, resolution=1.0)
+    with pytest.raises(InvalidRiskMap, match='m.npz: alpha would take 7.8.* bytes'):
+        read_risk_map(path)

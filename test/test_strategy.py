@@ -246,6 +246,7 @@ def test_no_valid_game_fails(seed, kind, data):
     assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
 
 
+@pytest.mark.filterwarnings('error::RuntimeWarning')
 def test_start_and_goal_at_almost_the_same_place():
     risk_map = RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0)
     network = build_network(risk_map, (10.0, 10.0), (10.0, 10.0 + 1e-9))
