@@ -249,7 +249,7 @@ def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
             not anywhere and value > own * (1.0 + SAME) + rounding):
         yield f'value {value:.9g}, computed again {own:.9g}'
     if anywhere:  # the bound is that of larger discs, also around places nearer to the secured area
-        site, entries = strategy.game.sites, strategy.game.hits
+        site, entries = strategy.game.sites, strategy.game.entering
     usable = (network.alpha <= options.alpha_threshold)[network.edges].all(axis=1)
     found = highs(value_lp(
         network, csr_matrix(entries.multiply(network.alpha[site][:, None])),

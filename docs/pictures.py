@@ -149,8 +149,8 @@ class Panel:
     def hit_at(self, route: IndexArray, row: int) -> int | None:
         """Where along a route the ambush stops it; None if it is not hit."""
         used = route_strategy(self.game.network, route) > 0.0
-        entered = self.game.network.heads[self.game.hits[[row]].indices]
-        stops = np.flatnonzero(np.isin(route, entered[used[self.game.hits[[row]].indices]]))
+        entered = self.game.network.heads[self.game.entering[[row]].indices]
+        stops = np.flatnonzero(np.isin(route, entered[used[self.game.entering[[row]].indices]]))
         return int(stops[0]) if len(stops) else None
 
     def night(self, route: IndexArray, row: int, limit: str) -> None:

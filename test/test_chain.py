@@ -34,14 +34,14 @@ class Case:
         network = small_grid(seed) if seed % 3 == 0 else planar_network(seed)
         secured = [0.0, -1.0][seed % 2]
         self.game = make_game(network, GameOptions(ambush_radius=reach, secured_radius=secured))
-        ahead, part = self.game.distances_ahead(network.lengths), None
+        ahead, part = self.game.distances_from_source(network.lengths), None
         while part is None:
             order = ahead + self.rng.uniform(0.0, 2.0, len(ahead)) * self.rng.integers(0, 2)
             order[[network.source, network.target]] = -np.inf, np.inf
             position = positions_by(order)
             part = acyclic_subnetwork(self.game, position)
         self.network = acyclic_network(network, np.flatnonzero(part.playable), position)
-        self.entering = self.network.columns(self.game.hits)
+        self.entering = self.network.columns(self.game.entering)
         place = {edge: k for k, edge in enumerate(self.network.edge.tolist())}
         self.routes = [[place[edge] for edge in route] for route in routes_of(network)
                        if all(edge in place for edge in route)]
@@ -80,7 +80,7 @@ def test_hits_entropy_and_derivatives_are_those_of_all_routes(case):
     chain, (by_hand, entropy) = MarkovChain(case.network, p), case.by_enumeration(p)
     assert chain.hits(case.entering) == pytest.approx(by_hand, abs=1e-12)
     assert chain.entropy == pytest.approx(entropy, abs=1e-9)
-    most = chain.meets_at_most(case.game.hits)
+    most = chain.meets_at_most(case.game.entering)
     assert (by_hand <= most + 1e-12).all()
     assert (most <= np.minimum(case.entering @ p, 1.0) + 1e-12).all()
     whole = np.zeros(len(case.game.network.edges))

@@ -197,13 +197,13 @@ def test_a_curve_does_not_lead_through_a_secured_area_that_cuts_a_disc_in_two():
     """The curves prove no more than some route costs."""
     game, detour = nearly_two_secured_radii_apart(1519)
     faces = make_faces(game)
-    discs = faces.discs(game.hits)
+    discs = faces.discs(game.entering)
     assert len(np.unique(discs.part)) > len(np.unique(discs.disc))
     ambusher, (budget,), bound = proof(game, detour)
     dual_weights = (game.loss * ambusher.q)[None, game.sites]
     base = ambusher.prices[0] * budget.reduced_cost
-    _, route = TripNetworks(game, game.hits).least_cost(base, dual_weights, SEARCHES)
-    met = game.hits[:, route].getnnz(axis=1) > 0
+    _, route = TripNetworks(game, game.entering).least_cost(base, dual_weights, SEARCHES)
+    met = game.entering[:, route].getnnz(axis=1) > 0
     cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
     cost += ambusher.prices[0] * (budget.cost[route].sum() - budget.limit)
     assert ambusher.circulation is not None

@@ -130,5 +130,5 @@ def test_a_restricted_game_keeps_only_whole_routes(network, radius):
     used = set(np.flatnonzero(part.playable).tolist())
     routes = routes_of(network, part.playable)
     assert routes and set().union(*routes) <= used
-    safe = game.avoiding(game.hits)
-    assert safe is None or not (game.hits @ safe.playable.astype(float)).any()
+    safe = game.avoiding(game.entering)
+    assert safe is None or not (game.entering @ safe.playable.astype(float)).any()

@@ -72,8 +72,8 @@ def test_every_route_has_the_probability_of_its_weight(network, seed, size):
 
 def rows_of(part, acyclic, budget=1.3) -> csr_matrix:
     """Limits of a game: hits of each site at half a visit, mean length."""
-    lengths = part.network.lengths[acyclic.edge]
-    return vstack((2.0 * part.hits[:, acyclic.edge], csr_matrix(lengths / lengths.sum() * budget)))
+    edge, lengths = acyclic.edge, part.network.lengths[acyclic.edge]
+    return vstack((2.0 * part.entering[:, edge], csr_matrix(lengths / lengths.sum() * budget)))
 
 
 @examples(6)
@@ -101,7 +101,7 @@ def test_the_optimum_agrees_with_clarabel(cells, reach):
     _, uniform, _ = acyclic.distribution(np.zeros(len(acyclic.edge)))
     # Limits at 0.9 and 0.95 of what the distribution without limits does.
     lengths = network.lengths[acyclic.edge]
-    hits = game.hits[:, acyclic.edge]
+    hits = game.entering[:, acyclic.edge]
     limits = np.append(np.full(hits.shape[0], 0.9 * (hits @ uniform).max()),
                        0.95 * lengths @ uniform)
     costs = np.full(len(network.edges), np.inf)

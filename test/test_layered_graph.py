@@ -73,7 +73,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     for budget in budgets:
         assert not budget.binds or p @ budget.cost[edge] <= budget.limit * (1.0 + 1e-6)
     assert np.array_equal(unrolled.sites, game.sites)
-    assert np.array_equal(unrolled.hits.toarray(), game.hits.toarray()[:, edge])
+    assert np.array_equal(unrolled.entering.toarray(), game.entering.toarray()[:, edge])
     # The value is an upper bound, nearly exact for the sites that matter.
     worst, largest = worst_loss(unrolled, p), largest_losses(unrolled, p)[0][0]
     assert worst * (1.0 - 1e-9) <= found.value <= worst * (1.0 + 1e-3)

@@ -38,7 +38,7 @@ def value_of_all_trips(game, loads):
         networkx.all_simple_paths(graph, network.source, network.target), MOST_TRIPS + 1))
     assume(len(routes) <= MOST_TRIPS)
     trips = [[number[step] for step in itertools.pairwise(route)] for route in routes]
-    entering, leg = game.hits.toarray() > 0.0, network.leg[network.tails]
+    entering, leg = game.entering.toarray() > 0.0, network.leg[network.tails]
     paid = np.zeros((len(entering), len(trips)))
     for k, trip in enumerate(trips):
         for edge in reversed(trip):
@@ -73,7 +73,7 @@ def test_the_derivative_of_hits_counts_the_load(seed):
                      GameOptions(ambush_radius=1.0, secured_radius=0.5, loads=(1.0, 0.3)),
                      StrategyOptions(max_detour=np.inf))
     chain = chain_of(strategy.network, strategy.edge_probability)
-    rows = chain.network.columns(strategy.game.hits)
+    rows = chain.network.columns(strategy.game.entering)
     hits, derivative = chain.hits_with_derivatives(rows)
     assert hits == pytest.approx(chain.hits(rows), abs=1e-12)
     assert derivative @ chain.p == pytest.approx(hits, abs=1e-9)

@@ -85,7 +85,7 @@ def test_nodes_of_one_place_are_one_site():
     assert network.stops.tolist() == [2] and network.ends.tolist() == [0, 2, 4, 5, 6]
     game = make_game(network, GameOptions())
     assert game.sites.tolist() == [1]
-    assert game.hits.toarray().tolist() == [[1, 0, 0, 1, 1, 0, 0, 1]]
+    assert game.entering.toarray().tolist() == [[1, 0, 0, 1, 1, 0, 0, 1]]
     assert game.at_sites(np.arange(7.0)).tolist() == [4.0]
 
 

@@ -58,7 +58,7 @@ def lp_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
     later = ~np.isin(np.arange(game.node_count), game.sites[begun])
     lp = lp_of(game.without_sites(later), detour)
     for some in reversed(others):
-        lp.add_sites(game.hits[some], game.loss[game.sites[some]])
+        lp.add_sites(game.entering[some], game.loss[game.sites[some]])
         lp.solve()
     order = np.concatenate((begun, *reversed(others)))
     return lp, lp.q[np.argsort(order)]

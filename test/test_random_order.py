@@ -62,7 +62,7 @@ def all_orders(roads, options):
         game = make_game(network, options)
         loss = np.zeros(network.place_count)
         hits, at = np.zeros((len(loss), len(network.edges))), network.places[game.sites]
-        hits[at], loss[at] = game.hits.toarray(), game.loss[game.sites]
+        hits[at], loss[at] = game.entering.toarray(), game.loss[game.sites]
         yield network, hits, loss
 
 

@@ -75,7 +75,7 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     budgets = make_budgets(game, StrategyOptions(max_detour=1.1))[:1]
     routes = routes_of(network)
     assume(len(routes) <= 1000)
-    met = np.array([(game.hits[:, route].getnnz(axis=1) > 0) for route in routes])
+    met = np.array([(game.entering[:, route].getnnz(axis=1) > 0) for route in routes])
     over = np.array([budgets[0].reduced_cost[route].sum() - budgets[0].slack for route in routes])
     costs = met @ (game.loss * q)[game.sites] + price * over
     bound = best_response(game, Ambusher(q, (price,)), budgets)
@@ -83,7 +83,7 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     # A search that is cut short proves no more.
     base, dual_weights = price * budgets[0].reduced_cost, (game.loss * q)[None, game.sites]
     least = costs.min() + price * budgets[0].slack
-    bound, edges = TripNetworks(game, game.hits).least_cost(
+    bound, edges = TripNetworks(game, game.entering).least_cost(
         base, dual_weights, ((9, 3), (81, 10**6)))
     assert sorted(edges.tolist()) in [sorted(route) for route in routes]
     assert bound <= least * (1.0 + 1e-9) + 1e-9

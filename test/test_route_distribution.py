@@ -21,7 +21,6 @@ from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, StrategyOptions, solve
 from ambush_planner.game.distribution.chain import chain_of
-from ambush_planner.game.hits import hits_can_differ
 
 # What the distribution may exceed its limits by, as a share of them and of a budget's slack.
 TOLERANCE = 4e-4
@@ -35,8 +34,8 @@ def greatest_entropy(strategy, value: float, margin: float) -> float:
     of the budget's slack.
     """
     game, network = strategy.game, strategy.network
-    edges, rows = np.flatnonzero(strategy.edge_probability > 0.0), game.hits
-    if hits_can_differ(game):
+    edges, rows = np.flatnonzero(strategy.edge_probability > 0.0), game.entering
+    if not game.entries_are_hits:
         chain = chain_of(network, strategy.edge_probability)
         _, found = chain.hits_with_derivatives(chain.network.columns(rows))
         rows = csr_matrix((found.data, chain.network.edge[found.indices], found.indptr), rows.shape)
@@ -56,7 +55,7 @@ def check_entropy(strategy, missing: float) -> None:
     The optimum may use as much less of the limits as a distribution may exceed them by.
     """
     most = greatest_entropy(strategy, strategy.value * (1.0 + 1e-9), 1.0)
-    if not math.isnan(most) and not hits_can_differ(strategy.game):
+    if not math.isnan(most) and strategy.game.entries_are_hits:
         assert strategy.route_entropy <= most * (1.0 + 1e-6) + 1e-6
     least = greatest_entropy(strategy, strategy.value * (1.0 - 2 * TOLERANCE), 1.0 - 3 * TOLERANCE)
     if not math.isnan(least):

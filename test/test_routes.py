@@ -71,7 +71,7 @@ GAMES = {
 def test_the_bound_is_below_every_mixture_and_the_value_is_one(seed, stops, reach, detour, exposure,
                                                               ambushers):
     game, budgets = games(seed, stops, reach, detour, exposure, ambushers)
-    least = least_value(game, budgets, game.hits, game.loss[game.sites])
+    least = least_value(game, budgets, game.entering, game.loss[game.sites])
     if least is None:
         with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
             Routes(game, budgets, GAP, math.inf)
@@ -121,7 +121,7 @@ def test_sites_that_join_count_like_those_from_the_beginning(seed, stops, ambush
     assert found.bound == before[0] and found.value >= before[1] * (1.0 - 1e-9)
     assert len(found.q) == len(game.sites) + 3
     found.solve()
-    entering = csr_matrix(np.vstack((game.hits.toarray(), more.toarray())))
+    entering = csr_matrix(np.vstack((game.entering.toarray(), more.toarray())))
     check(found, budgets, least_value(game, budgets, entering,
                                       np.append(game.loss[game.sites], loss)))
 
@@ -150,7 +150,7 @@ def test_sites_that_join_between_two_proofs_without_time():
     found = Routes(game, budgets, GAP, math.inf)
     found.prove_by_legs()
     found.bound, found.deadline = 0.0, -math.inf
-    found.add_sites(game.hits[:2], game.loss[game.sites[:2]])
+    found.add_sites(game.entering[:2], game.loss[game.sites[:2]])
     with pytest.raises(TimeLimit):
         found.prove_by_legs()
     assert found.bound == 0.0 and len(found.q) == len(found.loss)

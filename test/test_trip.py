@@ -284,7 +284,7 @@ def test_invalid_stops_are_refused(risk_map, stops, order, error, words):
 
 def value_of_all_routes(game, network, budget):
     """The least value of any mixture of routes, whose legs may depend on each other."""
-    return value_by_routes(game.loss[game.sites], game.hits.toarray(), routes_of(network),
+    return value_by_routes(game.loss[game.sites], game.entering.toarray(), routes_of(network),
                            [(network.lengths, budget * (1.0 + 1e-12))], game.ambushers)
 
 
@@ -298,7 +298,7 @@ def legs_of(game):
         layer = Network(network.points[first], network.alpha[first], place[network.edges[own]],
                         int(place[source]), int(place[target]))
         yield replace(game, network=layer, loss=game.loss[first], playable=playable[own],
-                      known_hits=game.hits[:, np.flatnonzero(own)])
+                      known_rows=game.entering[:, np.flatnonzero(own)])
 
 
 @examples(15)

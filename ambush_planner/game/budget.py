@@ -85,7 +85,7 @@ class Budget:
 
     @cached_property
     def _behind(self) -> FloatArray:
-        return self.game.distances_behind(self.cost)
+        return self.game.distances_to_target(self.cost)
 
     @property
     def option(self) -> str:

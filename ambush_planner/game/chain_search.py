@@ -23,7 +23,6 @@ from .distribution.chain import chain_of
 from .distribution.gibbs import acyclic_network
 from .distribution.route_distribution import DISTRIBUTION, RouteDistribution
 from .game import Game
-from .hits import hits_can_differ
 from .search import Drawn, Incumbent, Search
 from .slack import ROUNDS, ceiling
 from .value.routes import ROUTES
@@ -121,7 +120,7 @@ def _around_flow(search: Search) -> RouteDistribution:
     part = acyclic_subnetwork(game, position)
     assert part is not None  # it contains the flow
     network = acyclic_network(game.network, np.flatnonzero(part.playable), position)
-    exact = not hits_can_differ(game)
+    exact = game.entries_are_hits
     distribution = RouteDistribution(network, flow[network.edge], problem.budgets, game.ambushers,
                                      search.slack, exact, problem.deadline, rough=True)
     distribution.add_sites(search.entering, search.loss)

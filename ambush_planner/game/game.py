@@ -128,19 +128,19 @@ class Game:
 
     ``playable`` (M,) marks the edges on some route that avoids forbidden nodes; ``loss`` (N,) is
     alpha where an ambush is possible, else 0. Each place is one site, and its hits add up over the
-    nodes that stand for it. ``known_hits`` are the ``hits`` if another game's give
-    them: with a reach, they are slow to find.
+    nodes that stand for it. ``known_rows`` are those ``entering``,
+    if another game's give them: with a reach, they are slow to find.
     """
 
     network: Network
     options: GameOptions
     playable: BoolArray
     loss: FloatArray
-    known_hits: InitVar[csr_matrix | None] = None
+    known_rows: InitVar[csr_matrix | None] = None
 
-    def __post_init__(self, known_hits: csr_matrix | None) -> None:
-        if known_hits is not None:
-            vars(self)['hits'] = known_hits  # where the cached property looks first
+    def __post_init__(self, known_rows: csr_matrix | None) -> None:
+        if known_rows is not None:
+            vars(self)['entering'] = known_rows  # where the cached property looks first
 
     @property
     def reach(self) -> float:
@@ -151,6 +151,11 @@ class Game:
     def ambushers(self) -> int:
         """Number of sites where the ambusher waits at once."""
         return self.options.ambushers
+
+    @property
+    def entries_are_hits(self) -> bool:
+        """Whether a simple route enters each site's reach at most once."""
+        return self.reach == 0.0 and self.network.legs == 1
 
     @property
     def node_count(self) -> int:
@@ -169,11 +174,11 @@ class Game:
         return np.asarray(first[self.loss[first] > 0.0])
 
     @cached_property
-    def hits(self) -> csr_matrix:
+    def entering(self) -> csr_matrix:
         """(S, M): the edges by which a route enters each site's reach, with the load aboard, or 1.
 
         These are the edges into the node if the radius is 0, else those that enter the disc. So
-        ``hits @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
+        ``entering @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
         """
         if self.reach > 0.0:
             return self.exposed().entering(self.network.points[self.sites], self.reach)
@@ -200,7 +205,7 @@ class Game:
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
-        losses: FloatArray = self.loss[self.sites] * (self.hits @ p)
+        losses: FloatArray = self.loss[self.sites] * (self.entering @ p)
         return losses
 
     def at_places(self, q: FloatArray) -> FloatArray:
@@ -213,7 +218,7 @@ class Game:
 
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
         """``D' q`` (M,): mean loss of each edge's entries against the ambusher's q (N,)."""
-        on_edges: FloatArray = self.hits.T @ (self.loss[self.sites] * self.at_sites(q))
+        on_edges: FloatArray = self.entering.T @ (self.loss[self.sites] * self.at_sites(q))
         return on_edges
 
     def visits(self, p: FloatArray) -> FloatArray:
@@ -222,20 +227,20 @@ class Game:
         x[self.network.source] += 1.0
         return x
 
-    def distances_ahead(self, weights: FloatArray) -> FloatArray:
+    def distances_from_source(self, weights: FloatArray) -> FloatArray:
         """Least weight (N,) of a way from the source to each node; inf if unreachable."""
         edges = self.network.edges[self.playable]
         return distances_from(edges, weights[self.playable], self.node_count, self.network.source)
 
-    def distances_behind(self, weights: FloatArray) -> FloatArray:
+    def distances_to_target(self, weights: FloatArray) -> FloatArray:
         """Least weight (N,) of a way from each node to the target; inf if unreachable."""
         edges = self.network.edges[self.playable][:, ::-1]
         return distances_from(edges, weights[self.playable], self.node_count, self.network.target)
 
     def through(self, weights: FloatArray) -> FloatArray:
         """Least weight (M,) of a route that uses each edge; inf if not playable."""
-        ahead = self.distances_ahead(weights)[self.network.tails]
-        behind = self.distances_behind(weights)[self.network.heads]
+        ahead = self.distances_from_source(weights)[self.network.tails]
+        behind = self.distances_to_target(weights)[self.network.heads]
         return np.where(self.playable, ahead + weights + behind, np.inf)
 
     def restricted_to(self, edges: BoolArray) -> Game | None:
@@ -247,7 +252,7 @@ class Game:
             return None
         kept = usable & useful[network.tails] & useful[network.heads]
         return replace(self, playable=frozen_array(kept, np.bool_),
-                       known_hits=vars(self).get('hits'))
+                       known_rows=vars(self).get('entering'))
 
     def avoiding(self, entering: csr_matrix) -> Game | None:
         """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
@@ -271,7 +276,8 @@ class Game:
         if not len(loss):
             return self
         network = with_places(self.network, points, loss)
-        return replace(self, network=network, known_hits=csr_matrix(vstack((self.hits, entering))),
+        rows = csr_matrix(vstack((self.entering, entering)))
+        return replace(self, network=network, known_rows=rows,
                        loss=frozen_array(np.append(self.loss, loss), np.float64))
 
     def without_sites(self, nodes: BoolArray) -> Game:

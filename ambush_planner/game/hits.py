@@ -35,13 +35,13 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     """
     k = min(game.ambushers, len(game.sites))
     losses = game.site_losses(p)
-    if not hits_can_differ(game) or not is_acyclic(game.network, p):
+    if game.entries_are_hits or not is_acyclic(game.network, p):
         rows = np.argsort(-losses, kind='stable')[:k]
         return losses[rows], rows
     chain = chain_of(game.network, p)
 
     def exact(rows: IndexArray) -> FloatArray:
-        return np.asarray(game.loss[game.sites[rows]] * chain.meets(game.hits[rows]))
+        return np.asarray(game.loss[game.sites[rows]] * chain.meets(game.entering[rows]))
 
     return largest(losses, exact, k)
 
@@ -72,9 +72,9 @@ def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None)
     If p has cycles, every entry counts, which is an upper bound.
     """
     rows = np.arange(len(game.sites)) if rows is None else rows
-    if not hits_can_differ(game) or not is_acyclic(game.network, p):
-        return np.asarray(game.hits[rows] @ p)
-    return chain_of(game.network, p).meets(game.hits[rows])
+    if game.entries_are_hits or not is_acyclic(game.network, p):
+        return np.asarray(game.entering[rows] @ p)
+    return chain_of(game.network, p).meets(game.entering[rows])
 
 
 def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
@@ -90,8 +90,3 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 def entry_value(game: Game, p: FloatArray) -> float:
     """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
     return sum_of_largest(game.site_losses(p), game.ambushers)
-
-
-def hits_can_differ(game: Game) -> bool:
-    """Whether a simple route can be hit by one site more than once."""
-    return game.reach > 0.0 or game.network.legs > 1

@@ -45,7 +45,7 @@ def worst_informant(strategy: Strategy) -> Informant | None:
     if not strategy.value > 0.0 or not is_acyclic(game.network, p):
         return None
     chain = chain_of(game.network, p)
-    rows, alpha = chain.network.columns(game.hits), game.loss[game.sites]
+    rows, alpha = chain.network.columns(game.entering), game.loss[game.sites]
     hits, passing = chain.hits(rows), chain.hits((rows > 0.0).astype(np.float64))
     some = np.flatnonzero((passing > ROUNDING) & (passing < 1.0 - ROUNDING))
     some = some[:: -(-len(some) // MAX_PLACES) or 1]

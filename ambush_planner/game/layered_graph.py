@@ -101,4 +101,4 @@ def _on_layers(game: Game, layers: AcyclicNetwork, node: IndexArray) -> Game:
     return replace(game, network=with_layers(network, node, edges),
                    playable=frozen_array(playable, np.bool_),
                    loss=frozen_array(game.loss[of], np.float64),
-                   known_hits=csr_matrix(hstack((game.hits, game.hits[:, layers.edge]))))
+                   known_rows=csr_matrix(hstack((game.entering, game.entering[:, layers.edge]))))

@@ -179,7 +179,7 @@ class Search:
         self.problem, self.lp, self.slack = problem, lp, slack
         self.game = game = problem.game
         self.points, self.loss = game.network.points[game.sites], game.loss[game.sites]
-        self.entering, self.evaluations = game.hits, 0
+        self.entering, self.evaluations = game.entering, 0
         self.reason: Reason = 'stalled'
 
     @contextlib.contextmanager

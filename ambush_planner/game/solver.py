@@ -19,7 +19,6 @@ from ..network.network import Network
 from .chain_search import find_chain, find_flow
 from .faces import make_faces
 from .game import Game, GameOptions, make_game
-from .hits import hits_can_differ
 from .search import Search, SearchProblem, SiteSearch
 from .slack import MIN_SLACK
 from .strategy import Multipliers, Strategy, StrategyOptions, make_budgets
@@ -148,7 +147,7 @@ def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
         search = Search(problem, routes, slack)
         (find_legs if routes.planar else find_mixture)(search, routes)
         return search
-    cut = None if hits_can_differ(problem.game) else Cut(problem.game, problem.binding)
+    cut = Cut(problem.game, problem.binding) if problem.game.entries_are_hits else None
     if cut and cut.overrun <= overrun:
         return Search(problem, cut, slack)
     first = FIRST_CAP * cut.bound if cut else np.inf

@@ -157,7 +157,7 @@ def _promising(plan: Plan, routes: list[IndexArray], most: int,
     route = np.repeat(np.arange(len(edges)), list(map(len, edges)))
     uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
                       (len(network.edges), len(edges)))
-    hit = csr_matrix(game.hits @ uses)
+    hit = csr_matrix(game.entering @ uses)
     hit.data[:] = 1.0  # however often a route comes back
     costs = np.array([budget.cost @ uses for budget in budgets])
     limits = np.array([[budget.limit] for budget in budgets])

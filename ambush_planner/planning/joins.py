@@ -40,7 +40,7 @@ def best_first_steps(game: Game, p: FloatArray, longest: float,
     first = np.flatnonzero(chain.network.tail == 0)
     lengths = _mean_lengths(chain, game.network.lengths[chain.network.edge], first)
     over = lengths / max(longest, lengths.min()) - 1.0
-    losses = game.loss[game.sites][:, None] * _hits(chain, game.hits, first)
+    losses = game.loss[game.sites][:, None] * _hits(chain, game.entering, first)
     best, least = np.zeros(len(first)), math.inf
     for _ in range(_SEARCHES):
         x = least_worst(losses, over)

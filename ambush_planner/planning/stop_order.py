@@ -155,7 +155,7 @@ class StopOrderSearch:
         edges, once = network.places[network.edges], np.zeros(len(network.edges), dtype=bool)
         # Each place's edges cost the same in all layers, so one of them suffices.
         once[np.unique(edges @ (network.place_count, 1), return_index=True)[1]] = True
-        drivable = Subnetwork(edges, once, game.hits, game.reach == 0.0)
+        drivable = Subnetwork(edges, once, game.entering, game.reach == 0.0)
         for begin, end in sorted(pairs):
             way = drivable.between(*(np.array([self._ends[k]]) for k in (begin, end)))
             for share, dual_weights in enumerate(q * game.loss[game.sites]):

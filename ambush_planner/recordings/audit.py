@@ -163,7 +163,7 @@ class _Group:
         self.game, self.network, self.p = strategy.game, strategy.network, strategy.edge_probability
         self.sampler = RouteSampler(self.network, self.p)
         self.used = np.flatnonzero(self.p > 0.0)
-        self.loss, self.hits = self.game.loss[self.game.sites], self.game.hits.T.tocsr()
+        self.loss, self.hits = self.game.loss[self.game.sites], self.game.entering.T.tocsr()
         self.members: list[int] = []
         self.routes: list[IndexArray] = []
 

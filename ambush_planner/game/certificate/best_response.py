@@ -54,7 +54,7 @@ def best_response(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     base, worth = ambusher.paid(game, budgets)
     waits = ambusher.q[None] if ambusher.by_leg is None else ambusher.by_leg
     dual_weights = game.loss[game.sites] * [game.at_sites(each) for each in waits]
-    least, _ = TripNetworks(game, game.hits).least_cost(base, dual_weights, SEARCHES, deadline,
+    least, _ = TripNetworks(game, game.entering).least_cost(base, dual_weights, SEARCHES, deadline,
                                                         enough + worth)
     return max(least - worth, 0.0)
 

@@ -29,7 +29,7 @@ from ..ambusher import Ambusher
 from ..budget import Budget
 from ..faces import Faces, make_faces
 from ..game import Game
-from ..hits import hits_can_differ, worst_loss
+from ..hits import worst_loss
 from .best_response import best_response
 from .curves import curve_bound
 
@@ -84,7 +84,7 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
     """
     ambusher.check(game, budgets)
     game = game.without_layers()  # whatever can be driven can be driven on the trip's own nodes
-    if not hits_can_differ(game):
+    if game.entries_are_hits:
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:
         return best_response(game, ambusher, budgets, deadline, enough)
@@ -99,7 +99,7 @@ def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> 
     """The bound by the route of least cost if every entry is counted: one Dijkstra."""
     weights, paid = ambusher.paid(game, budgets)
     weights = weights + game.mean_loss_on_edges(ambusher.q)
-    return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
+    return max(float(game.distances_from_source(weights)[game.network.target]) - paid, 0.0)
 
 
 def _check_flow(game: Game, p: FloatArray) -> None:

@@ -64,7 +64,7 @@ def curve_bound(faces: Faces, ambusher: Ambusher, given: Circulation,
     site, row = np.unique(given.site, return_inverse=True)
     row_of = np.zeros(len(dual_weights), dtype=np.int64)
     row_of[game.sites] = np.arange(len(game.sites))
-    entering = csr_matrix(game.hits[row_of[site]])
+    entering = csr_matrix(game.entering[row_of[site]])
     arcs = _arcs(faces, np.clip(given.through, -most, most), inside, entering, row.ravel(),
                  given.face)
     once, used, winding = _curves(arcs)
@@ -89,7 +89,7 @@ def curve_bound(faces: Faces, ambusher: Ambusher, given: Circulation,
         shares = _shares(faces, arcs, used, site, dual_weights)
         searched = (each.network.least_cost(left[faces.link], shares[each.number, game.sites],
                                             SEARCHES, deadline, enough - total + spirals)
-                    for each in TripNetworks(game, game.hits).legs)
+                    for each in TripNetworks(game, game.entering).legs)
         total += max(sum(least for least, _ in searched) - spirals, 0.0)
     return max(total, 0.0)
 

@@ -49,7 +49,7 @@ def solve_by_min_cut(game: Game) -> CutSolution:
     """
     if game.reach > 0.0:
         raise SolverFailed('a cut solves games without a reach')
-    safe = game.avoiding(game.hits)
+    safe = game.avoiding(game.entering)
     if safe is not None:
         return CutSolution(0.0, shortest_route_strategy(safe), np.zeros(game.node_count))
     return _solve_by_rounds(game)

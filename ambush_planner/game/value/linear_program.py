@@ -18,7 +18,7 @@ from ..certificate.best_response import NEGLIGIBLE
 from ..certificate.certificate import entry_bound
 from ..distribution.chain import NO_FLOW
 from ..game import Game
-from ..hits import entry_value, hits_can_differ
+from ..hits import entry_value
 from ..route_sampler import shortest_route_strategy
 from ..slack import ROUNDS
 from ..strategy import Strategy, StrategyOptions, strategy_of, within_slack
@@ -71,7 +71,7 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     lengths = network.travel_costs[edge]
     cost = np.append(length_weight / unit * lengths, 1.0 - length_weight)
     per_loss = -np.minimum(unit / game.loss[game.sites], MAX_VISITS)
-    inequalities = hstack((game.hits[:, edge], csr_matrix(per_loss[:, None])))
+    inequalities = hstack((game.entering[:, edge], csr_matrix(per_loss[:, None])))
     limits = np.zeros(len(game.sites))
     if np.isfinite(budget):
         inequalities = vstack((inequalities, csr_matrix(np.append(lengths, 0.0))))
@@ -115,7 +115,7 @@ def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple
                                 (length if limited else own, exposure)), iterations=int(result.nit))
     if within_slack(found, options):
         return found
-    return replace(found, reason='stalled' if hits_can_differ(game) else 'solver')
+    return replace(found, reason='solver' if game.entries_are_hits else 'stalled')
 
 
 def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
@@ -123,7 +123,7 @@ def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
 
     Its value is exactly 0; on all edges, rounding would decide.
     """
-    safe = game.avoiding(game.hits)
+    safe = game.avoiding(game.entering)
     return safe if safe and length.keeps(shortest_route_strategy(safe)) else None
 
 

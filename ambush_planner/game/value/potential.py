@@ -27,7 +27,6 @@ from ..distribution.acyclic import without_cycles
 from ..distribution.chain import conserved_strategy
 from ..faces import Circulation, Faces
 from ..game import Game
-from ..hits import hits_can_differ
 from ..route_sampler import route_edges, shortest_route, shortest_route_strategy
 from .face_flows import LegFlows
 
@@ -74,7 +73,7 @@ class Potential:
         self.circulation: Circulation | None = None  # its sites are rows, not nodes
         self.q, self.price = np.zeros(0), 0.0
         self._start_with_links()
-        self.add_sites(self.game.hits, self.game.loss[self.game.sites])
+        self.add_sites(self.game.entering, self.game.loss[self.game.sites])
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
@@ -130,12 +129,12 @@ class Potential:
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
         q, curves = padded(self.q, len(kept))[kept], self.circulation
-        if curves and hits_can_differ(game):
+        if curves and not game.entries_are_hits:
             node = np.full(len(kept), -1)
             node[kept] = game.sites
             curves = replace(curves, site=node[curves.site])
         return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()), self._by_leg(game, kept),
-                        curves if hits_can_differ(game) else None)
+                        None if game.entries_are_hits else curves)
 
     def _by_leg(self, game: Game, kept: BoolArray) -> FloatArray | None:
         """For which leg he waits at each node (legs, N), in a game with the ``kept`` sites (S,)."""

@@ -106,7 +106,7 @@ class Routes:
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
-        self._add_sites(game.hits, game.loss[game.sites])
+        self._add_sites(game.entering, game.loss[game.sites])
         self._begin()
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
