@@ -19,6 +19,8 @@ BoolArray = npt.NDArray[np.bool_]
 MAX_BYTES = 10**9
 # Relative rounding of sums and comparisons.
 ROUNDING = 1e-9
+# Dual weights, flows and values below this share of the largest are rounding, and not counted.
+NEGLIGIBLE = 1e-7
 
 
 def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:

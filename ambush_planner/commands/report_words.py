@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from ..game.certificate.best_response import NEGLIGIBLE
+from ..arrays import NEGLIGIBLE
 from ..game.strategy import Strategy
 from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..parameters.table import PARAMETERS

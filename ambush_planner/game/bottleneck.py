@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import ROUNDING, IndexArray, frozen_array
-from .certificate.best_response import NEGLIGIBLE
+from ..arrays import NEGLIGIBLE, ROUNDING, IndexArray, frozen_array
 from .discs import secured_area
 from .revaluation import budgets_in_game
 from .search import SearchProblem

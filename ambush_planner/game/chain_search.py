@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from .certificate.best_response import NEGLIGIBLE
+from ..arrays import NEGLIGIBLE, FloatArray
 from .distribution.acyclic import acyclic_subnetwork, order_potential, topological_order
 from .distribution.chain import chain_of
 from .distribution.gibbs import acyclic_network

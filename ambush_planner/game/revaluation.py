@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import NEGLIGIBLE, FloatArray
 from ..errors import BudgetInfeasible, NoRoute
 from .ambusher import Ambusher, at_nodes
 from .budget import Budget, least_cost
-from .certificate.best_response import NEGLIGIBLE
 from .certificate.certificate import Certificate, lower_bound
 from .faces import Circulation
 from .game import Game, SecuredPlace, make_game

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import NEGLIGIBLE, FloatArray
 from ..errors import SolverFailed, TimeLimit
-from .certificate.best_response import NEGLIGIBLE
 from .chain_search import find_sites
 from .distribution.chain import SeparateLegs, chain_of, conserved_strategy
 from .distribution.route_distribution import RouteDistribution

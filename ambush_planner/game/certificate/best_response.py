@@ -32,7 +32,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray
 from ..ambusher import Ambusher
 from ..budget import Budget
 from ..game import Game
@@ -41,8 +41,6 @@ from ..game import Game
 # which it stops: a second or two each. The cost reached by then is still a lower bound.
 SEARCHES = tuple((9.0**k, 3_000_000) for k in (0, 1, 2, math.inf))
 Searches = Sequence[tuple[float, int]]
-# Dual weights, flows and values below this share of the largest are rounding, and not counted.
-NEGLIGIBLE = 1e-7
 
 
 def best_response(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],

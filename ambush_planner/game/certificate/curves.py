@@ -27,13 +27,13 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
+from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..ambusher import Ambusher
 from ..budget import Budget
 from ..distribution.acyclic import simple_cycles
 from ..faces import Circulation, Faces
-from .best_response import NEGLIGIBLE, SEARCHES, TripNetworks
+from .best_response import SEARCHES, TripNetworks
 
 # Maximum number of sets of a curve's sites, all of one size, whose routes are looked for.
 MOST_SETS = 300

@@ -10,11 +10,10 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from ...arrays import ROUNDING, FloatArray, IndexArray
+from ...arrays import NEGLIGIBLE, ROUNDING, FloatArray, IndexArray
 from ...errors import BudgetInfeasible, InvalidOption
 from ..ambusher import Ambusher, at_nodes
 from ..budget import BUDGET_TOLERANCE, Budget
-from ..certificate.best_response import NEGLIGIBLE
 from ..certificate.certificate import entry_bound
 from ..distribution.chain import NO_FLOW
 from ..game import Game

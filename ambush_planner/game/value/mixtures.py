@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, identity, vstack
 
-from ...arrays import FloatArray, IndexArray, sums
+from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
-from ..certificate.best_response import NEGLIGIBLE
 from ..slack import sum_of_largest
 from . import highs
 

@@ -20,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
+from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import BudgetInfeasible, TimeLimit
 from ..ambusher import Ambusher, at_nodes, capped_at_one, on_nodes, padded
 from ..budget import Budget
-from ..certificate.best_response import NEGLIGIBLE, SEARCHES, Searches, TripNetworks
+from ..certificate.best_response import SEARCHES, Searches, TripNetworks
 from ..distribution.chain import conserved_strategy
 from ..faces import Faces
 from ..game import Game
