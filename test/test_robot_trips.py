@@ -8,13 +8,14 @@ import pytest
 
 from ambush_planner.ros.departures import RobotTrip, RobotTrips
 
-ASKED = SimpleNamespace(destination=None, start_xy=(0.0, 0.0),
+FRAMES = ('map', 'robot')
+ASKED = SimpleNamespace(destination=SimpleNamespace(frames=FRAMES), start_xy=(0.0, 0.0),
                         request=SimpleNamespace(goal_tolerance=0.0))
 
 
 def trip(before=None, goal=(1.0, 1.0)):
-    track = SimpleNamespace(destination=SimpleNamespace(frames=('map', 'robot'), goal=goal),
-                          arrived=False, continues=lambda *_: True)
+    track = SimpleNamespace(destination=SimpleNamespace(frames=FRAMES, goal=goal), arrived=False,
+                            continues=lambda *_: True, drive_on=lambda _: None)
     return RobotTrip(track, None, None, None, Future(), True, before)
 
 

@@ -64,6 +64,19 @@ def test_a_robot_that_went_back_begins_a_new_trip():
     assert trip.continues(asked(), (6.1, 0.0), 0.0)
 
 
+def test_a_robot_that_drove_on_before_it_had_the_path_joins_it():
+    trip = trip_on([(0, 0), (10, 0)])
+    assert not trip.continues(asked(), (3.0, 2.0), 0.0)
+    trip.drive_on((3.0, 2.0))
+    assert trip.continues(asked(), (3.0, 2.0), 0.0)
+    rest = trip.rest((3.0, 2.0), (10.0, 0.0))
+    assert tuple(rest[0, :2]) == (3.0, 2.0) and rest[1, :2] == pytest.approx((5.05, 0.0), abs=0.06)
+    assert trip.continues(asked(), (5.0, 0.1), 0.0)
+    assert not trip.continues(asked(), (6.0, 2.0), 0.0), 'it has joined the path, and left it'
+    trip.drive_on((5.0, 5.0 * BACK + 0.1))
+    assert not trip.continues(asked(), (5.0, 5.0 * BACK + 0.1), 0.0), 'too far'
+
+
 def test_progress_only_grows_on_a_path_that_comes_near_itself():
     """There and back, 0.4 m apart: within the tolerance of each other."""
     trip = trip_on([(0, 0), (10, 0), (10, 0.4), (0, 0.4)], goal=(0.0, 0.4))

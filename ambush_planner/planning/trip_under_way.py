@@ -8,7 +8,8 @@ A request continues the trip, and is no departure, if all of this holds:
    a goal in another frame drifts.
 2. The robot is *on the path*: within ``tolerance`` of what remains of it. Progress along the path
    only grows, because a path may come near itself; a robot that is back along it by more than
-   ``back`` is no longer on it.
+   ``back`` is no longer on it. A robot that drove on while its path was recorded joins it from
+   where it is then.
 3. The robot has *not arrived*, if the request names stops that it has passed: it would be for the
    next round. Arrived means that it has stood at the end, because Nav2's trees name such stops up
    to the end, and asking does not say who asks. Until then such a request is *undecided*.
@@ -37,6 +38,8 @@ Position = tuple[float, float]
 _TAKEN_OFF = 1.0
 # Motion up to which a robot stands [m, rad], in at least this time [s].
 _STANDS, _STANDS_FOR = 0.02, 0.5
+# Largest distance from which a robot joins a path that was recorded meanwhile [``back``].
+_DRIVES_ON = 5.0
 # Maximum number of sightings of a robot at the end of its path until it counts as arrived, however
 # much it or its localisation moves.
 _LONGEST_END = 10
@@ -97,6 +100,7 @@ class TripUnderWay:
     tolerance: float
     back: float
     progress: float = field(default=0.0, init=False)
+    drift: float = field(default=0.0, init=False)  # until the robot has joined the path [m]
     arrived: bool = field(default=False, init=False)
     _seen: Sighting | None = field(default=None, init=False)
     _at_end: int = field(default=0, init=False)  # how often in a row the robot was seen there
@@ -107,6 +111,11 @@ class TripUnderWay:
                 and self.follow(place) is not None
                 and self._same_trip(request, place, max(request.cell, goal_tolerance))
                 and not (self._asks_again(request) and self.arrived))
+
+    def drive_on(self, place: Position) -> None:
+        """Let a robot at ``place``, which did not have the path until now, join it from there."""
+        away = float(self._line.projected(place)[0].min())
+        self.drift = away if away <= _DRIVES_ON * self.back else 0.0
 
     def is_undecided(self, request: Destination) -> bool:
         """Whether a request that continues the trip may be for the next round of it instead."""
@@ -129,14 +138,17 @@ class TripUnderWay:
         None if it is not on what remains of the path.
         """
         away, along = self._line.projected(place)
-        near = away <= self.tolerance
+        near = away <= self.tolerance + self.drift
         ahead, behind = near & (along >= self.progress), near & (along >= self.progress - self.back)
         on_path = ahead if ahead.any() else behind
         if not on_path.any():
             return None
         first = int(on_path.argmax())  # the first stretch that is near enough
         end = first + int(np.append(on_path[first:], False).argmin())
-        at = float(along[first + int(away[first:end].argmin())])
+        nearest = first + int(away[first:end].argmin())
+        if away[nearest] <= self.tolerance:
+            self.drift = 0.0
+        at = float(along[nearest])
         self.progress = max(self.progress, at)
         return at
 

@@ -62,6 +62,7 @@ class RobotTrip:
     """A trip, its departure or the last diversion of that, and the whole route (K,).
 
     ``left`` is done once the path is published; with ``recording.required`` that takes a while.
+    A request after that has ``begun`` the trip: its robot drove on while the path was recorded.
     ``before`` is the trip that this one diverts, until it has left. A tour that ends where it
     begins is ``recorded`` when the robot has set out, because Nav2's controllers can take it to be
     at the end.
@@ -74,6 +75,19 @@ class RobotTrip:
     left: Future[None]
     recorded: bool
     before: RobotTrip | None = None
+    begun: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.begun = self.left.done()
+
+    def is_continued_by(self, trip: Trip) -> bool:
+        """Whether a request for a trip continues this one."""
+        if trip.destination.frames != self.track.destination.frames:
+            return False
+        if not self.begun:
+            self.begun = self.left.done()
+            self.track.drive_on(trip.start_xy)
+        return self.track.continues(trip.destination, trip.start_xy, trip.request.goal_tolerance)
 
     def settled(self) -> RobotTrip | None:
         """Return this trip, or the one before it if its departure has failed to leave."""
@@ -96,8 +110,7 @@ class RobotTrips:
     def continued_by(self, trip: Trip) -> RobotTrip | None:
         """Return the trip under way that a request for this trip continues, if there is one."""
         self._trips = [each for one in self._trips if (each := one.settled()) is not None]
-        return next((each for each in self._trips if each.track.continues(
-            trip.destination, trip.start_xy, trip.request.goal_tolerance)), None)
+        return next((each for each in self._trips if each.is_continued_by(trip)), None)
 
     def add(self, new: RobotTrip) -> None:
         """Keep a trip, and the robot's last ones to other goals unless one of them has ended."""
