@@ -50,7 +50,8 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     # With a reach, the cells that became sites may differ.
     room = 3e-3 if reach else 1e-5
     assert warm.value <= cold.lower_bound * 1.01 * (1 + room) or warm.reason == 'stalled'
-    assert warm.lower_bound == pytest.approx(cold.lower_bound, rel=2e-3)
+    assert warm.lower_bound <= cold.value * (1 + room)
+    assert cold.lower_bound <= warm.value * (1 + room)
     assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.05 if reach else 0.01)
 
 
