@@ -45,3 +45,18 @@ def test_the_maps_of_earlier_diversions_are_freed(no_collection):
             maps.append(ref(trips._trips[0].departure.trip.map))
         wait_until(lambda: maps[0]() is None, 'the map being freed')
         assert maps[-1]() is not None
+
+
+def test_what_kept_plans_know_of_earlier_maps_is_freed(no_collection):
+    with stage() as running:
+        client, goals = running.give(risk_grid(FLAT)), [pose(8.5, y) for y in (2.5, 4.0, 5.5)]
+        changed = FLAT.copy()
+        changed[0, 0] = 100
+        for values in (FLAT, changed):
+            running.know(values)
+            for goal in goals:
+                assert client.get_plan(pose(1.5, 5.5), goal).poses
+        earlier = ref(running.planner._parts.inputs.current_map())
+        running.know(FLAT)
+        client.get_plan(pose(1.5, 5.5), goals[0])  # the last departure keeps its map
+        wait_until(lambda: earlier() is None, 'the map being freed')

@@ -117,6 +117,11 @@ class ChangedGround:
             self._assessment = self._corridors = None
         return self._latest
 
+    def forget_all_but(self, newest: OccupancyMap) -> None:
+        """Free what is known of another map than this one."""
+        if self._latest is not None and self._latest.newest is not newest:
+            self._latest = self._assessment = self._corridors = None
+
     def assess(self, newest: OccupancyMap) -> Assessment:
         """Return the value of the strategy on the newest map, which is of the same ground."""
         look = self.compare(newest)

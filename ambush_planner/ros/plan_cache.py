@@ -253,9 +253,11 @@ class PlanCache:
         return cached
 
     def keep_ground(self, newest: CurrentMap) -> None:
-        """Drop the plans for other ground than this map's."""
+        """Drop the plans for other ground than this map's, and what others know of older maps."""
         with self._lock:
             self._plans = [each for each in self._plans if each.trip.map.same_ground(newest)]
+            for each in self._plans:
+                each.ground.forget_all_but(newest)
 
     def _submit(self, task: Task, known: CachedPlan | None, background: bool,
                 low_priority: bool = False) -> Future[CachedPlan]:
