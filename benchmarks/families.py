@@ -105,7 +105,8 @@ def _places(rng: np.random.Generator, risk_map: RiskMap, count: int) -> tuple[Po
     return tuple((float(x), float(y)) for x, y in risk_map.resolution * (cells + 0.5))
 
 
-Family = Callable[[np.random.Generator, int], Scenario]  # with maps of about so many cells a side
+# Makes a scenario on a map whose sides have about the given number of cells.
+Family = Callable[[np.random.Generator, int], Scenario]
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], smooth: float) -> FloatArray:

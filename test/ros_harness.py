@@ -284,6 +284,6 @@ def pose(x, y, yaw=0.0, frame=FRAME):
     return PoseStamped(header=header(frame), pose=pose_to_ros(x, y, yaw))
 
 
-# Where most tests' trips lead on their maps of 10 m x 10 m, and such a map without obstacles.
+# Ends of most tests' trips on maps of 10 m x 10 m, and such a map without obstacles.
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 FLAT = np.full((20, 20), 10, dtype=np.int8)

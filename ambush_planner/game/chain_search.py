@@ -30,8 +30,8 @@ from .value.routes import ROUTES
 class ChainSearch(NamedTuple):
     """The constants of the search for one chain."""
 
-    # Times that sites join before the distribution, more while the value is 0; from the last of
-    # them on they may be as near to each other as the LP allows.
+    # How often sites join before the distribution is sought; more often while the value is 0. In
+    # the last of these rounds and later, sites may be as near to each other as the LP allows.
     sweeps: int = 3
     joining: float = 0.8  # share of the slack beyond which sites join a distribution
     # Least relative growth of the entropy for another round: what a rough one may miss.

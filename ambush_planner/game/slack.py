@@ -13,8 +13,8 @@ from ..arrays import ROUNDING, FloatArray
 # solver failed, or no method finds a better strategy or bound.
 Reason = Literal['complete', 'time', 'solver', 'stalled']
 
-# Most rounds of a search: in which sites join it, of a route distribution, in which an LP over
-# routes hardly gains, by which a solution comes nearer to double precision.
+# Maximum number of rounds of one kind: in which sites join a search, of a route distribution, in
+# which an LP over routes hardly gains, or which refine a solution to double precision.
 ROUNDS = 25
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
@@ -23,7 +23,7 @@ MIN_SLACK = 0.5 * CERTIFICATE_TOLERANCE
 
 
 def sum_of_largest(losses: FloatArray, count: int) -> float:
-    """What as many ambushers cost: the sum of the ``count`` largest of some losses (S,)."""
+    """The sum of the ``count`` largest losses (S,): what that many ambushers cause."""
     return float(np.sort(losses)[max(len(losses) - count, 0) :].sum())
 
 

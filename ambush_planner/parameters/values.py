@@ -61,7 +61,7 @@ class RecordingOptions:
 
 @dataclass(frozen=True)
 class NodeParameters:
-    """All parameters: ``values`` by the names of ``PARAMETERS``, and the options that some make."""
+    """All parameters: ``values`` by the names of ``PARAMETERS``, and the options made of them."""
 
     occupancy: OccupancyOptions
     planning: PlanningOptions

@@ -112,9 +112,9 @@ class ChangedGround:
 
     def compare(self, newest: OccupancyMap) -> ChangedNetwork:
         """Compare the plan's network on the newest map, which is of the same ground."""
-        if self._latest is None or self._latest.newest is not newest:
+        self.forget_all_but(newest)
+        if self._latest is None:
             self._latest = self._planned.on(newest)
-            self._assessment = self._corridors = None
         return self._latest
 
     def forget_all_but(self, newest: OccupancyMap) -> None:

@@ -177,10 +177,10 @@ class _ColumnSearch:
         self._lp = SharesLP(mixtures.losses.toarray(), costs, deadline)
 
     def best(self, sizes: Sequence[int]) -> dict[int, PathMixture]:
-        """The best mixtures found of at most each of the numbers of paths, in rising order.
+        """For each number of paths, in rising order, the best mixture found of at most that many.
 
-        When the time is up, only that of the last number still counts. Raises TimeLimit if there is
-        none yet.
+        When the time is up, only the last number still counts. Raises TimeLimit if there is no
+        mixture yet.
         """
         everything = np.arange(self._count)
         self._settled(self._lp.solve(everything), self._solved_again)
@@ -197,7 +197,8 @@ class _ColumnSearch:
             if size not in nested or (self._late and size < sizes[-1]):
                 continue
             if self._equal or best is None or best.value > self._enough:
-                mixture = self._settled(nested[size], partial(self._improved, size=size))
+                improved = partial(self._improved, size=size)
+                mixture = self._settled(improved(nested[size]), improved)
                 best = _better_of([best, mixture]) if best and not self._equal else mixture
             found[size] = best
         return found
@@ -209,14 +210,14 @@ class _ColumnSearch:
     def _settled(self, choice: BestShares,
                  better: Callable[[BestShares], BestShares]) -> PathMixture:
         """The best mixture that choices lead to; worse places on the map join the sites."""
-        found = []
-        for _ in range(ROUNDS):
-            choice = better(choice)
+        found: list[PathMixture] = []
+        while True:
             found.append(self._mixtures.judged(choice.of_all(self._count, MIN_SHARE)))
             self._lp.losses = self._mixtures.losses.toarray()
-            if found[-1].value <= choice.value * (1.0 + MAX_MISSED) or self._late:
-                break
-        return _better_of(found)
+            good = found[-1].value <= choice.value * (1.0 + MAX_MISSED)
+            if good or self._late or len(found) == ROUNDS:
+                return _better_of(found)
+            choice = better(choice)
 
     def _solved_again(self, choice: BestShares) -> BestShares:
         """The same columns, on the sites known now; as they were if the time is up."""

@@ -96,7 +96,7 @@ class CachedPlan:
 
     @property
     def as_solved(self) -> Fit:
-        """How one departs on the plan for its own trip."""
+        """The plan as it fits its own trip."""
         return Fit(self, self.trip)
 
     @property

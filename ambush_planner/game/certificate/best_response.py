@@ -191,7 +191,7 @@ class Subnetwork:
     def shortest(self, base: FloatArray, dual_weights: FloatArray) -> IndexArray:
         """The edges (K,) of the way of least cost if every entry is counted."""
         weights = base[self.edge] + dual_weights @ self.entering
-        # By what sums are rounded, so that of equal ways the one of fewest edges is taken.
+        # The rounding of sums, added for each edge: of equal ways, that with fewest edges is taken.
         weights += self.count * np.finfo(float).eps * (float(weights.max()) or 1.0)
         graph = csr_matrix((weights, self.head, self.out), (self.count, self.count))
         distance, before, _ = dijkstra(graph, indices=self.first, return_predecessors=True,
