@@ -59,7 +59,7 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
                        xytext=(12 if side == 'left' else -12, 0), textcoords='offset points',
                        ha=side, va='center', color=colour, path_effects=HALO, zorder=9)
     # The place further right has the label at the lower right, so that no line meets another place.
-    corners = ((0.97, 0.3), 'right'), ((0.02, 0.93), 'left')
+    corners = ((0.97, 0.3), 'right'), ((0.02, 0.91), 'left')
     for (corner, side), route in zip(
         corners, sorted(fixed, key=lambda route: -route.worst_place[0]), strict=True
     ):
