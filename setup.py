@@ -73,14 +73,13 @@ setup(
         'figures': ['matplotlib>=3.6.3'],
         # latex2mathml draws formulas without a script from the network.
         'docs': ['furo>=2024.8', 'latex2mathml>=3.77', 'myst-parser>=3', 'sphinx>=7.3'],
-        # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX, KML.
+        # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX.
         'gis': gis,
-        # Completion after `register-python-argcomplete ambush`, and progress bars.
-        'terminal': ['argcomplete', 'tqdm'],
+        # Progress bars.
+        'terminal': ['tqdm'],
         # colcon test runs pytest only if an extra of this name has it.
         'test': [
             *gis,
-            'argcomplete',
             'behaviortreepy',  # BehaviorTree.CPP's parser
             'pytest>=7.4',
             'pytest-timeout',

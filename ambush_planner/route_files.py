@@ -31,11 +31,10 @@ if TYPE_CHECKING:
 
     from .recordings.plan_file import SavedPlan
 
-_DEGREES_ONLY = ('.gpx', '.kml')
 # The libraries that each format needs.
 NEEDS: dict[str, tuple[str, ...]] = {
     '.gpkg': ('geopandas', 'rasterio'), '.geojson': ('geopandas', 'rasterio'),
-    '.gpx': ('geopandas', 'gpxpy'), '.kml': ('geopandas',), '.csv': (), '.png': ('matplotlib',)}
+    '.gpx': ('geopandas', 'gpxpy'), '.csv': (), '.png': ('matplotlib',)}
 SUFFIXES = tuple(NEEDS)
 PLAN = '.plan'
 NEEDS[PLAN] = ('mcap', 'mcap_ros2', 'zstandard')
@@ -124,9 +123,9 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InvalidOption(f'{path}: its suffix must be one of {", ".join(SUFFIXES)}')
-    if suffix in _DEGREES_ONLY and not drawn.risk_map.crs:
+    if suffix == '.gpx' and not drawn.risk_map.crs:
         raise InvalidCoordinates(
-            f'{path}: {suffix[1:].upper()} holds latitude and longitude, but the coordinate system '
+            f'{path}: GPX holds latitude and longitude, but the coordinate system '
             "of the map is unknown; plan or export with --crs SYSTEM, or a robot's frame (--datum)")
     if suffix == '.png':
         from .map_figures import as_png
@@ -142,11 +141,8 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.filterwarnings('ignore', "'crs' was not provided")  # it is unknown
         file = Path(folder) / path.name
-        if suffix == '.gpkg':
-            for name, table in drawn.tables.items():
-                table.to_file(file, layer=name, driver='GPKG')
-        else:
-            drawn.routes.assign(Name=drawn.names).to_crs(WGS84).to_file(file, driver='KML')
+        for name, table in drawn.tables.items():
+            table.to_file(file, layer=name, driver='GPKG')
         return file.read_bytes()
 
 

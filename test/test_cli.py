@@ -2,7 +2,6 @@
 """What all commands share: one entry, options, exit codes, output for terminals and pipes."""
 
 import json
-import os
 import subprocess
 import sys
 
@@ -66,18 +65,6 @@ def test_solvers_print_nothing_between_our_lines(tmp_path):
     plan = subprocess.run([*ENTRY, *line.split()], cwd=tmp_path, capture_output=True, timeout=120,
                           text=True)
     assert json.loads(plan.stdout)['verdict'] == 'holds', plan.stderr
-
-
-def test_shell_completion(tmp_path):
-    line, word = 'ambush audit --ou', '--output'
-    pytest.importorskip('argcomplete', reason='optional')
-    answer = tmp_path / 'answer'
-    done = subprocess.run(ENTRY, capture_output=True, text=True, timeout=60, env={
-        **os.environ, '_ARGCOMPLETE': '1', 'COMP_LINE': line, 'COMP_POINT': str(len(line)),
-        '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), '_ARGCOMPLETE_IFS': '\n',
-    })
-    assert 'Traceback' not in done.stderr
-    assert any(each.startswith(word) for each in answer.read_text().split())
 
 
 @pytest.fixture(scope='module')

@@ -20,7 +20,6 @@ NOT_INSTALLED = ('test', 'benchmarks', 'paper', 'examples')
 # Import name -> rosdep key, if they differ.
 ROSDEP_KEYS = {
     'PIL': 'python3-matplotlib',
-    'argcomplete': 'python3-argcomplete',
     'hypothesis': 'python3-hypothesis',
     'matplotlib': 'python3-matplotlib',
     'numpy': 'python3-numpy',

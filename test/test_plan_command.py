@@ -38,7 +38,7 @@ from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.recordings.plan_file import read_plan
 
 GEOD = Geod(ellps='WGS84')
-FILES = ('r.gpx', 'r.gpkg', 'r.geojson', 'r.kml', 'r.csv', 'r.png')
+FILES = ('r.gpx', 'r.gpkg', 'r.geojson', 'r.csv', 'r.png')
 CELLS = 60
 
 
@@ -70,7 +70,6 @@ def degrees_in(folder, layer='routes'):
     document = json.loads((folder / 'r.geojson').read_text())
     found['geojson'] = [each['geometry']['coordinates'] for each in document['features']
                         if each['properties']['layer'] == 'routes']
-    found['kml'] = [line.coords for line in geopandas.read_file(folder / 'r.kml').geometry]
     table = pyogrio.read_dataframe(folder / 'r.gpkg', layer=layer)
     to_degrees = Transformer.from_crs(table.crs, 4326, always_xy=True).transform
     rows = pyogrio.read_dataframe(folder / 'r.csv', read_geometry=False)
@@ -208,7 +207,6 @@ def test_departures_have_slots_and_files_name_them(plain, tmp_path):
     assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
     assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']
     names = [f'Departure {k}, {slot}' for k, slot in enumerate(slots['drawn'], start=1)]
-    assert list(geopandas.read_file(tmp_path / 'r.kml')['Name']) == names
     gpx = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text()))
     assert [track.name for track in gpx.tracks] == names
 

@@ -97,7 +97,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command that the first argument names."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     parser = _entry_parser()
-    _complete(parser)
     if given and given[0] not in COMMANDS and (near := get_close_matches(given[0], COMMANDS, 1)):
         parser.error(f'there is no command {given[0]!r}; did you mean {near[0]!r}?')
     return _run_command(parser.parse_args(given[:1]).command, given[1:])
@@ -167,7 +166,6 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
          arguments: Sequence[str] | None = None) -> int:
     """Parse the arguments, do the work, report errors, and return the exit code."""
     parser = make_parser()
-    _complete(parser)
     # argparse takes a token that begins with a minus for an option unless it is a number.
     given = sys.argv[1:] if arguments is None else arguments
     options = parser.parse_args([f' {each}' if _SOUTHERN.match(each) else each for each in given])
@@ -269,9 +267,7 @@ def _entry_parser() -> argparse.ArgumentParser:
                      + EXIT_CODES)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, summary in COMMANDS.items():
-        # Importing all commands is slow; only completion needs their options.
-        options = [_module(name).parser()] if '_ARGCOMPLETE' in os.environ else []
-        commands.add_parser(name, help=summary, parents=options, add_help=not options)
+        commands.add_parser(name, help=summary)
     return parser
 
 
@@ -303,14 +299,6 @@ def _missing(packages: Sequence[str]) -> str:
 
 def _module(name: str) -> Any:
     return importlib.import_module(f'{__package__}.{name}')
-
-
-def _complete(parser: argparse.ArgumentParser) -> None:
-    """Answer and exit if the shell asks for completions."""
-    if '_ARGCOMPLETE' in os.environ:
-        import argcomplete
-
-        argcomplete.autocomplete(parser)
 
 
 if __name__ == '__main__':

@@ -20,7 +20,7 @@ from .card_page import add_speed, card_of, card_page
 from .console import when
 from .geo_files import require_for
 
-SUFFIXES = ('.html', '.gpx', '.kml')
+SUFFIXES = ('.html', '.gpx')
 DESCRIPTION = """\
 Draw a departure from a plan, and record it. The operating system's entropy draws.
 
@@ -29,7 +29,7 @@ Draw a departure from a plan, and record it. The operating system's entropy draw
 EPILOG = """\
 PLAN is a file of ambush plan -o PLAN. The recording is in the folder PLAN.departures next to it,
 which verify, audit, report, judge, export and card read. FILE is the driver's card (.html) or the
-route for his receiver (.gpx, .kml); nothing in it tells of other routes. With --days, the day is in
+route for his receiver (.gpx); nothing in it tells of other routes. With --days, the day is in
 the name of each file, as in card_2026-11-30.html, and the console does not tell the routes.
 If a departure for the same day and slot was drawn before, say with --earlier whether it was driven;
 on a terminal, the command asks. One that was not driven does not count in audit and report.
@@ -44,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     made = cli.new_parser('draw', DESCRIPTION, EPILOG)
     made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
     made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
-                      metavar='FILE', help='card.html, route.gpx or route.kml')
+                      metavar='FILE', help='card.html or route.gpx')
     made.add_argument('--date', type=_date, metavar='YYYY-MM-DD',
                       help='day of the departure, or of the first one (default: today)')
     made.add_argument('--days', type=cli.number(1, 366, int), metavar='COUNT',

@@ -22,8 +22,8 @@ FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambu
 .geojson have the routes (departure, length [m], time of drawing), the edges (probability), the
 ambush sites (probability, loss), secured area, forbidden ground. .geojson (property layer) is in
 latitude and longitude if the map has a coordinate system, .gpkg in the map's. .gpx has each
-departure as a route with its corners and as a track. .kml has the routes as lines; .csv too, in the
-map's coordinates (WKT); .png is a picture. Routes are secret: files have mode 0600."""
+departure as a route with its corners and as a track. .csv has the routes as lines (WKT) in the
+map's coordinates; .png is a picture. Routes are secret: files have mode 0600."""
 
 
 def add_outputs(parser: argparse.ArgumentParser, what: str = 'files for the routes',

@@ -35,7 +35,7 @@ Plan on a map. Save the plan and draw from it each day, or draw routes for a qui
   ambush plan map.tif --start 36.55,-84.38 --goal 36.70,-84.12 --reach 500 -o week.plan
   ambush plan map.yaml --start 4 20 --goal 56 20 --reach 2 -n 20 -o routes.csv routes.png"""
 EPILOG = """\
-FILE.plan saves the plan, for ambush draw; .gpx .kml .gpkg .geojson .csv and .png
+FILE.plan saves the plan, for ambush draw; .gpx .gpkg .geojson .csv and .png
 have the routes that -n draws. All are secret, and only you can read them.
 """
 DETAILS = f"""\

@@ -165,7 +165,7 @@ class Plan(Shown):
         """Draw ``n`` routes, write them to files and return their paths, as ``paths`` does.
 
         All files have the same routes; the suffix of each sets its format: .gpx, .gpkg, .geojson,
-        .kml, .csv (extra ``gis``) or .png (extra ``figures``). A file with the suffix .plan (extra
+        .csv (extra ``gis``) or .png (extra ``figures``). A file with the suffix .plan (extra
         ``recordings``) has the plan itself, from which ``ambush draw`` draws departures. All are
         secret and have mode 0600.
 

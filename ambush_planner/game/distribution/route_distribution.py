@@ -9,10 +9,10 @@ before: it maximises
 
     H(p) + w sum of p ln(share before),    share: the probability of an edge at its tail,
 
-with the weight w of the past.
-Where rounds stand still, the chain before is the new one, so p has the greatest entropy (theory.md,
-Proposition 8.5). Where no route can meet a site twice, the rows are exact for every chain, and one
-round does it.
+with the weight w of the past: 1/2 at first, and k/(k + 1) for rising k later, as if rounds were
+averaged, since they can swing back and forth. Where rounds stand still, the chain before is the new
+one, so p has the greatest entropy (theory.md, Proposition 8.5). Where no route can meet a site
+twice, the rows are exact for every chain, and one round does it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class DistributionRounds(NamedTuple):
     accuracy: Accuracy = Accuracy(0.04, 5e-4)
     early_accuracy: Accuracy = Accuracy(0.2, 1e-2)
     near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
-    past: float = 0.5  # weight of the cross entropy to the chain before, after the first round
+    swings: int = 5  # rounds that may swing back and forth; later ones are averaged
 
 
 DISTRIBUTION = DistributionRounds()
@@ -128,7 +128,8 @@ class RouteDistribution:
         if not most[sites].all():  # an LP that proved nothing allows no hits
             return False
         rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
-        later = DISTRIBUTION.past if self.rounds and not self.exact else 0.0
+        averaged = max(self.rounds - DISTRIBUTION.swings, 1)
+        later = averaged / (averaged + 1.0) if self.rounds and not self.exact else 0.0
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         early = self._rough and not self.exact and not (self.good and self.rounds)
