@@ -73,8 +73,14 @@ class ExposedEdges:
         self._tails, self._from_exposed = network.points[tails], exposed[tails]
         self._at_tail = self._from_exposed & (parts.begin == self._tails).all(axis=1)
         self._length = np.hypot(*(parts.end - parts.begin).T)
-        self._longest = float(self._length.max(initial=0.0))
-        self._tree = cKDTree(parts.begin)
+        # About six parts begin at a place: most pairs of place and disc are out of the question.
+        places, place = np.unique(parts.begin, axis=0, return_inverse=True)
+        index = place.ravel(), np.arange(len(place))
+        self._tree = cKDTree(places)
+        self._parts_at = csr_matrix((self._length, index), (len(places), len(place)))
+        self._longest = np.zeros(len(places))
+        np.maximum.at(self._longest, index[0], self._length)
+        self._at_tails = np.bincount(index[0], ~self._at_tail, len(places)) == 0.0
 
     def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
         """(K, M): what edges count that bring a route into the discs of radius ``reach`` [m].
@@ -102,9 +108,14 @@ class ExposedEdges:
         They begin at an exposed node in the disc. The third array has the indices of the pairs
         whose part may begin in the disc all the same.
         """
-        far = (reach + self._longest) * (1.0 + ROUNDING)
+        far = (reach + self._longest.max(initial=0.0)) * (1.0 + ROUNDING)
         pairs = self._tree.sparse_distance_matrix(cKDTree(centres), far, output_type='ndarray')
-        part, centre, distance = pairs['i'], pairs['j'], pairs['v']
+        place, distance = pairs['i'], pairs['v']
+        near = distance <= (reach + self._longest[place]) * (1.0 + ROUNDING)
+        near &= ~(self._at_tails[place] & (distance < reach * (1.0 - ROUNDING)))
+        beginning = self._parts_at[place[near]]
+        part, pair = beginning.indices, np.repeat(np.flatnonzero(near), np.diff(beginning.indptr))
+        centre, distance = pairs['j'][pair], distance[pair]
         at_tail = self._at_tail[part]
         near = distance <= (reach + self._length[part]) * (1.0 + ROUNDING)
         near &= ~(at_tail & (distance < reach * (1.0 - ROUNDING)))
