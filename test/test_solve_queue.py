@@ -9,6 +9,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -101,7 +102,7 @@ def test_background_solves_run_last(queue):
     begun(queue)
     outcomes = []
     first, last = (submit(queue, k, request(), background=True) for k in ('first', 'last'))
-    with pytest.raises(SolveCancelled, match='a newer map'):
+    with pytest.raises(SolveCancelled, match='a newer background'):
         first.result(0.0)
     asked = submit(queue, 'asked', request(), size=1)
     for name, each in (('last', last), ('asked', asked)):
@@ -122,7 +123,7 @@ def test_a_request_overtakes_a_running_background_solve(queue):
     newer = submit(queue, 'newer', request(), background=True)
     asked = submit(queue, 'newer', request())
     assert asked is newer and asked.result(TIMEOUT), 'a request for the same plan shares it'
-    with pytest.raises(SolveCancelled, match='a newer map'):
+    with pytest.raises(SolveCancelled, match='a newer background'):
         background.result(TIMEOUT)
 
 
@@ -171,6 +172,18 @@ def test_an_idle_worker_that_dies_is_replaced_before_the_next_solve(queue):
     wait_until(lambda: not used.alive, 'the end of the worker')
     assert submit(queue, 'next', request()).result(TIMEOUT)
     assert queue._worker is not used
+
+
+def test_after_a_start_that_fails_another_one_is_tried(queue, monkeypatch):
+    submit(queue, 'first', request()).result(TIMEOUT)
+    used = queue._worker
+    os.kill(process_id(used), signal.SIGKILL)
+    wait_until(lambda: not used.alive, 'the end of the worker')
+    with monkeypatch.context() as patch:
+        patch.setattr(solve_queue, 'WorkerProcess', Mock(side_effect=OSError('no room')))
+        with pytest.raises(WorkerFailed, match='cannot be started: no room'):
+            submit(queue, 'in vain', request()).result(TIMEOUT)
+    assert submit(queue, 'next', request()).result(TIMEOUT)
 
 
 ORPHAN = """

@@ -18,7 +18,7 @@ from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known
 
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
-_SUPERSEDED = 'a newer map replaced this one'
+_SUPERSEDED = 'a newer background solve replaced this one'
 _WITHDRAWN = 'all callers have withdrawn'
 
 _Key = TypeVar('_Key', bound=Hashable)
@@ -230,9 +230,11 @@ class SolveQueue(Generic[_Key, _Result]):
             solve.outcome.set_result(result)  # type: ignore[arg-type]
 
     def _living_worker(self) -> WorkerProcess:
-        if self._worker is None or not self._worker.alive:
-            if self._worker is not None:
-                self._worker.close()
+        if self._worker is not None and not self._worker.alive:
+            self._worker.close()
+            with self._condition:
+                self._worker = None  # also if no other one can be started
+        if self._worker is None:
             try:
                 worker = WorkerProcess(self._parent)
             except OSError as error:
