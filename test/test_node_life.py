@@ -74,7 +74,7 @@ def test_an_error_of_a_request_disappears_and_a_bad_map_stays():
 
 @pytest.mark.parametrize('errors, level, code', [
     ({'request': SolveCancelled('x')}, DiagnosticStatus.WARN, 'CANCELLED'),
-    ({'request': SolveCancelled('x'), 'map': AmbushPlannerError('y')}, DiagnosticStatus.ERROR,
+    ({'request': SolveCancelled('x'), 'alpha_map': AmbushPlannerError('y')}, DiagnosticStatus.ERROR,
      'CANCELLED'),
 ])
 def test_the_level_is_that_of_the_worst(errors, level, code):

@@ -21,6 +21,9 @@ from .departure_record import Departure
 from .error_codes import OK_CODE, code_of
 from .topics import Publishers
 
+# What errors concern, the most important first.
+_ERRORS = ('request', 'alpha_map', 'costmap', 'join', 'recording')
+
 
 class Problem(NamedTuple):
     """What is wrong: a code (``error_codes``; '' for a warning), a message, and the level."""
@@ -44,11 +47,12 @@ class Problem(NamedTuple):
 class Status:
     """The node's status.
 
-    ``problems`` are by what they concern: errors of 'request', 'map' or 'recording', and warnings
-    of 'parameters', 'alpha_map', 'costmap' or 'risk'. ``assessment`` is of the displayed plan on
-    the current map, and ``stale`` says why that plan is stale, if it is. The ``last_answer`` to a
-    request may have been the rest of the path of the ``last`` departure. ``recording``: whether
-    departures are recorded.
+    ``problems`` are by what they concern: errors of a 'request', of a map ('alpha_map', 'costmap'),
+    of the 'join' of both or of a 'recording'; warnings of 'parameters', of 'volatile' maps, of a
+    costmap that has 'stopped' and of a map without 'risk'. ``assessment`` is of the displayed plan
+    on the current map, and ``stale`` says why that plan is stale, if it is. The
+    ``last_answer`` to a request may have been the rest of the path of the ``last`` departure.
+    ``recording``: whether departures are recorded.
     """
 
     lifecycle: str = 'active'
@@ -193,8 +197,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
 
 def _summary(status: Status) -> tuple[bytes, str, str]:
     """Return (level, code, message): errors first, that of the last request before others."""
-    found = [status.problems[each] for each in ('request', 'map', 'recording')
-             if each in status.problems]
+    found = [status.problems[each] for each in _ERRORS if each in status.problems]
     code = found[0].code if found else OK_CODE
     if warnings := _warnings(status):
         ready = status.lifecycle == 'active' and not status.missing and not found

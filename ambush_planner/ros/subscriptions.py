@@ -54,7 +54,7 @@ class Subscriptions:
                 self._listen_for_map(name, update_type, f'{name}_updates', UPDATES)
         if 'costmap' in inputs.map_names:  # its transform may come later, or change
             self._maps.node.create_timer(
-                _JOIN_PERIOD, lambda: error_boundary.attempt('costmap', 'map', self._join_again))
+                _JOIN_PERIOD, lambda: error_boundary.attempt('costmap', 'join', self._join_again))
         self._listen_for_pose('start', PoseStamped, 'start_pose')
         self._listen_for_pose('start', PoseWithCovarianceStamped, 'initialpose',
                               _without_covariance)
@@ -65,15 +65,15 @@ class Subscriptions:
 
     def check(self) -> None:
         """Warn of maps that do not arrive; to be called about once a second."""
-        topic = self._node.resolve_topic_name('alpha_map')
-        volatile = sorted({f'{each.node_namespace.rstrip("/")}/{each.node_name}'
+        volatile = sorted({f'{each.node_namespace.rstrip("/")}/{each.node_name} publishes {topic}'
+                           for topic in map(self._node.resolve_topic_name, self._inputs.map_names)
                            for each in self._node.get_publishers_info_by_topic(topic)
                            if each.qos_profile.durability == DurabilityPolicy.VOLATILE})
-        self._reporter.note('alpha_map', '' if not volatile else (
-            f'{", ".join(volatile)[:200]} publishes {topic} with volatile durability, so no map '
-            'arrives from there: publish it transient local'))
+        self._reporter.note('volatile', '' if not volatile else (
+            f'{", ".join(volatile)[:200]} with volatile durability, so no map arrives from there: '
+            'publish it transient local'))
         age = 0.0 if self._costmap_at is None else time.monotonic() - self._costmap_at
-        self._reporter.note('costmap', '' if age <= _STOPPED else (
+        self._reporter.note('stopped', '' if age <= _STOPPED else (
             f'the costmap is {age:.0f} s old, so newer obstacles are missing; check that '
             f'{self._node.resolve_topic_name("costmap")} is still published'))
 
@@ -88,9 +88,10 @@ class Subscriptions:
             if name == 'costmap':
                 self._costmap_at = time.monotonic()
             self._inputs.accept_map(name, received)
-            self._use_maps()
+            self._reporter.note(name, None)
+            self._error_boundary.attempt('costmap', 'join', self._use_maps)
 
-        self._listen(self._maps.node, kind, topic, qos, 'map', accept)
+        self._listen(self._maps.node, kind, topic, qos, name, accept)
 
     def _listen_for_pose(self, role: str, kind: type, topic: str,
                          read: Callable[[ReceivedMessage], ReceivedMessage | None] | None = None,
@@ -124,7 +125,7 @@ class Subscriptions:
 
     def _use_maps(self) -> None:
         before, new = self._inputs.map, self._inputs.join_maps()
-        self._reporter.note('map', None)
+        self._reporter.note('join', None)
         if new is not None and new is not before:
             self._announce(new, before)
             self._dispatcher.map_changed()
