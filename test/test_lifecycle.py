@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
+from unittest.mock import Mock
+
 import interfaces
 import pytest
 from handed_on import halt_workers
@@ -182,6 +184,23 @@ def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
             assert 'inactive' in waits.result().message
             manager.go(cleanup='unconfigured', configure='inactive', activate='active')
     recorded(tmp_path, 5)
+
+
+def test_a_recording_that_fails_after_cleanup_says_nothing_of_the_next_configuration(
+        tmp_path, monkeypatch):
+    with stage(tmp_path) as running:
+        client, manager = running.give(), Manager(running.client)
+        (old,) = running.planner._recordings
+        with monkeypatch.context() as patch:
+            patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
+            with held(durable_files.os, 'fsync') as (stuck, _):
+                assert client.call('new_route').success
+                wait_until(stuck.is_set, 'a recording')
+                manager.go(deactivate='inactive', cleanup='unconfigured', configure='inactive',
+                           activate='active')
+            wait_until(lambda: not old.alive, 'its end')
+        client.last('/diagnostics', len(client.received['/diagnostics']) + 1)
+        client.diagnostics(recording='on', code='NONE')
 
 
 @pytest.mark.parametrize('method, transition', [

@@ -179,12 +179,12 @@ class PlannerNode(LifecycleNode):
         self._reporter.set(lifecycle='inactive')
 
     def _configured_parts(self) -> _Parts:
-        if self._parts is None:
+        if (parts := self._parts) is None:  # a cleanup in another thread forgets them
             raise Refusal(
                 'INACTIVE', 'the node is not configured: configure and activate it first (ros2 '
                 'lifecycle set); after a cleanup, publish start and goal again (a latched map '
                 'arrives by itself)')
-        return self._parts
+        return parts
 
     def _set_active(self, active: bool) -> None:
         self._configured_parts().dispatcher.set_active(active)
@@ -233,16 +233,16 @@ class PlannerNode(LifecycleNode):
         self._reporter.note('parameters', self._settings.contradiction)
 
     def _present(self) -> dict[str, Any]:
-        if self._parts is None:
+        if (parts := self._parts) is None:
             return {}
-        solving, refining = self._parts.dispatcher.activity
-        return {'solving': solving, 'refining': refining, 'missing': self._parts.inputs.missing()}
+        solving, refining = parts.dispatcher.activity
+        return {'solving': solving, 'refining': refining, 'missing': parts.inputs.missing()}
 
     def _report(self) -> None:
         self._error_boundary.log_repeated()
-        if self._parts is not None:
-            self._parts.subscriptions.check()
-            self._parts.dispatcher.follow()
+        if (parts := self._parts) is not None:
+            parts.subscriptions.check()
+            parts.dispatcher.follow()
         self._reporter.report()
 
 

@@ -169,7 +169,8 @@ class Recordings:
         with suppress(Exception):  # during shutdown the node may be unable to report
             if error is not None:
                 self._logger.error(f'recording: {for_the_log(error)}')
-            self._reporter.note('recording', error)
+            if not self._closing:  # else it would be about the next configuration
+                self._reporter.note('recording', error)
 
 
 def _leave(queued: _Queued) -> None:
