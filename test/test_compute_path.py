@@ -10,6 +10,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
 from nav_msgs.msg import Goals as GoalsMessage
+from nav_msgs.srv import GetPlan
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
 from ros_harness import GOAL, LONG, START, pose, recorded, risk_grid, stage, wait_until
@@ -18,6 +19,7 @@ from waiting import answer_of, held
 from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import ACTIONS, poses_of
 from ambush_planner.ros.requests import validity
+from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
 
@@ -185,6 +187,20 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submit
         assert not goals.client.received['path']
 
 
+def test_a_goal_that_was_replaced_is_not_tried_again_when_its_solve_ends(submitted, caplog):
+    request = GetPlan.Request(start=START, goal=pose(8.0, 1.0))
+    with asking() as goals:
+        with held(WorkerProcess, 'solve'):
+            old, shares = goals.send(goal=request.goal), goals.client.send('get_plan', request)
+            wait_until(lambda: len(submitted) == 2, 'both')
+            newest = goals.send()
+            assert goals.result(old)[0] == GoalStatus.STATUS_ABORTED
+        assert goals.result(newest)[0] == GoalStatus.STATUS_SUCCEEDED
+        wait_until(shares.done, 'the answer of get_plan')
+        assert shares.result().plan.poses
+    assert not caplog.records, 'nobody answers it a second time'
+
+
 def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
     kind = import_module('nav2_msgs.srv').IsPathValid
     client, flat = goals.client, np.full((20, 20), 10)
@@ -214,6 +230,9 @@ def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
         wait_until(looks.is_set, 'the look along the path')
         assert client.get_plan(START, GOAL).poses and not asked.done(), 'nobody waits for it'
     wait_until(asked.done, 'the answer')
+    path.poses = [*path.poses, pose(float('nan'), 5.5)]
+    assert validity(path) == (False, [])
+    assert 'path: ' in client.diagnostics(code='INVALID_POSE')['message']
     path.header.frame_id = 'odom'
     assert validity(path) == (False, [])
     client.diagnostics(code='TF_ERROR')

@@ -6,6 +6,7 @@ import re
 import interfaces
 import numpy as np
 import pytest
+from nav_msgs.srv import GetPlan
 from ros_harness import FLAT, GOAL, START, header, pose, recorded, risk_grid, stage, wait_until
 from waiting import TIMEOUT, held
 
@@ -131,6 +132,19 @@ def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
     update(client, 10, 0, np.full((20, 1), 10))
     client.diagnostics(stale='no')
     assert client.call('new_route').success
+
+
+def test_a_background_solve_that_fails_says_nothing_of_another_plan(running, submitted):
+    client, request = running.client, GetPlan.Request(start=START, goal=pose(3.5, 2.5))
+    with held(WorkerProcess, 'solve'):
+        update(client, 10, 0, np.full((20, 1), 100))
+        client.diagnostics(stale='yes', state='solving')
+        asked = client.send('get_plan', request)
+        wait_until(lambda: len(submitted) == 2, 'its solve, which comes first')
+    wait_until(asked.done, 'a departure on the new map')
+    client.diagnostics(state='ready', departures='2')
+    assert client.call('get_plan', request).plan.poses
+    client.diagnostics(stale='no', departures='3')
 
 
 @pytest.fixture(scope='module')

@@ -121,9 +121,10 @@ class Dispatcher:
             with suppress(AmbushPlannerError):  # each caller gets the reason
                 self._departures.check_active()
                 trip = self._inputs.locate(self._inputs.latest())
-                if trip.moves and not (self._departures.trips.continued_by(trip)
-                                       or self._plans.fit(trip)):
-                    self._plans.solve(trip.out_of_obstacle(), background=True)
+                if trip.moves and not self._departures.trips.continued_by(trip):
+                    trip = trip.out_of_obstacle()
+                    if not self._plans.fit(trip):
+                        self._plans.solve(trip, background=True)
 
         self._thread.submit(solve)
 
@@ -177,7 +178,7 @@ class Dispatcher:
 
     def _try(self, pending: Pending) -> None:
         """Answer without a departure, or depart on a plan, or try again once one is solved."""
-        if pending.answer.cancelled():
+        if pending.answer.done():  # cancelled, or a newer request has replaced this one
             return
         self._departures.check_active()
         trip = self._inputs.locate(pending.trip_request)

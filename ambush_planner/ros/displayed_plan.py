@@ -101,13 +101,13 @@ class DisplayedPlan:
     def _resolve(self, cached: CachedPlan, why: str) -> None:
         """Have the plan solved for the current map in the background, and show the new one."""
         def show_result(solve: Future[CachedPlan]) -> None:
-            still_needed = solve is self._latest_resolve  # the map has not changed again
-            if still_needed:
+            latest = solve is self._latest_resolve  # the map has not changed again
+            if latest:
                 self._latest_resolve = None
             try:
                 self.show(solve.result().as_solved)
             except AmbushPlannerError as error:
-                if still_needed:
+                if latest and self.cached is cached:
                     cancelled = isinstance(error, SolveCancelled)
                     outcome = 'was cancelled' if cancelled else f'failed: {error}'
                     self._reporter.set(stale=f'{why}, and the new solve {outcome}')

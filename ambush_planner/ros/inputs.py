@@ -60,7 +60,7 @@ class Inputs:
         self.via: ReceivedMessage | None = None
         self.asked_directly = False
         self.map: CurrentMap | None = None
-        self._refused: InvalidRiskMap | None = None
+        self._refused: dict[str, InvalidRiskMap] = {}  # the last one of each topic
         self._joined: tuple[object, ...] = ()  # what the current map was joined from
 
     def accept_map(self, topic: str, received: ReceivedMessage) -> None:
@@ -76,7 +76,7 @@ class Inputs:
         try:
             self._arrived[topic] = map_from(received)
         except InvalidRiskMap as error:
-            self._refused = error
+            self._refused[topic] = error
             raise
 
     def join_maps(self) -> CurrentMap | None:
@@ -88,7 +88,6 @@ class Inputs:
         new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
         if new is None or None in self._arrived.values():
             return None
-        self._refused = None
         if costmap is not None:
             current, header = self._settings.current, Header(frame_id=costmap.frame)
             origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
@@ -149,7 +148,8 @@ class Inputs:
             raise Refusal('NO_MAP', 'no costmap yet, or no transform to the frame of the risk map: '
                           f'publish one on {self._full_name("costmap")}, or start with '
                           'map.costmap false')
-        why = f'; the last one was refused: {self._refused}' if self._refused else ''
+        refused = self._refused.get('alpha_map')
+        why = f'; the last one was refused: {refused}' if refused else ''
         raise Refusal('NO_MAP', 'no risk map yet: publish one on '
                       f'{self._full_name("alpha_map")}{why}')
 
@@ -211,6 +211,8 @@ class Inputs:
             raise FrameMismatch(f'the path is in the frame {path.header.frame_id[:80]!r}, the map '
                                 f'in {newest.frame!r}')
         points = path_from_ros(path)[:, :2]
+        if not np.isfinite(points).all():
+            raise InvalidPose('path: positions must be finite')
         place = self.robot_place(self._robot, newest.frame, parameters.values['transform.max_age'])
         first = int(np.hypot(*(points - place).T).argmin()) if place else 0
         rest = points[first:]
