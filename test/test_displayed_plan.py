@@ -7,7 +7,18 @@ import interfaces
 import numpy as np
 import pytest
 from nav_msgs.srv import GetPlan
-from ros_harness import FLAT, GOAL, START, header, pose, recorded, risk_grid, stage, wait_until
+from ros_harness import (
+    FLAT,
+    GOAL,
+    LONG,
+    START,
+    header,
+    pose,
+    recorded,
+    risk_grid,
+    stage,
+    wait_until,
+)
 from waiting import TIMEOUT, held
 
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -204,6 +215,16 @@ def test_a_costmap_has_obstacles_from_99_on():
             running.client.diagnostics(value_is=meaning)
 
 
+def test_a_refinement_that_was_cancelled_begins_again_with_the_next_departure():
+    with stage(parameters={**LONG, 'network.refine': -1}) as running:
+        client = running.give()
+        for _ in range(2):
+            assert client.call('new_route').success
+            client.diagnostics(refining='yes')
+            assert client.call('cancel').success
+            client.diagnostics(refining='no', state='ready')
+
+
 def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path, monkeypatch):
     """Each departure is recorded with the network that it was drawn on."""
     monkeypatch.setattr(parameter_values, '_PLAIN_NODES', 50)
@@ -222,6 +243,8 @@ def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path, monkeypatc
         assert client.call('new_route').success
         last = client.diagnostics(departures='2', refining='no')
         assert last['value'] == refined['value'] == last['departure_value']
+        nodes = re.search(r'(\d+) nodes', client.call('replan').message)[1]
+        assert int(nodes) > 100, 'not a first plan again'
     files = recorded(tmp_path, 2)
     nodes = [len(read_departure(each).strategy.network.points) for each in files]
     assert nodes[0] < 70 and nodes[1] > 100

@@ -2,6 +2,7 @@
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json
+from importlib import import_module
 from itertools import pairwise
 from unittest.mock import Mock
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from commands import run_here
+from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from robots import ROBOT, Robot
 from ros_harness import FLAT, GOAL, pose, recorded, risk_grid, stage, wait_until
 from test_compute_path import Goals
-from waiting import held
+from waiting import answer_of, held
 
 from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -21,6 +23,8 @@ from ambush_planner.recordings import durable_files, read_departures
 from ambush_planner.recordings.recorded_departures import together
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import departures
+from ambush_planner.ros.dispatcher import Dispatcher
+from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
 HERE = pose(0.0, 0.0, frame='base_link')
@@ -417,6 +421,46 @@ def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(tmp_path
         tour.robot.is_at(*whole[len(whole) // 3, :2])
         (file,) = recorded(tmp_path, 1)
     assert Verifier().verify(file).problems == []
+
+
+def test_a_tour_is_recorded_before_it_is_forgotten(tmp_path, monkeypatch):
+    monkeypatch.setattr(Dispatcher, 'follow', lambda _: None)  # as within its first second
+    with stage(tmp_path, parameters=ROBOT) as running:
+        tour = Tour(running, pose(5.0, 8.0), pose(1.6, 5.5))
+        for number in (1, 2):
+            whole, _ = tour.take(tour.send())
+            tour.robot.is_at(*whole[len(whole) // 3, :2])
+            if number == 1:
+                running.client.publish('goal_pose', tour.poses[-1])
+                running.client.call_until('new_route', lambda answer: answer.success)
+                recorded(tmp_path, 2)
+                tour.robot.is_at(1.5, 5.5)
+        tour.departures(3)
+    assert not any(Verifier().verify(file).problems for file in recorded(tmp_path, 3))
+
+
+def test_a_path_that_comes_back_past_the_robot_is_looked_at_from_where_it_is_now():
+    there = [pose(0.5 * x, 5.5) for x in range(3, 18)]
+    with stage(parameters=ROBOT) as running:
+        drive, kind = Drive(running), import_module('nav2_msgs.srv').IsPathValid
+        drive.arrive()
+        drive.robot.is_at(3.0, 5.4)
+        drive.block(11, 16)
+        path = Path(header=GOAL.header, poses=[*there, *(
+            pose(each.pose.position.x, 5.3) for each in reversed(there))])
+        service = drive.client.node.create_client(kind, 'ambush_planner/is_path_valid')
+        assert not answer_of(service, kind.Request(path=path)).is_valid
+
+
+def test_robots_have_a_goal_each(drive):
+    van = Robot(drive.running, 'van')
+    drive.arrive()
+    van.is_at(1.5, 2.5)
+    goals = Goals(drive.running)
+    with held(WorkerProcess, 'solve'):
+        sent = [goals.send(start=HERE), goals.send(start=pose(0.0, 0.0, frame='van'),
+                                                   goal=pose(8.5, 2.5))]
+    assert [goals.result(each)[1].error_msg for each in sent] == ['', '']
 
 
 def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once():

@@ -292,6 +292,8 @@ def test_a_node_drives_on_roads_and_its_recordings_hold(tmp_path, capsys):
                 max(each.pose.position.y for each in client.last('path').poses) > 8.0) == high)
         bad = running.planner.set_parameters([ros.Parameter('network.graph', value='/none')])[0]
         assert not bad.successful and 'network.graph: ' in bad.reason
-    file.unlink()
+        file.unlink()
+        running.use({'queue.size': 4})
+        assert client.call('new_route').success, 'the roads are known'
     code = verify.main([str(tmp_path / 'runs'), '--replan'])
     assert code == 0, capsys.readouterr().out

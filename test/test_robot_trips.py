@@ -5,8 +5,12 @@ from concurrent.futures import Future
 from types import SimpleNamespace
 
 import pytest
+from geometry_msgs.msg import PoseArray
+from ros_harness import GOAL, header, pose
 
+from ambush_planner.ros.current_map import ReceivedMessage
 from ambush_planner.ros.departures import RobotTrip, RobotTrips
+from ambush_planner.ros.trip import TripRequest
 
 FRAMES = ('map', 'robot')
 ASKED = SimpleNamespace(destination=SimpleNamespace(frames=FRAMES), start_xy=(0.0, 0.0),
@@ -17,6 +21,16 @@ def trip(before=None, goal=(1.0, 1.0)):
     track = SimpleNamespace(destination=SimpleNamespace(frames=FRAMES, goal=goal), arrived=False,
                             continues=lambda *_: True, drive_on=lambda _: None)
     return RobotTrip(track, None, None, None, Future(), True, before)
+
+
+def test_requests_with_stops_in_different_frames_lead_elsewhere():
+    def through(frame):
+        stops = PoseArray(header=header(frame), poses=[pose(3.0, 8.0).pose])
+        goal, via = (ReceivedMessage('', '', each, None) for each in (GOAL, stops))
+        return TripRequest(None, None, goal, via=via)
+
+    assert through('map').leads_to(through('map'))
+    assert not through('map').leads_to(through('odom'))
 
 
 @pytest.mark.parametrize('fails', [False, True])

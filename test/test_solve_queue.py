@@ -186,6 +186,17 @@ def test_after_a_start_that_fails_another_one_is_tried(queue, monkeypatch):
     assert submit(queue, 'next', request()).result(TIMEOUT)
 
 
+def test_a_queue_that_refuses_solves_ends_those_that_it_has(queue):
+    solves = [submit(queue, name, slow_request()) for name in ('runs', 'waits')]
+    queue.refuse(lambda: SolveCancelled('not now'))
+    for each in solves:
+        assert str(each.exception(TIMEOUT)) == 'not now'
+    with pytest.raises(SolveCancelled, match='not now'):
+        submit(queue, 'refused', request(), background=True)
+    queue.refuse(None)
+    assert submit(queue, 'next', request()).result(TIMEOUT)
+
+
 ORPHAN = """
 import sys
 from handed_on import process_id

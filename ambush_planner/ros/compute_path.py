@@ -37,9 +37,9 @@ class ComputePath:
     """The action called ``name``, of the type ``action``.
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
-    last. As in Nav2, a new goal replaces a waiting one that leads elsewhere. Waiting goals are
-    accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal leaves
-    the solves of other requests alone.
+    last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere. Waiting goals
+    are accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal
+    leaves the solves of other requests alone.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
@@ -63,9 +63,12 @@ class ComputePath:
         self.server.destroy()
 
     def _accepted(self, handle: Any) -> None:
-        departure = started(lambda: self._requests.start_plan(
-            *self._plan_request(handle.request), client=self._name
-        ))
+        def start() -> Future[Answer]:
+            request, stops = self._plan_request(handle.request)
+            robot = request.start.header.frame_id  # each robot has a goal of its own
+            return self._requests.start_plan(request, stops, f'{self._name} {robot}')
+
+        departure = started(start)
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(lambda _: self._wake.trigger())
 

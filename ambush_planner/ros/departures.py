@@ -26,7 +26,6 @@ from ..planning.plan import Route
 from ..planning.trip_under_way import Sighting, TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall
 from ..routes.driven_path import Ends, tight_turns
-from ..worker.solve_errors import SolveCancelled
 from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
@@ -123,7 +122,7 @@ class RobotTrips:
                        *(each for each in self._trips if each not in own)]
 
     def watch(self) -> None:
-        """Note how far the robots have come; to be called about once a second."""
+        """Note how far the robots have come; to be called about once a second, and at the end."""
         for each in self._trips:
             with suppress(AmbushPlannerError):  # TF does not know where the robot is
                 at = self._inputs.locate(each.request).start_pose
@@ -136,8 +135,8 @@ class RobotTrips:
 class Departures:
     """Makes departures, which leave one after the other while the node is active.
 
-    Call all methods except ``refuse`` and ``check_active`` on the departures thread. A new object
-    is inactive; ``trips`` are those that robots are on.
+    Call all methods except ``refuse`` and ``check_active`` on the departures thread. ``trips`` are
+    those that robots are on.
     """
 
     def __init__(self, displayed: DisplayedPlan, inputs: Inputs, publishers: Publishers,
@@ -146,7 +145,7 @@ class Departures:
         self._reporter, self._logger = reporter, logger
         self.trips = RobotTrips(inputs, self._record)
         self._count = 0
-        self._refusal: Callable[[], AmbushPlannerError] | None = inactive
+        self._refusal: Callable[[], AmbushPlannerError] | None = None
         self._leaving = Lock()  # while a departure leaves
 
     def refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
@@ -164,8 +163,7 @@ class Departures:
         """Draw a route and have it leave; False if hardly any route is clear."""
         self._recordings.wait_for_room()
         self.check_active()
-        if fit.plan is not self._displayed.plan:
-            self._displayed.show(fit)
+        self._displayed.show(fit)
         source = _entropy_source(fit.trip.parameters.values['seed'], self._count + 1)
         drawn = fit.draw(source)
         if drawn is None:
@@ -233,6 +231,7 @@ class Departures:
 
         ``before`` is the trip that it diverts.
         """
+        self.trips.watch()  # a tour that this one ends is recorded before
         departure = self._reporter.departing(departure)
         trip, answer = departure.trip, pending.answer
 
@@ -271,11 +270,6 @@ def inactive() -> Refusal:
     """Return the error of requests to a node that is not active."""
     return Refusal('INACTIVE', 'the node is inactive: activate it first (ros2 lifecycle set NODE '
                                'activate)')
-
-
-def shutting_down() -> SolveCancelled:
-    """Return the error of requests to a node that is about to end."""
-    return SolveCancelled('the planner is shutting down')
 
 
 def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:

@@ -19,10 +19,10 @@ from ..errors import AmbushPlannerError, InvalidOption
 from ..planning.plan import Plan
 from ..recordings.metadata import RecordedCall
 from ..recordings.plan_file import SavedPlan
-from ..worker.solve_errors import SolveCancelled
+from ..worker.solve_errors import SolveCancelled, shutting_down
 from .current_map import ReceivedMessage
 from .departure_record import Answer
-from .departures import Departures, Pending, inactive, shutting_down
+from .departures import Departures, Pending, inactive
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
 from .error_codes import Refusal
@@ -61,6 +61,7 @@ class Dispatcher:
                                       logger)
         self._waiting: list[Pending] = []
         self._undecided: list[Pending] = []  # for a trip at its end, or for its next round
+        self._refuse(inactive)
 
     @property
     def activity(self) -> tuple[bool, bool]:
@@ -69,19 +70,21 @@ class Dispatcher:
 
     def stop_solving(self) -> None:
         """Cancel all solves, and refuse all requests from now on, including waiting ones."""
-        self._departures.refuse(shutting_down)
+        self._refuse(shutting_down)
         self._plans.queue.close()
+        self._thread.submit(self._departures.trips.watch)
         self._thread.submit(self._retry)
         self._thread.finish()
 
     def set_active(self, active: bool) -> None:
         """Accept requests; or refuse them, waiting ones, too, and nothing leaves after that."""
-        self._departures.refuse(None if active else inactive)
-        self._displayed.may_solve = active
-        if not active:
-            self.cancel()
-        elif self._displayed.cached is not None:
+        self._refuse(None if active else inactive)
+        if active and self._displayed.cached is not None:
             self.map_changed()
+
+    def _refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
+        self._departures.refuse(refusal)
+        self._plans.queue.refuse(refusal)
 
     def close(self) -> None:
         """Answer waiting requests, and end."""

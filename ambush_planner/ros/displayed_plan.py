@@ -26,15 +26,13 @@ class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
     Call ``show`` on the departures thread only, which is ``thread``. The plan is ``cached``, None
-    before the first one; ``markers`` are those of ``plan``, which may join it. Nothing stale is
-    solved again unless it ``may_solve``.
+    before the first one; ``markers`` are those of ``plan``, which may join it.
     """
 
     def __init__(self, plans: PlanCache, inputs: Inputs, settings: NodeSettings,
                  publishers: Publishers, reporter: Reporter, thread: SerialExecutor) -> None:
         self._plans, self._inputs, self._settings = plans, inputs, settings
         self._publishers, self._reporter, self._thread = publishers, reporter, thread
-        self.may_solve = False
         self.cached: CachedPlan | None = None
         self.plan: Plan | None = None
         self.markers: tuple[RecordedMessage, ...] = ()
@@ -42,15 +40,20 @@ class DisplayedPlan:
         self._latest_resolve: Future[CachedPlan] | None = None
 
     def show(self, fit: Fit) -> None:
-        """Display a plan, perhaps one that joins it: publish markers and report its numbers."""
+        """Display a plan, perhaps one that joins it: publish markers and report its numbers.
+
+        A first plan is refined from now on, also if that was cancelled before.
+        """
         cached, plan = fit.cached, fit.plan
+        if cached.task.first:
+            self._refine(cached)
+        if plan is self.plan:
+            return
         header = Header(frame_id=cached.trip.map.frame,
                         stamp=self._publishers.clock.now().to_msg())
         self.markers = tuple(self._publishers.publish(f'~/{name}', drawn(plan.strategy, header))
                              for name, drawn in MARKERS.items())
         self.cached, self.plan = cached, plan
-        if cached.task.first:
-            self._refine(cached)
         self._reporter.set(plan=cached.plan, assessment=fit.assessment, stale='')
         if self._inputs.current_map() is not cached.trip.map:
             self.map_changed()
@@ -80,9 +83,10 @@ class DisplayedPlan:
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
             )
-            if self.may_solve and not cached.trip.moves:
-                self._resolve(cached, stale)
-                stale += '; a new plan is being solved'
+            if not cached.trip.moves:
+                with suppress(AmbushPlannerError):  # the node is inactive
+                    self._resolve(cached, stale)
+                    stale += '; a new plan is being solved'
         else:
             self._latest_resolve = None
         self._reporter.set(assessment=assessment, stale=stale)
@@ -95,7 +99,7 @@ class DisplayedPlan:
                 if self.cached is cached:
                     self.show(refined.as_solved)
 
-        with suppress(SolveCancelled):  # the node is about to end
+        with suppress(AmbushPlannerError):  # the node is inactive, or about to end
             self._thread.submit_after(self._plans.refine(cached), show_result)
 
     def _resolve(self, cached: CachedPlan, why: str) -> None:

@@ -13,9 +13,11 @@ from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from std_msgs.msg import Header
 
+from ..arrays import FloatArray
 from ..errors import InvalidPose, InvalidRiskMap
 from ..maps.ros_messages import path_from_ros, pose_from_ros, position_from_ros
-from ..planning.clear_ground import ClearGround
+from ..planning.clear_ground import WAY_OUT, ClearGround
+from ..planning.trip_under_way import Position
 from ..recordings import type_name
 from .conversions import pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, map_from
@@ -190,7 +192,7 @@ class Inputs:
         """The robot's frame; '' if it is not known."""
         return str(self._settings.current.values['robot_base_frame'])
 
-    def robot_place(self, robot: str, frame: str, max_age: float) -> tuple[float, float] | None:
+    def robot_place(self, robot: str, frame: str, max_age: float) -> Position | None:
         """Return where a robot's frame is in another one [m]; None if that is not known."""
         pose = robot_pose(robot)
         with suppress(FrameMismatch):
@@ -199,10 +201,11 @@ class Inputs:
         return None
 
     def invalid_poses(self, path: Path) -> list[int] | None:
-        """Return which poses of a path, from the robot on, the newest map does not let it reach.
+        """Return the indices of a path's poses, from the robot on, that cannot be reached.
 
-        None if the path has no poses: Nav2's trees ask so before their first path. Raises Refusal
-        without a map, FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        The newest map counts. None if the path has no poses: Nav2's trees ask so before their first
+        path. Raises Refusal without a map, FrameMismatch if the path is not in the map's frame, and
+        InvalidPose.
         """
         if not path.poses:
             return None
@@ -214,12 +217,23 @@ class Inputs:
         if not np.isfinite(points).all():
             raise InvalidPose('path: positions must be finite')
         place = self.robot_place(self._robot, newest.frame, parameters.values['transform.max_age'])
-        first = int(np.hypot(*(points - place).T).argmin()) if place else 0
+        first = _first_near(points, place) if place else 0
         rest = points[first:]
         ground = ClearGround(newest, parameters.occupancy, parameters.planning.network)
         if len(rest) == 1:
             return [] if ground.segments(rest, rest).all() else [first]
         return (np.flatnonzero(~ground.drivable_steps(rest)) + first + 1).tolist()
+
+
+def _first_near(points: FloatArray, place: Position) -> int:
+    """Return the pose of a path (L, 2) where it first passes a place [m].
+
+    The nearest pose of a way out and back may be on the way back.
+    """
+    away, steps = np.hypot(*(points - place).T), np.hypot(*np.diff(points, axis=0).T)
+    near = away <= max(WAY_OUT + steps.max(initial=0.0), away.min())
+    first = int(near.argmax())
+    return first + int(np.append(np.diff(away[first:]) < 0.0, False).argmin())
 
 
 def robot_pose(frame: str) -> PoseStamped | None:

@@ -23,6 +23,8 @@ from .plan_from_file import other_options, planned_parameters, read_plan_for_nod
 
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
+# Parameters whose change has the roads read again.
+_OF_ROADS = ('network.method', 'network.graph', 'network.node_crossings')
 
 
 class NodeSettings:
@@ -47,6 +49,8 @@ class NodeSettings:
         )
         _warn_of_unknown(node)
         self.saved = _saved_plan(node)
+        # The roads in use; None: none, or those of the file.
+        self._roads = self.saved.plan.options.network.roads if self.saved else None
         self.current = self._read()
         self.contradiction = ''
         self.active = False
@@ -62,12 +66,12 @@ class NodeSettings:
 
     def _read(self) -> NodeParameters:
         values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
-        roads = None
         if self.saved is not None:
             values |= other_options(self.saved)
-            roads = self.saved.plan.options.network.roads
         with telling_warnings(self._node.get_logger().warning):
-            return parameters_from(values, roads)
+            parameters = parameters_from(values, self._roads)
+        self._roads = parameters.planning.network.roads
+        return parameters
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
         """Check whether changes are possible together; unless locked, those of others are."""
@@ -85,7 +89,9 @@ class NodeSettings:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _update(self, _: list[Parameter]) -> None:
+    def _update(self, changes: list[Parameter]) -> None:
+        if any(change.name in _OF_ROADS for change in changes):
+            self._roads = None
         try:
             self.current, self.contradiction = self._read(), ''
         except InvalidOption as error:

@@ -191,7 +191,7 @@ class Fit:
 class PlanCache:
     """Plans by trip: kept, or solved in the worker process; thread-safe.
 
-    Methods that solve raise SolveCancelled if the cache is closed, and QueueFull if too many solves
+    Methods that solve raise what the ``queue`` refuses them with, and QueueFull if too many solves
     wait.
     """
 
@@ -226,16 +226,15 @@ class PlanCache:
     def solve(self, trip: Trip, *, background: bool = False) -> Future[CachedPlan]:
         """Solve for exactly this trip.
 
-        If the network is to be refined and no refined plan is known, this is a first plan. A
-        ``background`` solve gives way to solves that somebody waits for, and to the next background
-        solve.
+        If the network is to be refined and no refined plan is known, on whichever map, this is a
+        first plan. A ``background`` solve gives way to solves that somebody waits for, and to the
+        next background solve.
         """
         with self._lock:
-            # The newest plan for the same trip on an earlier map.
-            known = next((each for each in reversed(self._plans)
-                          if each.trip.map is not trip.map and each.answers(trip)), None)
+            known = next((each for each in self._plans if each.answers(trip)), None)
             first = is_graded(trip.parameters.planning) and (known is None or known.task.first)
-            return self._submit(Task(trip, first), known, background)
+            earlier = known if known and known.trip.map is not trip.map else None
+            return self._submit(Task(trip, first), earlier, background)
 
     def refine(self, cached: CachedPlan) -> Future[CachedPlan]:
         """Solve again in the background, on a refined network.

@@ -37,7 +37,8 @@ class TripRequest:
     def leads_to(self, other: TripRequest) -> bool:
         """Whether two requests have the same goal and stops."""
         one, two = self.goal.message, other.goal.message
-        stops = [each.via.message.poses if each.via else [] for each in (self, other)]
+        stops = [(each.via.message.header.frame_id, each.via.message.poses) if each.via else None
+                 for each in (self, other)]
         return (one.header.frame_id == two.header.frame_id and one.pose == two.pose
                 and stops[0] == stops[1])
 

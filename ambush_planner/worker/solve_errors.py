@@ -31,6 +31,11 @@ class Unexpected(AmbushPlannerError):
         return str(self.args[0])
 
 
+def shutting_down() -> SolveCancelled:
+    """The error of requests to a planner that is about to end."""
+    return SolveCancelled('the planner is shutting down')
+
+
 def no_plan_in(seconds: float) -> TimeLimit:
     """The error for a solve without any strategy after ``seconds``."""
     return TimeLimit(

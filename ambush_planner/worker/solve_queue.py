@@ -14,10 +14,9 @@ from typing import Generic, TypeVar
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan, PlanRequest
 from .process import WorkerParent, WorkerProcess
-from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known
+from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known, shutting_down
 
 _CANCELLED = 'the solve was cancelled'
-_CLOSING = 'the planner is shutting down'
 _SUPERSEDED = 'a newer background solve replaced this one'
 _WITHDRAWN = 'all callers have withdrawn'
 
@@ -59,6 +58,7 @@ class SolveQueue(Generic[_Key, _Result]):
         self._parent = WorkerParent()
         self._worker: WorkerProcess | None = None
         self._closed = False
+        self._refusal: Callable[[], AmbushPlannerError] | None = None
         self._thread = Thread(target=self._work, name='solves', daemon=True)
         self._thread.start()
 
@@ -99,11 +99,11 @@ class SolveQueue(Generic[_Key, _Result]):
         low_priority
             The worker leaves the processor to other processes.
 
-        Raises SolveCancelled if the queue is closed, and QueueFull if ``size`` solves wait.
+        Raises what the queue refuses solves with, and QueueFull if ``size`` solves wait.
         """
         with self._condition:
-            if self._closed:
-                raise SolveCancelled(_CLOSING)
+            if self._refusal is not None:
+                raise self._refusal()
             superseded: list[_Solve[_Key, _Result]] = []
             solve = next((each for each in self._unfinished
                           if each.key == key and not each.cancelled), None)
@@ -146,12 +146,19 @@ class SolveQueue(Generic[_Key, _Result]):
         _end(waiting, why)
         return len(waiting) + running
 
+    def refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
+        """Cancel all solves, and refuse others from now on; with None, end that."""
+        with self._condition:
+            self._refusal = refusal
+        if refusal is not None:
+            self.cancel(str(refusal()))
+
     def close(self) -> None:
         """Cancel all solves and end the worker process."""
+        self.refuse(shutting_down)
         with self._condition:
             self._closed = True
             self._condition.notify()
-        self.cancel(_CLOSING)
         self._thread.join()
 
     def _preempt_background(self) -> None:
