@@ -447,7 +447,7 @@ def test_a_path_that_comes_back_past_the_robot_is_looked_at_from_where_it_is_now
         drive.robot.is_at(3.0, 5.4)
         drive.block(11, 16)
         path = Path(header=GOAL.header, poses=[*there, *(
-            pose(each.pose.position.x, 5.3) for each in reversed(there))])
+            pose(each.pose.position.x, 5.35) for each in reversed(there))])
         service = drive.client.node.create_client(kind, 'ambush_planner/is_path_valid')
         assert not answer_of(service, kind.Request(path=path)).is_valid
 
