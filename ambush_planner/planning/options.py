@@ -179,6 +179,12 @@ def tube(options: PlanningOptions, spacing: float) -> float | None:
     return options.drive.tube
 
 
+def strays(options: PlanningOptions, spacing: float) -> float:
+    """How far paths may leave the drawn route, also in the plain game [m]."""
+    most = tube(options, spacing)
+    return automatic_tube(options, spacing) if most is None else most
+
+
 def automatic_tube(options: PlanningOptions, spacing: float) -> float:
     """The tube that is used with a reach if none is set [m]; without one, of the same size."""
     reach = options.game.ambush_radius

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from .options import automatic_tube
+from .options import strays
 from .plan import Plan, Route
 
 Position = tuple[float, float]
@@ -228,13 +228,13 @@ def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination
     A robot is on the path within the tube, its tracking error and a cell. Stops that it has
     ``passed`` before do not lie ahead again, even if the path leads back to them.
     """
-    tube = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
     passes, which = plan.network.visited(route.nodes)
     visits = np.array(plan.order, np.int64)[which]
     ahead = ~np.isin(visits, list(passed))
     return TripUnderWay(
         destination, path, route.nodes, route.points, passes[ahead], visits[ahead],
-        tube + plan.options.drive.tracking_error + destination.cell, 2.0 * plan.spacing,
+        strays(plan.options, plan.spacing) + plan.options.drive.tracking_error + destination.cell,
+        2.0 * plan.spacing,
     )
 
 

@@ -229,8 +229,8 @@ class Dispatcher:
         pending.solves += 1
         if pending.solves > _MAX_SOLVES:
             raise Refusal('OUT_OF_DATE', f'{_MAX_SOLVES} plans in a row were out of date when '
-                          'solved: the map changes or the robot drives too fast; raise '
-                          'network.spacing or strategy.max_gap')
+                          'solved: the map changes or the robot drives too fast; stop it until it '
+                          'has its path, or raise network.spacing or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip), lambda _: self._try(pending),
                           pending.answer)
 

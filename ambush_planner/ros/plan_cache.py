@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
 from threading import RLock
@@ -18,7 +18,7 @@ from ..parameters.values import NodeParameters
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
 from ..planning.moved_start import REGION, JoinedPlan, joined_plan
-from ..planning.options import is_graded, start_tolerance
+from ..planning.options import is_graded, start_tolerance, strays
 from ..planning.plan import Plan, PlanRequest, Route, depart, departure_path
 from ..planning.solving import WarmStart
 from ..routes.driven_path import Ends
@@ -73,8 +73,12 @@ class Task:
         own, planning = self.trip, trip.parameters.planning
         # If the planner chooses the spacing, it is at least the map's resolution.
         spacing = planning.network.spacing or trip.map.resolution
-        joins = trip.moves and own.goal == trip.goal
-        near = max(REGION * spacing, _JOINABLE) if joins else start_tolerance(planning, spacing)
+        if not (trip.moves and own.goal == trip.goal):
+            near = start_tolerance(planning, spacing)
+        elif planning.network.roads:
+            near = strays(planning, spacing)
+        else:
+            near = max(REGION * spacing, _JOINABLE)
         return (trip.map.same_ground(own.map) and own.conditions == trip.conditions
                 and own.parameters.planning.strategy.time_limit == planning.strategy.time_limit
                 and own.request.goal_tolerance == trip.request.goal_tolerance
@@ -114,9 +118,18 @@ class CachedPlan:
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
     def fit(self, trip: Trip) -> Fit | None:
-        """Return how one can depart on this plan for a trip that may differ a little, if at all."""
+        """Return how one can depart on this plan for a trip that may differ a little, if at all.
+
+        On roads a robot drives straight to the planned start, if that lies within the tube: other
+        ways on could leave the road.
+        """
+        plan, start = self.plan, self.trip.start_xy
+        if (trip.moves and plan.options.network.roads
+                and math.dist(start, trip.start_xy) <= strays(plan.options, plan.spacing)
+                and trip.ground.segments(np.array([trip.start_xy]), np.array([start]))[0]):
+            trip = replace(trip, start_xy=start)
         away = self.trip.distance(trip)
-        if (away > self.plan.start_tolerance or not self._serves(trip)
+        if (away > plan.start_tolerance or not self._serves(trip)
                 or (self.goal_was_moved and self.trip.goal != trip.goal)):
             return None
         fits = away == 0.0 or self.ground.connects(trip.map, self.ends(trip))
