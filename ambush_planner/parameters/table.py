@@ -40,7 +40,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'plan': Declaration(
         '',
         'File of ambush plan -o FILE.plan to start from: its map, start, goal and stops, and its '
-        'options instead of the parameters map, network, game, strategy, route and trip.order.',
+        'options instead of the parameters map, network, game, strategy, route and trip.order, '
+        'except map.costmap, strategy.max_gap and route.path_spacing.',
         fixed=True),
     'map.alpha_min': Declaration(
         _MAP.alpha_min, 'Loss from an ambush in a cell of value 0.'),
@@ -163,10 +164,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'it [m]; at most half the distance between nodes, which .inf stands for.'),
     'route.tube': Declaration(
         AUTOMATIC,
-        'Maximum distance of the driven path from the drawn route, of which it also cuts corners '
-        'where no ambush gains by it [m]; added to the reach of ambushes; -1: as far as the path '
-        'meets no other node, or, with an ambush_radius, a tenth of it, at most 0.35 times the '
-        'distance between nodes.', AUTOMATIC),
+        'How far the driven path may leave the drawn route [m]; this is added to the ambush '
+        'radius. Within it, corners are cut where no ambush gains. -1: as far as the path meets no '
+        'other node, or, with an ambush radius, a tenth of it, at most 0.35 times the distance '
+        'between nodes.', AUTOMATIC),
     'route.tracking_error': Declaration(
         DriveOptions().tracking_error,
         'Maximum distance of the robot from the driven path [m], added to the reach of ambushes; '
@@ -179,8 +180,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'between nodes, whichever is larger. A path of more than 20000 poses is refused.'),
     'path.publish': Declaration(
         True,
-        'Whether the path is published. If not, only responses of get_plan carry routes, and '
-        'new_route is refused.', fixed=True),
+        'Whether the path is published. If not, only responses of get_plan and results of the '
+        'actions carry routes, and new_route is refused.', fixed=True),
     'trip.order': Declaration(
         'given',
         'Order of the stops of via_poses: as given, or (best) the order of least value within the '
