@@ -20,14 +20,7 @@ from scipy.sparse import csr_matrix
 from ambush_planner.arrays import FloatArray
 from ambush_planner.figures import PROBABILITY, draw_ends, draw_segments, probability_scale
 from ambush_planner.game.strategy import Strategy
-from ambush_planner.map_figures import (
-    OBSTACLE,
-    WIDTH,
-    draw_risk_map,
-    frame,
-    risk_bar,
-    scale_bar,
-)
+from ambush_planner.map_figures import OBSTACLE, WIDTH, draw_risk_map, frame, risk_bar, scale_bar
 from ambush_planner.maps.risk_map import RiskMap
 
 from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING

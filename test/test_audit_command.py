@@ -10,15 +10,7 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-from audit_samples import (
-    departure,
-    drawn,
-    parameters,
-    record,
-    record_drawn,
-    sample_plan,
-    source,
-)
+from audit_samples import departure, drawn, parameters, record, record_drawn, sample_plan, source
 from matplotlib.image import imread
 
 from ambush_planner.commands import audit

@@ -6,12 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from ambush_planner import (
-    GameOptions,
-    Network,
-    StrategyOptions,
-    solve,
-)
+from ambush_planner import GameOptions, Network, StrategyOptions, solve
 from ambush_planner.game.bottleneck import find_bottleneck, secured_bound
 
 

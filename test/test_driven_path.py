@@ -5,15 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from drive_samples import (
-    between,
-    check_path,
-    dense,
-    distance_to,
-    drives,
-    length_of,
-    some_route,
-)
+from drive_samples import between, check_path, dense, distance_to, drives, length_of, some_route
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st

@@ -6,15 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from games import (
-    PLAIN,
-    examples,
-    least_weight,
-    networks,
-    routes_of,
-    terrain_network,
-    unbalanced,
-)
+from games import PLAIN, examples, least_weight, networks, routes_of, terrain_network, unbalanced
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from route_entropy import most_route_entropy, route_entropy

@@ -9,13 +9,7 @@ import pytest
 from commands import run_here
 from plain import plain_options
 
-from ambush_planner import (
-    GameOptions,
-    PlanningOptions,
-    Problem,
-    plan_trip,
-    solve_many,
-)
+from ambush_planner import GameOptions, PlanningOptions, Problem, plan_trip, solve_many
 from ambush_planner.commands import frontier as frontier_command
 from ambush_planner.commands import plan as plan_command
 from ambush_planner.maps.map_file import read_map

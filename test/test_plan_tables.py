@@ -5,14 +5,7 @@ import numpy as np
 import pytest
 from plain import plain_options
 
-from ambush_planner import (
-    GameOptions,
-    InvalidOption,
-    PlanningOptions,
-    RiskMap,
-    evaluate,
-    plan_trip,
-)
+from ambush_planner import GameOptions, InvalidOption, PlanningOptions, RiskMap, evaluate, plan_trip
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=20.0),
                           game=GameOptions(ambush_radius=20.0))

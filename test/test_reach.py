@@ -5,23 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from games import (
-    examples,
-    planar_network,
-    reached,
-    routes_of,
-    terrain_network,
-    value_by_routes,
-)
+from games import examples, planar_network, reached, routes_of, terrain_network, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from ambush_planner import (
-    GameOptions,
-    Network,
-    StrategyOptions,
-    solve,
-)
+from ambush_planner import GameOptions, Network, StrategyOptions, solve
 from ambush_planner.game.ambusher import Ambusher
 from ambush_planner.game.certificate.best_response import TripNetworks, best_response
 from ambush_planner.game.game import make_game

@@ -5,15 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from games import (
-    METHODS,
-    PLAIN,
-    examples,
-    networks,
-    paper_example,
-    quiet_network,
-    terrain_network,
-)
+from games import METHODS, PLAIN, examples, networks, paper_example, quiet_network, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
 from route_entropy import most_route_entropy

@@ -16,12 +16,7 @@ from plain import plain_options
 from recording_samples import read_with_mcap_ros2, read_with_rosbags
 from test_path_mixtures import GOAL, START, ground
 
-from ambush_planner import (
-    GameOptions,
-    NetworkOptions,
-    PlanningOptions,
-    plan_trip,
-)
+from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
 from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.maps.risk_map_file import npz_bytes

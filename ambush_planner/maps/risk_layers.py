@@ -37,12 +37,7 @@ from ..errors import AmbushPlannerError
 from ..option_checks import check_at_least
 from .coordinates import Coordinates
 from .elevation import MAX_CELLS
-from .incidents import (
-    count_near,
-    cross_validated_bandwidth,
-    kernel_density,
-    weighted_incidents,
-)
+from .incidents import count_near, cross_validated_bandwidth, kernel_density, weighted_incidents
 from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap

@@ -11,12 +11,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import nearest_on_segments
-from ..maps.occupancy import (
-    OccupancyMap,
-    OccupancyOptions,
-    obstacles_in,
-    risk_from_occupancy,
-)
+from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in, risk_from_occupancy
 from ..maps.risk_map import TOUCH, cells_at, to_map_axes
 from .cell_losses import LatestLosses
 from .plan import Plan

@@ -37,14 +37,7 @@ from .attachments import (
     strategy_file,
     strategy_from_file,
 )
-from .metadata import (
-    MapSource,
-    PlanMetadata,
-    RecordedPlan,
-    RecordedSlots,
-    RecordedTrip,
-    typed,
-)
+from .metadata import MapSource, PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadablePlan, UnreadableRecording, part
