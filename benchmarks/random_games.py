@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 from families import FAMILIES, draw
 from games import (
-    geometric_hits,
     hit_once,
     is_acyclic,
     may_wait,
@@ -223,6 +222,17 @@ def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
     if len(network.points) <= CHECKED:
         tally.counts['checked'] += 1
         yield from wrong_values(game, strategy)
+
+
+def geometric_hits(network: Network, radius: float, secured: float | None = None) -> csr_matrix:
+    """(N, M): edges that bring a route into the disc of a node; secured: as far as that."""
+    secured = radius if secured is None else secured
+    near = meets(network, network.points, radius, secured)
+    apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
+    exposed = (apart[:, network.ends] > secured).all(axis=1) | (secured == 0.0)
+    exposed[network.source] = False
+    before = (apart <= radius)[:, network.tails] & exposed[network.tails]
+    return csr_matrix((near & ~before & may_wait(network, secured)[:, None]).astype(float))
 
 
 def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:

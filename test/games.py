@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import networkx
 import numpy as np
@@ -77,29 +77,14 @@ def terrain_network(seed: int, method: str = 'uniform_delaunay', cells: int = 12
             seed += 1_000_003
 
 
-def ground_network(seed: int, kind: str) -> Network:
-    """A network of 500 to 900 nodes over terrain, a city, a maze, or a depot of rooms."""
-    if kind == 'terrain':
-        return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
-    return build_network(*ground(seed, kind), NetworkOptions(method=METHODS[seed % 2], spacing=1.3))
-
-
 def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple]:
-    """Hills, a city, a maze, or a depot of rooms, with a start on the left and a goal on the right.
-    """
+    """Hills, a city or a maze, with a start on the left and a goal on the right."""
     rng = np.random.default_rng(seed)
     alpha = random_map(seed, cells, 0.0).alpha
     obstacles = np.zeros((cells, cells), bool)
     rows, columns = np.mgrid[0:cells, 0:cells]
     if kind == 'city':
         obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
-    elif kind == 'depot':
-        # Rooms along three corridors, doors between the two, shelves in some rooms.
-        wall, side = (rows % 13 == 4) | (rows % 13 == 12), columns % 10 == 9
-        obstacles = wall | (side & (rows % 13 > 4))
-        obstacles &= ~(wall & np.isin(columns % 10, rng.integers(2, 8, 2)[:, None] + (0, 1)))
-        obstacles |= (rows % 13 == 8) & (columns % 10 > 2) & (columns % 20 < 8)
-        obstacles &= ~(side & (rows % 13 == rng.integers(6, 11)))
     elif kind == 'maze':
         obstacles = columns % 5 == 4
         for wall in range(4, cells, 5):
@@ -143,12 +128,9 @@ def planar_network(seed: int, inside: bool = False) -> Network:
 
 
 def paper_example() -> Network:
-    """The paper's 8-node network: two columns of 3 between source and target, 7 routes."""
-    points = [(0, 1), *((1, k) for k in range(3)), *((2, k) for k in range(3)), (3, 1)]
-    edges = [(0, k) for k in (1, 2, 3)] + [(k, 7) for k in (4, 5, 6)]
-    edges += [(1 + i, 4 + j) for i in range(3) for j in range(3) if abs(i - j) <= 1]
-    alpha = np.array([0, 1, 1, 1, 1, 1, 1, 0.0])
-    return Network(np.array(points, float), alpha, np.array(edges), 0, 7)
+    """The paper's 8-node network with 7 routes."""
+    from paper.environment import make_example  # the benchmarks do not need it
+    return make_example()
 
 
 def quiet_network(*args) -> Network:
@@ -234,19 +216,13 @@ def may_wait(network: Network, secured: float) -> np.ndarray:
 
 
 def reached(network: Network, reach: float, secured: float) -> np.ndarray:
-    """(N, M): whether an edge comes into reach of a node outside the secured area, and counts."""
+    """(N, M): whether an edge comes into reach of a node outside the secured area, and counts.
+
+    Without a reach, it has to lead to the node.
+    """
+    if reach == 0.0:
+        return np.arange(len(network.points))[:, None] == network.heads
     return meets(network, network.points, reach, secured) & may_wait(network, secured)[:, None]
-
-
-def geometric_hits(network: Network, radius: float, secured: float | None = None) -> csr_matrix:
-    """(N, M): edges that bring a route into the disc of a node; secured: as far as that."""
-    secured = radius if secured is None else secured
-    near = meets(network, network.points, radius, secured)
-    apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
-    exposed = (apart[:, network.ends] > secured).all(axis=1) | (secured == 0.0)
-    exposed[network.source] = False
-    before = (apart <= radius)[:, network.tails] & exposed[network.tails]
-    return csr_matrix((near & ~before & may_wait(network, secured)[:, None]).astype(float))
 
 
 def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
@@ -319,14 +295,18 @@ def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = n
     return float(found.fun)
 
 
-def routes_of(network: Network, used: np.ndarray | None = None) -> list[list[int]]:
-    """All simple routes over all edges, or over those that are ``used`` (M,), as edge indices."""
+def routes_of(network: Network, used: np.ndarray | None = None,
+              most: int | None = None) -> list[list[int]]:
+    """All simple routes over all edges, or over those that are ``used`` (M,), as edge indices.
+
+    Or the first ones, ``most`` at most.
+    """
     number = {tuple(e): k for k, e in enumerate(network.edges.tolist())
               if used is None or used[k]}
     graph = networkx.DiGraph(list(number))
     graph.add_nodes_from((network.source, network.target))
-    return [[number[step] for step in pairwise(route)]
-            for route in networkx.all_simple_paths(graph, network.source, network.target)]
+    routes = networkx.all_simple_paths(graph, network.source, network.target)
+    return [[number[step] for step in pairwise(route)] for route in islice(routes, most)]
 
 
 def drawn_routes(network: Network, p: np.ndarray) -> dict[tuple[int, ...], float]:
@@ -340,19 +320,27 @@ def value_by_routes(loss: np.ndarray, hits: np.ndarray, routes, limits=(),
                     ambushers: int = 1) -> float | None:
     """Least value of any mixture of routes, each hit once by each site; None if none is allowed.
 
-    ``loss`` (S,) and ``hits`` (S, M), whether an edge is hit, of each site; ``limits``: costs of
-    edges (M,), each with the largest mean cost of a route. The sum of the k largest losses is the
-    least k t + sum s with losses of at most t + s; that of the largest one is t alone.
+    ``loss`` (S,) of each site, and how hard it hits an edge, ``hits`` (S, M): the hardest of a
+    route's edges counts. ``limits``: costs of edges (M,), each with the largest mean of a route.
     """
-    losses = np.array([hits[:, route].any(axis=1) for route in routes]).T * loss[:, None]
-    sites, k = len(loss), min(ambushers, len(loss))
+    losses = np.array([hits[:, route].max(axis=1) for route in routes]).T * loss[:, None]
+    return least_value(losses, [([cost[route].sum() for route in routes], limit)
+                                for cost, limit in limits], ambushers)
+
+
+def least_value(losses: np.ndarray, limits=(), ambushers: int = 1) -> float | None:
+    """Value of the game with ``losses`` [site, route]; None if no mixture is within ``limits``.
+
+    ``limits``: costs of the routes, each with the largest mean. The sum of the k largest losses is
+    the least k t + sum s with losses of at most t + s; that of the largest one is t alone.
+    """
+    (sites, routes), k = losses.shape, min(ambushers, len(losses))
     over = np.hstack((np.ones((sites, 1)), np.eye(sites)[:, : sites if k > 1 else 0]))
     none, limits = np.zeros(over.shape[1]), [each for each in limits if np.isfinite(each[1])]
-    rows = [np.hstack((losses, -over))]
-    rows += [np.r_[[cost[route].sum() for route in routes], none][None] for cost, _ in limits]
-    found = linprog(np.r_[np.zeros(len(routes)), k, none[1:] + 1.0], np.vstack(rows),
+    rows = [np.hstack((losses, -over)), *(np.r_[cost, none][None] for cost, _ in limits)]
+    found = linprog(np.r_[np.zeros(routes), k, none[1:] + 1.0], np.vstack(rows),
                     np.r_[np.zeros(sites), [limit for _, limit in limits]],
-                    np.r_[np.ones(len(routes)), none][None], [1.0], method='highs-ds')
+                    np.r_[np.ones(routes), none][None], [1.0], method='highs-ds')
     return float(found.fun) if found.status == 0 else None
 
 

@@ -20,8 +20,7 @@ def test_the_worst_place_is_that_of_all_routes(seed, reach, detour, ambushers):
         return
     game = GameOptions(ambush_radius=reach, ambushers=ambushers)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
-    near = (reached(network, reach, game.secured_distance) if reach else
-            np.arange(len(network.points))[:, None] == network.heads)
+    near = reached(network, reach, game.secured_distance)
     # The probability of each route, and which nodes hit it.
     p, x = strategy.edge_probability, strategy.visit_probability
     drawn = np.array([np.prod(p[route] / np.maximum(x[network.tails[route]], 1e-300))

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trips with less aboard on later legs: an LP over all trips, and what is refused."""
 
-import itertools
 from dataclasses import replace
 
-import networkx
 import numpy as np
 import pytest
-from games import examples
+from games import examples, routes_of, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 from test_trip import roads_of
 
 from ambush_planner import (
@@ -30,22 +27,15 @@ MOST_TRIPS = 5000  # of a game that is enumerated
 
 
 def value_of_all_trips(game, loads):
-    """Least value of any mixture of trips; the leg that meets a site first says what it costs."""
-    network = game.network
-    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
-    graph = networkx.DiGraph(list(number))
-    routes = list(itertools.islice(
-        networkx.all_simple_paths(graph, network.source, network.target), MOST_TRIPS + 1))
-    assume(len(routes) <= MOST_TRIPS)
-    trips = [[number[step] for step in itertools.pairwise(route)] for route in routes]
-    entering, leg = game.entering.toarray() > 0.0, network.leg[network.tails]
-    paid = np.zeros((len(entering), len(trips)))
-    for k, trip in enumerate(trips):
-        for edge in reversed(trip):
-            paid[entering[:, edge], k] = loads[leg[edge]]
-    rows = np.column_stack((paid * game.loss[game.sites][:, None], -np.ones(len(paid))))
-    return linprog(np.append(np.zeros(len(trips)), 1.0), rows, np.zeros(len(paid)),
-                   [np.append(np.ones(len(trips)), 0.0)], [1.0]).fun
+    """Least value of any mixture of trips; the leg that meets a site first says what it costs.
+
+    No later leg has more aboard, so that is the most that any of the trip's hits costs.
+    """
+    network, entering = game.network, game.entering.toarray() > 0.0
+    trips = routes_of(network, most=MOST_TRIPS + 1)
+    assume(len(trips) <= MOST_TRIPS)
+    load = np.array(loads)[network.leg[network.tails]]
+    return value_by_routes(game.loss[game.sites], entering * load, trips)
 
 
 @examples(8)

@@ -5,22 +5,12 @@ from math import ceil
 
 import numpy as np
 import pytest
-from games import examples
+from games import examples, least_value
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import linprog
 
 from ambush_planner import InvalidOption
 from ambush_planner.planning.slots import mix_slots
-
-
-def matrix_game(losses):
-    """Value of the game with ``losses`` [ambusher, convoy], by its linear program."""
-    rows, columns = losses.shape
-    found = linprog(np.append(np.zeros(columns), 1.0),
-                    A_ub=np.column_stack((losses, -np.ones(rows))), b_ub=np.zeros(rows),
-                    A_eq=[np.append(np.ones(columns), 0.0)], b_eq=[1.0])
-    return found.fun
 
 
 @given(st.integers(0, 10**6))
@@ -32,9 +22,9 @@ def test_joint_value_is_that_of_the_game_over_slots_routes_and_sites(seed):
     joint = np.zeros((9, 12))
     for k, game in enumerate(games):
         joint[3 * k : 3 * k + 3, 4 * k : 4 * k + 4] = game
-    values = [matrix_game(game) for game in games]
+    values = [least_value(game) for game in games]
     found = mix_slots(values, values)
-    assert found.value == pytest.approx(matrix_game(joint), rel=1e-7)
+    assert found.value == pytest.approx(least_value(joint), rel=1e-7)
     assert found.value == pytest.approx(1.0 / np.sum(1.0 / np.array(values)), rel=1e-9)
     assert found.shares * values == pytest.approx(found.value, rel=1e-9)
 
