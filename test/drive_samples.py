@@ -122,10 +122,11 @@ def between(a, b):
     return (a - b + np.pi) % (2 * np.pi) - np.pi
 
 
-def dense(line, parts=20):
-    """Points along the straight lines between points (K, 2)."""
-    share = np.linspace(0, 1, parts, endpoint=False)[:, None]
-    return (line[:-1, None] + share * np.diff(line, axis=0)[:, None]).reshape(-1, 2)
+def dense(line, step):
+    """Points at most ``step`` apart along a polyline (K, 2)."""
+    gone = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
+    places = np.union1d(gone, np.arange(0.0, gone[-1], step))
+    return np.stack([np.interp(places, gone, xy) for xy in line.T], axis=1)
 
 
 def check_path(poses, corridors, route, field, clearance, tube):
@@ -135,9 +136,9 @@ def check_path(poses, corridors, route, field, clearance, tube):
     turned = np.abs(between(poses[1:, 2], poses[:-1, 2]))
     assert turned.max(initial=0.0) <= np.radians(20) + 1e-6
     if corridors.reach > 0.0:
-        assert excess(dense(uv, 5), drawn, tube, corridors.reach, corridors.secured) <= STEP
+        assert excess(dense(uv, 0.04), drawn, tube, corridors.reach, corridors.secured) <= STEP
     elif tube is not None:
-        assert distance_to(dense(uv), drawn).max() <= tube + 1e-9
+        assert distance_to(dense(uv, 0.01), drawn).max() <= tube + 1e-9
 
 
 def distance_to(points, line):

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from drive_samples import dense
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -10,8 +11,8 @@ from hypothesis import strategies as st
 from ambush_planner import GameOptions, Network, solve
 from ambush_planner.game.discs import ExposedEdges, secured_area
 
-# Points along each edge; distances within NEAR radii of the circle are ambiguous.
-DENSE, NEAR = 2000, 1e-6
+# Distances within NEAR radii of the circle are ambiguous.
+NEAR = 1e-6
 
 
 def corridor(points) -> Network:
@@ -31,16 +32,9 @@ def _everywhere(network: Network) -> ExposedEdges:
     return ExposedEdges(network, secured_area(network, 0.0).shrunk(0.0))
 
 
-def drawn(points: np.ndarray) -> np.ndarray:
-    """Points close together along a polyline."""
-    share = np.linspace(0.0, 1.0, DENSE, endpoint=False)[:, None]
-    legs = [a + share * (b - a) for a, b in zip(points[:-1], points[1:], strict=True)]
-    return np.vstack((*legs, points[-1:]))
-
-
 def visits_to_disc(points: np.ndarray, centre: np.ndarray, radius: float) -> tuple[int, int]:
     """Least and largest number of entries of a polyline into a disc, by points along it."""
-    distance = np.sqrt(((drawn(points) - centre) ** 2).sum(axis=1))
+    distance = np.sqrt(((dense(points, 0.01) - centre) ** 2).sum(axis=1))
 
     def runs(inside) -> int:
         return int((inside[1:] & ~inside[:-1]).sum())

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from drive_samples import dense
 from games import HUNT
 from plain import plain_options
 from scipy.spatial import cKDTree
@@ -85,13 +86,6 @@ def anywhere(risk_map, rng):
     free = np.argwhere(~risk_map.obstacles)
     cells = free[rng.integers(len(free), size=PLACES)]
     return risk_map.resolution * (cells[:, ::-1] + rng.random((PLACES, 2)))
-
-
-def dense(line, step):
-    """Points at most ``step`` apart along a polyline (K, 2)."""
-    gone = np.append(0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T)))
-    places = np.union1d(gone, np.arange(0.0, gone[-1], step))
-    return np.stack([np.interp(places, gone, xy) for xy in line.T], axis=1)
 
 
 @pytest.mark.parametrize(('ground', 'tube', 'tracking_error'), [

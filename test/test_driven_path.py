@@ -33,7 +33,8 @@ def test_the_path_stays_clear_in_its_tube_and_short(drive):
     network = corridors.network
     poses = driven_path(corridors, route, 0.2)
     check_path(poses, corridors, route, ObstacleField(risk_map, clear_of_edge), clearance, tube)
-    assert not risk_map.obstacles[risk_map.cells(risk_map.to_map_axes(dense(poses[:, :2])))].any()
+    uv = risk_map.to_map_axes(dense(poses[:, :2], 0.01))
+    assert not risk_map.obstacles[risk_map.cells(uv)].any()
     if tube is None:
         others = np.delete(network.points, route, axis=0)
         if len(others):

@@ -3,15 +3,14 @@
 
 import time
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from games import examples
+from drive_samples import distance_to
+from games import examples, least_value
 from hypothesis import given
 from hypothesis import strategies as st
 from plain import plain_options
-from scipy.optimize import linprog
 
 from ambush_planner import (
     GameOptions,
@@ -35,15 +34,6 @@ def ground(seed=0, walls=True):
     return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
 
 
-def distances(path, points):
-    """Distance (K,) of points from a path."""
-    least = np.full(len(points), np.inf)
-    for a, b in pairwise(path[:, :2]):
-        along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-        least = np.minimum(least, np.hypot(*(points - a - along[:, None] * (b - a)).T))
-    return least
-
-
 @given(st.integers(0, 10**6))
 @examples(4)
 def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
@@ -59,10 +49,11 @@ def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
     loss = np.where(risk_map.obstacles, 0.0, risk_map.alpha)[tuple(cells[:, ::-1].astype(int).T)]
     far = [p[np.min([np.hypot(*(p[:, :2] - end).T) for end in (START, GOAL)], axis=0)
              > game.secured_distance] for p in paths]
-    hit = [distances(path, cells) <= game.ambush_radius for path in far]
+    hit = [distance_to(cells, path[:, :2]) <= game.ambush_radius for path in far]
     assert (loss * (shares @ hit)).max() <= found.value * (1.0 + 1e-9)
     at = found.worst_xy[None]
-    near = [distances(path, at) <= game.ambush_radius + game.widened + 1e-9 for path in paths]
+    reach = game.ambush_radius + game.widened + 1e-9
+    near = [distance_to(at, path[:, :2]) <= reach for path in paths]
     loss = risk_map.alpha[int(at[0, 1]), int(at[0, 0])]
     assert found.value <= loss * (shares @ near).max() * (1.0 + 1e-9)
 
@@ -75,10 +66,7 @@ def test_best_shares_are_those_of_a_linear_program_on_all_sites():
     assert best.shares.sum() == pytest.approx(1.0)
     for _ in range(5):
         assert best.value <= mixtures.judged(rng.dirichlet(np.ones(60))).value * 1.001
-    losses = mixtures.losses.toarray()
-    rows = np.column_stack((losses, -np.ones(len(losses))))
-    least = linprog(np.append(np.zeros(60), 1.0), rows, np.zeros(len(rows)),
-                    [np.append(np.ones(60), 0.0)], [1.0]).fun
+    least = least_value(mixtures.losses.toarray())
     assert least * (1.0 - 1e-6) <= best.value <= least * (1.0 + MAX_GAP) * (1.0 + 1e-6)
 
 
@@ -116,14 +104,3 @@ def test_trips_pass_their_stops():
     assert PathMixtures(risk_map, plan, paths).best(np.zeros((0, 3))).value > 0.0
     with pytest.raises(InvalidOption, match='stop 1'):
         PathMixtures(risk_map, plan, [np.array([START, GOAL])])
-
-
-@pytest.mark.parametrize(('game', 'name'), [
-    (GameOptions(), 'ambush_radius'),
-    (GameOptions(ambush_radius=2.0, ambushers=2), 'ambushers'),
-])
-def test_games_without_places_are_refused(game, name):
-    risk_map = ground(walls=False)
-    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=game))
-    with pytest.raises(InvalidOption, match=name):
-        PathMixtures(risk_map, plan, plan.paths(2))
