@@ -56,6 +56,13 @@ def nav2():
     interfaces.uninstall('nav2_msgs')
 
 
+@pytest.fixture(scope='session')
+def files(tmp_path_factory):
+    """Recordings of six departures of a node, which tests read and do not change."""
+    from forging import record_runs  # imports ROS
+    return record_runs(tmp_path_factory.mktemp('recorded'))
+
+
 @pytest.fixture
 def submitted(monkeypatch):
     """The keys of all solves that are submitted in this process."""

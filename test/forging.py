@@ -2,7 +2,6 @@
 """Recordings of a real node, and their contents edited and written again with valid checksums."""
 
 from dataclasses import replace
-from functools import cache
 from io import BytesIO
 
 import numpy as np
@@ -16,16 +15,8 @@ from ambush_planner.recordings.recording_file import encode
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
 
 
-def record_runs(tmp_path_factory):
-    """The files of six departures of two nodes, the second with a fixed seed.
-
-    All modules of a test process read the same ones; none changes them.
-    """
-    return _recorded(tmp_path_factory.getbasetemp() / 'recorded')
-
-
-@cache
-def _recorded(folder):
+def record_runs(folder):
+    """The files of six departures of two nodes, the second with a fixed seed."""
     with stage(folder) as running:
         client = running.give()
         for _ in range(2):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from commands import NO_ROS
-from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
+from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
@@ -40,11 +40,6 @@ from ambush_planner.commands import cli
 sys.argv[0] = 'ambush'
 sys.exit(cli.main())
 """
-
-
-@pytest.fixture(scope='module')
-def files(tmp_path_factory):
-    return record_runs(tmp_path_factory)
 
 
 def test_messages_are_read_in_the_order_of_time(tmp_path):

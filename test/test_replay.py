@@ -12,7 +12,7 @@ from itertools import accumulate
 
 import pytest
 from commands import run_here
-from forging import GET_PLAN, NEW_ROUTE, Forger, record_runs
+from forging import GET_PLAN, NEW_ROUTE, Forger
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
@@ -33,11 +33,6 @@ sys.exit(replay.main())
 """
 # A message from the network may have up to three bytes of padding at its end.
 PADDING = 3
-
-
-@pytest.fixture(scope='module')
-def files(tmp_path_factory):
-    return record_runs(tmp_path_factory)
 
 
 @pytest.fixture(scope='module')

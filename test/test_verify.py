@@ -9,7 +9,7 @@ from threading import Event
 
 import numpy as np
 import pytest
-from forging import GET_PLAN, NEW_ROUTE, SEEDED, Forger, record_runs
+from forging import GET_PLAN, NEW_ROUTE, SEEDED, Forger
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_harness import header, pose, risk_grid, stage
 from waiting import TIMEOUT
@@ -19,11 +19,6 @@ from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
 from ambush_planner.recordings.verify import replan_problems
 from ambush_planner.worker.process import WorkerProcess
-
-
-@pytest.fixture(scope='module')
-def files(tmp_path_factory):
-    return record_runs(tmp_path_factory)
 
 
 def verified(place, capsys, *options):
@@ -184,8 +179,8 @@ def test_another_value_is_found_by_solving_again(files):
     {'strategy.solver': 'interior_point', 'strategy.length_weight': 0.01,
      'network.method': 'random_delaunay', 'route.path_spacing': 0.3,
      'game.secured_radius': 1.2, 'recording.compression': 'lz4'},
-    {'game.ambush_radius': 1.2, 'strategy.max_detour': math.inf, 'strategy.risk_slack': 0.1,
-     'max_planning_time': math.inf},
+    {'game.ambush_radius': 1.2, 'route.tube': 0.9, 'strategy.max_detour': math.inf,
+     'strategy.risk_slack': 0.1, 'max_planning_time': math.inf},
     {'strategy.max_exposure': 1.5, 'game.ambush_in_obstacles': True, 'game.ambush_radius': 0.8},
 ], ids=['interior point', 'reach', 'exposure'])
 def test_other_solvers_networks_and_games(parameters, tmp_path, capsys):
