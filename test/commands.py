@@ -46,10 +46,13 @@ def run_python(script, folder=None, timeout=240):
 
 
 def run_without(missing, folder, *lines):
-    """Run command lines in a folder where some packages are not installed; return the process."""
+    """Run command lines in a folder where some packages are not installed; return the process.
+
+    It prints their exit codes last.
+    """
     return run_python(f'import sys\nsys.modules |= dict.fromkeys({missing!r})\n'
                       'from ambush_planner.commands import cli\n'
-                      f'sys.exit(max(cli.main(line.split()) for line in {lines!r}))', folder)
+                      f'print(*[cli.main(line.split()) for line in {lines!r}])', folder)
 
 
 def heard(act, *arguments, **options):
@@ -70,6 +73,14 @@ def documented_keys(tool):
 
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def table_under(page, heading):
+    """The rows of all tables of a section of a document, as the texts of their cells."""
+    section = (ROOT / page).read_text().split(f'\n## {heading}\n')[1].split('\n#')[0]
+    tables = re.findall(r'(?m)^\|.*\n\|[-|]+\n((?:\|.*\n)+)', section)
+    return [[cell.strip() for cell in row.strip('|').split('|')]
+            for table in tables for row in table.splitlines()]
 
 
 def fenced(page):

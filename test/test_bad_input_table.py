@@ -3,34 +3,27 @@
 
 import math
 import re
-from pathlib import Path
 
 import interfaces
 import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
+from commands import table_under
 from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped, Quaternion
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage, wait_until
 from test_long_solves import NORTH, solving
 
+from ambush_planner.ros.inputs import MAX_STOPS
+
 interfaces.install('map_msgs')
 from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
 
-REFERENCE = Path(__file__).resolve().parent.parent / 'docs/ros_interface.md'
 START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
 NAN = math.nan
-
-
-def table_of(heading):
-    """Return {first cell: last cell} of the table below a heading of the reference."""
-    section = REFERENCE.read_text().split(f'\n## {heading}\n')[1].split('\n#')[0]
-    lines = [line.strip('|').split('|') for line in section.splitlines() if line.startswith('|')]
-    return {first.strip(): code.strip(' `') for first, _, code in lines[2:]}
-
-
-TABLE = table_of('Bad input')
+TABLE = {given: code.strip('`')
+         for given, _, code in table_under('docs/ros_interface.md', 'Bad input')}
 
 
 @pytest.fixture(scope='module')
@@ -94,14 +87,17 @@ def at_the_goal(client):
     return code
 
 
+def via(stops=(), frame='map'):
+    return PoseArray(header=header(frame), poses=[pose(*stop).pose for stop in stops])
+
+
 def bad_stops(client):
     codes = []
     for *stops, words in (((50.0, 2.0), 'stop 1'), (BLOCK, 'stop 1'), (GOAL, 'goal are the same')):
-        client.publish(
-            'via_poses', PoseArray(header=header(), poses=[pose(*each).pose for each in stops]))
+        client.publish('via_poses', via(stops))
         client.call_until('new_route', lambda answer, words=words: words in answer.message)
         codes.append(_error_code(client))
-        _goes_on(client, via_poses=PoseArray())
+        _goes_on(client, via_poses=via())
     return '{}, {} or {}'.format(*codes)
 
 
@@ -219,6 +215,18 @@ def test_a_bad_pose_on_a_topic_replaces_the_last_one(client):
         client.publish(topic, pose(NAN, 1))
         client.call_until('new_route', lambda answer: '(nan, 1.0' in answer.message)
         _goes_on(client, **{topic: pose(*good)})
+
+
+@pytest.mark.parametrize(('stops', 'frame', 'code', 'words'), [
+    ([(2.0, 2.0)], 'moon', 'TF_ERROR', 'stop 1'),
+    ([(2.0, NAN)], 'map', 'INVALID_POSE', 'stop 1'),
+    ([(2.0, 2.0)] * (MAX_STOPS + 1), 'map', 'INVALID_POSE', 'via_poses'),
+])
+def test_bad_stops(client, stops, frame, code, words):
+    client.publish('via_poses', via(stops, frame))
+    client.call_until('new_route', lambda answer: words in answer.message)
+    client.diagnostics(code=code)
+    _goes_on(client, via_poses=via())
 
 
 @pytest.mark.parametrize('tolerance', [-1.0, math.inf])

@@ -3,12 +3,11 @@
 
 import re
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import pytest
 from behaviour_trees import FAILURE, RUNNING, SUCCESS, Tree
+from commands import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 POSE = (ROOT / 'config/ambush_tree.xml').read_text()
 POSES = (ROOT / 'config/ambush_tree_through_poses.xml').read_text()
 TICK, SPEED = 2.0**-7, 2.0  # s, m/s

@@ -2,7 +2,6 @@
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -131,16 +130,3 @@ def test_one_of_few_routes(tmp_path):
                            ('--route 9', f'has routes 1 to {count}, not 9')):
         done = run_here(card, tmp_path / 'few.plan', '-o', tmp_path / 'c.html', *options.split())
         assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
-
-
-@pytest.mark.parametrize(('options', 'words'), [
-    ('plain --speed 30 -o c.html', 'name its recording'),
-    ('plain/run_0.mcap --speed 30 -o c.pdf', r'suffix must be \.html'),
-    ('plain/run_0.mcap --speed 0 -o c.html', 'number from 0.01'),
-    ('plain/run_0.mcap --speed 30 --start-time 25:00 -o c.html', 'must be HH:MM'),
-])
-def test_bad_input_is_named_and_nothing_is_written(runs, options, words, monkeypatch):
-    monkeypatch.chdir(runs[0])
-    done = run_here(card, *options.split())
-    assert done.code == 2 and re.search(words, done.err)
-    assert not list(Path().glob('c.*'))

@@ -2,13 +2,14 @@
 """What all commands share: one entry, options, exit codes, output for terminals and pipes."""
 
 import json
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 from audit_samples import record_drawn, sample_plan
-from commands import documented_keys, run_without
+from commands import documented_keys, run_here, run_without
 
 from ambush_planner.commands import cli
 from ambush_planner.maps.map_file import write_map
@@ -38,14 +39,6 @@ def test_help_fits_a_screen(name, monkeypatch, capsys):
     assert capsys.readouterr().out.count('\n') <= 45
 
 
-def test_missing_input_exits_3_even_if_quiet(tmp_path, capsys):
-    for name in ('audit', 'replay', 'report', 'verify'):
-        output = ['-o', str(tmp_path / 'out')] if name == 'report' else []
-        assert cli.main([name, '--quiet', str(tmp_path / 'none'), *output]) == 3
-        out, err = capsys.readouterr()
-        assert out == '' and err.startswith(f'ambush {name}: ') and err.count('\n') == 1
-
-
 def test_broken_pipe_is_silent(tmp_path):
     np.savez(tmp_path / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
     process = subprocess.Popen(
@@ -69,13 +62,19 @@ def test_solvers_print_nothing_between_our_lines(tmp_path):
 
 @pytest.fixture(scope='module')
 def inputs(tmp_path_factory):
-    """A folder with recordings, an elevation model, a map, and places on it."""
+    """A folder with recordings, elevation models, a map, places on it, and files that do not fit.
+    """
     folder = tmp_path_factory.mktemp('inputs')
     record_drawn(folder / 'runs', 5)
-    write_map(folder / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
+    write_map(folder / 'map.yaml', OccupancyMap(np.tile(np.arange(30, dtype=np.int8), (20, 1)),
+                                                10.0))
     np.savez(folder / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
     (folder / 'layers.yaml').write_text('layers: [{terrain: dem.npz}]')
+    np.savez(folder / 'coarse.npz', elevation=np.zeros((9, 9)), resolution=500.0)
+    (folder / 'bad.npz').write_bytes(b'no')
     (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
+    (folder / 'far.csv').write_text('name,x,y\nnear,200,40\nfar,400,40\n')
+    (folder / 'degrees.csv').write_text('name,lat,lon\npost,36.5,-84.2\n')
     sample_plan().save(folder / 'week.plan', n=0)
     (folder / 'trips.csv').write_text('x,y\n15,15\n150,90\n285,185\n')
     return folder
@@ -110,20 +109,62 @@ def test_json_is_the_object_documented_in_the_help(name, inputs, monkeypatch, ca
     assert str(inputs) not in str(result)
 
 
+ENDS = '--start 15 15 --goal 285 185'
+HOLD, JUDGE = f'hold map.yaml {ENDS} -o h.csv', f'judge map.yaml trips.csv {ENDS} -o j.png'
+
+
+@pytest.mark.parametrize(('line', 'code', 'words'), [
+    ('audit --quiet none', 3, 'none'), ('replay --quiet none', 3, 'none'),
+    ('report --quiet none -o page', 3, 'none'), ('verify --quiet none', 3, 'none'),
+    (f'frontier map.yaml {ENDS} -o f.csv --detour 0.5', 2, '--detour must'),
+    (f'frontier map.yaml {ENDS} -o f.csv --detours 0.5', 2, '--detour must'),
+    (f'frontier map.yaml {ENDS} -o f.csv --goal 95 95', 2, 'one position'),
+    (f'frontier map.yaml {ENDS} -o f.txt', 2, r'\.csv'),
+    (f'frontier dem.npz {ENDS} -o f.csv', 3, "no 'alpha'"),
+    (f'frontier bad.npz {ENDS} -o f.csv', 3, r'bad\.npz'),
+    (f'frontier none {ENDS} -o f.csv', 3, 'none'),
+    ('card runs --speed 30 -o c.html', 2, 'name its recording'),
+    ('card runs/run_0.mcap --speed 30 -o c.pdf', 2, r'suffix must be \.html'),
+    ('card runs/run_0.mcap --speed 0 -o c.html', 2, 'number from 0.01'),
+    ('card runs/run_0.mcap --speed 30 --start-time 25:00 -o c.html', 2, 'must be HH:MM'),
+    (f'{HOLD} --radius 0.5', 2, r'radius \(at least a cell .* >= 10 \[m\], got 0.5'),
+    (f'{HOLD} --radius 50 -k 0', 2, 'must be a number from 1 to 100'),
+    (f'{HOLD} --radius 50 --candidates far.csv', 2,
+     r"candidate 'far' at \(400, 40\) is off the map, which spans x 0 to 300 and y 0 to 200"),
+    (f'{HOLD} --radius 50 --candidates degrees.csv', 3, 'system of the map is unknown'),
+    (f'{HOLD} --radius 50 --candidates none.csv', 3, 'no such file'),
+    ('risk none.npz -o m.yaml', 3, r'none\.npz: No such file'),
+    ('risk coarse.npz -o m.yaml', 3, 'weapon range'),
+    ('risk coarse.npz -o m.txt --weapon-range 900', 2, r'\.yaml'),
+    (JUDGE, 2, r'how far does an ambusher reach\? Add --reach METRES'),
+    (f'{JUDGE} --reach 20 --detour 1.2', 2, 'leave it out'),
+    (f'{JUDGE} --reach 20 --held 600', 2, 'secured area covers everything'),
+])
+def test_a_mistake_is_named_in_one_line_and_nothing_is_written(inputs, monkeypatch, line, code,
+                                                               words):
+    monkeypatch.chdir(inputs)
+    before = sorted(inputs.rglob('*'))
+    done = run_here(cli, *line.split())
+    assert done.code == code and re.search(words, done.err), done.err
+    assert done.err.startswith(f'ambush {line.split()[0]}: ') and done.err.count('\n') == 1
+    assert '--quiet' not in line or done.out == ''
+    assert sorted(inputs.rglob('*')) == before
+
+
 GIS = ('geopandas', 'gpxpy', 'matplotlib', 'pyproj', 'rasterio', 'shapely')
 ROUTES = 'plan map.yaml --start 15 15 --goal 285 185 --set network.spacing=40 -o'
 
 
-@pytest.mark.parametrize(('missing', 'line', 'extra'), [
-    (['rclpy'], 'replay runs', 'jazzy'),
-    (['matplotlib'], 'risk layers.yaml -o risk.yaml', 'figures'),
-    (['matplotlib'], 'report runs -o page', ''), (['matplotlib'], 'audit runs', ''),
-    (GIS, f'{ROUTES} few.csv', ''), (GIS, f'{ROUTES} few.png few.gpx', 'figures,gis'),
+@pytest.mark.parametrize(('missing', 'lines', 'codes', 'extra'), [
+    (['rclpy'], ['replay runs'], '2', 'jazzy'),
+    (['matplotlib'], ['report runs -o page', 'audit runs', 'risk layers.yaml -o risk.yaml'],
+     '0 0 2', 'figures'),
+    (GIS, [f'{ROUTES} few.csv', f'{ROUTES} few.png few.gpx'], '0 2', 'figures,gis'),
 ])
 def test_commands_need_no_package_for_other_things_and_name_the_extra_of_one(
-        inputs, missing, line, extra):
-    done = run_without(missing, inputs, line)
-    assert done.returncode == 2 * bool(extra), done.stderr
-    assert not extra or done.stderr.endswith(
+        inputs, missing, lines, codes, extra):
+    done = run_without(missing, inputs, *lines)
+    assert done.stdout.splitlines()[-1:] == [codes], done.stderr
+    assert done.stderr.endswith(
         f"not installed: in a checkout of ambush_planner, run pip install '.[{extra}]'\n")
     assert not list(inputs.glob('few.png'))

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """config/ambush_planner.yaml, the declared parameters and docs/ros_interface.md say the same."""
 
-from pathlib import Path
-
 import yaml
+from commands import ROOT, table_under
 
 from ambush_planner.parameters.table import PARAMETERS
 
-ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'config' / 'ambush_planner.yaml'
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
 
@@ -28,12 +26,8 @@ def exact(values):
 
 def documented_table():
     """Each parameter of the documented table with the text of its default."""
-    table = (ROOT / 'docs/ros_interface.md').read_text()
-    tables = [part.split('\n\n')[0] for part in table.split('| parameter | default |')[1:]]
-    assert len(tables) == 3
     found = {}
-    for row in (row for each in tables for row in each.splitlines()[2:]):
-        names, defaults = (cell.strip() for cell in row.split('|')[1:3])
+    for names, defaults, _ in table_under('docs/ros_interface.md', 'Parameters'):
         pairs = zip(names.split(', '), defaults.split(', '), strict=True)
         for name, default in pairs:
             assert name.strip('`') not in found, f'{name} has two rows'

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
-from commands import documented_keys
+from commands import ROOT, documented_keys
 from matplotlib.image import imread
 
 from ambush_planner import StrategyOptions
@@ -26,7 +26,6 @@ from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 DEPARTURES = 3
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope='module')

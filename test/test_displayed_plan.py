@@ -201,20 +201,6 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
     assert np.array_equal(second.newest.values, wanted)
 
 
-def test_a_costmap_has_obstacles_from_99_on():
-    values = FLAT.copy()
-    values[4:16, 8:12] = 99
-    presets = (('alpha', True, 'mean loss'), ('costmap', False, 'probability of being hit'),
-               ('costmap_risk', False, 'mean loss'))
-    for preset, crosses, meaning in presets:
-        with stage(parameters={'map.preset': preset}) as running:
-            running.give(risk_grid(values))
-            answer = running.client.get_plan(START, pose(5.0, 5.5))
-            assert bool(answer.poses) == crosses
-            assert running.client.get_plan(START, pose(3.0, 8.5)).poses
-            running.client.diagnostics(value_is=meaning)
-
-
 def test_a_refinement_that_was_cancelled_begins_again_with_the_next_departure():
     with stage(parameters={**LONG, 'network.refine': -1}) as running:
         client = running.give()

@@ -4,13 +4,12 @@
 import ast
 import doctest
 import re
-from pathlib import Path
 
 import pytest
+from commands import ROOT
 
 import ambush_planner
 
-ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = sorted(path for folder in ('.', 'docs', 'examples')
                    for path in ROOT.joinpath(folder).glob('*.md'))
 

@@ -106,18 +106,3 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
     ]
     assert (tmp_path / 'f.png').read_bytes().startswith(b'\x89PNG')
     assert done.out.count('\n') == 6 and 'f.png' in done.out
-
-
-@pytest.mark.parametrize(('name', 'arguments', 'reason'), [
-    ('map.yaml', ('--detour', '0.5'), '--detour must'),
-    ('map.yaml', ('--detours', '0.5'), '--detour must'),
-    ('map.yaml', ('--goal', '95', '95'), 'one position'), ('map.yaml', ('-o', 'f.txt'), '.csv'),
-    ('half.npz', (), "no 'obstacles'"), ('no.npz', (), 'no.npz'), ('not', (), 'not'),
-])
-def test_bad_input_ends_with_one_line(map_file, tmp_path, name, arguments, reason):
-    np.savez(tmp_path / 'half.npz', alpha=np.ones((2, 2)))
-    (tmp_path / 'no.npz').write_bytes(b'no')
-    done = run(map_file.with_name(name), *ENDS, '-o', tmp_path / 'f.csv', *arguments)
-    assert done.code == (2 if name == 'map.yaml' else 3) and reason in done.err
-    assert done.err.startswith('ambush frontier: ') and done.err.count('\n') == 1
-    assert not (tmp_path / 'f.csv').exists()

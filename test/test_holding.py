@@ -171,23 +171,6 @@ def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
     assert json.loads(done.out)['value'] == pytest.approx(float(row['value']), rel=1e-6)
 
 
-@pytest.mark.parametrize(('options', 'code', 'words'), [
-    (('--radius', 0.5), 2, 'radius (at least a cell of the map) must be finite and >= 1 [m], got '),
-    (('--radius', 5, '--candidates', 'degrees.csv'), 3, 'system of the map is unknown'),
-    (('--radius', 5, '-k', 0), 2, 'must be a number from 1 to 100'),
-    (('--radius', 3, '--candidates', 'far.csv'), 2, "candidate 'far' at (40, 4) is off the map, "
-     'which spans x 0 to 30 and y 0 to 20'),
-    (('--radius', 5, '--candidates', 'none.csv'), 3, 'no such file'),
-])
-def test_bad_input_is_refused_and_nothing_is_written(inputs, monkeypatch, options, code, words):
-    monkeypatch.chdir(inputs)
-    (inputs / 'far.csv').write_text('name,x,y\nnear,20,4\nfar,40,4\n')
-    (inputs / 'degrees.csv').write_text('name,lat,lon\npost,36.5,-84.2\n')
-    done = run(inputs, *options)
-    assert done.code == code and words in done.err
-    assert not list(inputs.glob('hold.*'))
-
-
 @pytest.mark.parametrize(('text', 'reason'), [
     ('name,x\na,1\n', 'the columns x and y'),
     ('name,x,y\n', 'no Point in it'),

@@ -10,19 +10,15 @@ from ros_harness import header, pose, stage, wait_until
 from ambush_planner.commands import verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.ros.inputs import MAX_STOPS
 
 STOPS = ((2.5, 2.25), (7.0, 8.5), (7.25, 2.5))
 SPACING = {'network.spacing': 1.2}
 
 
-def via(stops=STOPS, frame='map'):
-    return PoseArray(header=header(frame), poses=[pose(*stop).pose for stop in stops])
-
-
 def depart(client, stops):
     """Depart via these stops; the array may arrive after the request."""
-    client.publish('via_poses', via(stops))
+    poses = [pose(*stop).pose for stop in stops]
+    client.publish('via_poses', PoseArray(header=header(), poses=poses))
     client.call_until(
         'new_route', lambda answer: answer.success and stops_shown(client) == len(stops)
     )
@@ -100,21 +96,3 @@ def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
     forger.set_arrays(places=np.arange(len(leg)), leg=0 * leg)
     assert verify.main([str(forger.save(tmp_path / 'forged.mcap'))]) != 0
     assert 'FAILS' in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(('stops', 'frame', 'code', 'words'), [
-    ([(2.0, 2.0)], 'moon', 'TF_ERROR', 'stop 1'),
-    ([(2.0, float('nan'))], 'map', 'INVALID_POSE', 'stop 1'),
-    ([(2.0, 2.0)] * (MAX_STOPS + 1), 'map', 'INVALID_POSE', 'via_poses'),
-])
-def test_bad_stops_are_refused_with_the_reason(trouble, stops, frame, code, words):
-    trouble.publish('via_poses', via(stops, frame))
-    trouble.call_until('new_route', lambda answer: words in answer.message)
-    trouble.diagnostics(code=code)
-    depart(trouble, ())
-
-
-@pytest.fixture(scope='module')
-def trouble():
-    with stage() as running:
-        yield running.give()

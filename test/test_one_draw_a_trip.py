@@ -4,7 +4,6 @@
 import json
 from importlib import import_module
 from itertools import pairwise
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -145,18 +144,6 @@ def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(tmp_path):
             assert goals.result(goal)[0] == GoalStatus.STATUS_SUCCEEDED
         drive.departures(2)
         assert len(drive.client.received['path']) == 2 == len(recorded(tmp_path, 2))
-
-
-def test_a_departure_whose_required_recording_fails_is_not_under_way(tmp_path, monkeypatch):
-    with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
-        drive, client = Drive(running), running.client
-        drive.arrive()
-        with monkeypatch.context() as patch:
-            patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
-            assert not client.get_plan(HERE, GOAL).poses
-            client.diagnostics(code='RECORDING_FAILED', departures='0')
-        drive.ask('new')
-        assert len(client.received['path']) == 1 == len(recorded(tmp_path, 1))
 
 
 def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path):
@@ -332,7 +319,7 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         assert len(submitted) == solves, 'a plan for it is kept'
         drive.robot.is_at(0.5, 5.5)
         assert not client.get_plan(HERE, GOAL).poses, 'more than a metre from free ground'
-        client.diagnostics(code='START_OCCUPIED')
+        client.diagnostics(code='START_OCCUPIED', value_is='probability of being hit')
         files = recorded(tmp_path, 2)
     assert not any(Verifier().verify(file).problems for file in files)
 

@@ -3,10 +3,9 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
-from commands import run_here
+from commands import ROOT, run_here
 from plain import plain_options
 
 from ambush_planner import GameOptions, PlanningOptions, Problem, plan_trip, solve_many
@@ -19,7 +18,7 @@ from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
 
-YARD = Path(__file__).parents[1] / 'docs/yard.yaml'
+YARD = ROOT / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
 OPTIONS = PlanningOptions(network=plain_options(target_nodes=120),
                           game=GameOptions(ambush_radius=2.0))

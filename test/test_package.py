@@ -6,13 +6,11 @@ import re
 import sys
 import xml.etree.ElementTree as ElementTree
 from functools import cache
-from pathlib import Path
 
 import pytest
 import setuptools
-from commands import run_python
+from commands import ROOT, run_python
 
-ROOT = Path(__file__).resolve().parent.parent
 NAME = 'ambush_planner'
 # Folders whose modules the checkout has, but no installation.
 NOT_INSTALLED = ('test', 'benchmarks', 'paper', 'examples')

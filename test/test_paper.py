@@ -3,12 +3,9 @@
 
 import json
 import re
-from pathlib import Path
 
-import numpy as np
 import pytest
-from commands import run_here
-from games import paper_example
+from commands import ROOT, run_here
 
 from ambush_planner import solve
 from paper import command as paper
@@ -16,7 +13,6 @@ from paper import environment
 from paper.report import NAMES
 from paper.results import SOLVERS, distinct_routes
 
-ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / 'docs' / 'paper.md'
 NUMBER = re.compile(r'\d+(?:\.\d+)?')
 # Where HiGHS' interior point method stops depends on its version.
@@ -40,11 +36,8 @@ def results(done):
     return json.loads((done / 'results.json').read_text())
 
 
-def test_the_example_is_the_papers():
-    ours, theirs = environment.make_example(), paper_example()
-    np.testing.assert_array_equal(ours.edges, theirs.edges)
-    np.testing.assert_array_equal(ours.alpha, theirs.alpha)
-    assert distinct_routes(solve(ours), 500) == 7
+def test_the_example_has_seven_routes():
+    assert distinct_routes(solve(environment.make_example()), 500) == 7
 
 
 def test_unusable_files_are_refused_before_the_computation(tmp_path, capsys):

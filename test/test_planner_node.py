@@ -3,10 +3,10 @@
 
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import table_under
 from ros_harness import MARKER_TOPICS, pose, risk_grid, stage
 from waiting import unstamped, wait_until
 
@@ -15,7 +15,6 @@ from ambush_planner.planning import changed_ground as ground
 from ambush_planner.ros.planner_node import check_arguments, main
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
-REFERENCE = Path(__file__).resolve().parent.parent / 'docs/ros_interface.md'
 
 
 @pytest.fixture(scope='module')
@@ -41,9 +40,8 @@ def departures(client, count):
 
 
 def documented_keys():
-    table = REFERENCE.read_text().split('## Diagnostics\n')[1].split('\n\n')[0]
-    return {key for row in table.splitlines()[2:]
-            for key in re.findall(r'`(\w+)`', row.split('|')[1])}
+    return {key for keys, _ in table_under('docs/ros_interface.md', 'Diagnostics')
+            for key in re.findall(r'`(\w+)`', keys)}
 
 
 def test_departures_are_solved_once_for_each_goal_map_and_choice_of_parameters():
@@ -58,6 +56,7 @@ def test_departures_are_solved_once_for_each_goal_map_and_choice_of_parameters()
         report = client.diagnostics(departures='20', code='NONE')
         assert set(report) == documented_keys() | {'level'}
         assert float(report['value']) >= float(report['lower_bound']) > 0.0
+        assert report['value_is'] == 'mean loss'
         assert all(len(client.received[topic]) == 1 for topic in MARKER_TOPICS)
         client.publish('alpha_map', risk_grid())  # the same again
         client.publish('goal_pose', pose(8.5, 5.5, 1.0))

@@ -47,3 +47,10 @@ def test_a_robot_whose_diversion_does_not_leave_is_on_its_trip_as_before(fails):
         diversion.left.set_result(None)
     assert trips.continued_by(ASKED) is (first if fails else diversion)
     assert diversion.before is None
+
+
+def test_a_departure_that_does_not_leave_is_not_under_way():
+    trips, first = RobotTrips(None, None), trip()
+    trips.add(first)
+    first.left.set_exception(OSError())
+    assert trips.continued_by(ASKED) is None

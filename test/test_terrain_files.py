@@ -52,17 +52,6 @@ def test_rejects_files_that_are_broken_or_no_rasters(tmp_path):
             read_raster(tmp_path / name)
 
 
-def test_geotiff_in_metres_with_nodata(tmp_path):
-    heights = np.arange(12, dtype=np.int16).reshape(3, 4)
-    heights[0, 1] = -9999
-    path = write_geotiff(tmp_path / 'a.tif', heights, 'EPSG:32632', (25, 0, 5e5, 0, -30, 4e6),
-                         nodata=-9999)
-    raster = read_raster(path)
-    assert (raster.row_step, raster.column_step) == (30.0, 25.0)
-    assert np.isnan(raster.values[2, 1]) and raster.values[0, 3] == 11.0
-    assert (raster.corner, raster.crs) == ((500000.0, 3999910.0), 'EPSG:32632')
-
-
 @pytest.mark.parametrize(('crs', 'west', 'north', 'step', 'utm'), [
     ('EPSG:4326', 18.4, -33.9, 1 / 1200, 'EPSG:32734'),
     ('EPSG:3857', -9.37e6, 4.37e6, 100.0, 'EPSG:32616'),  # its metres are 0.81 m there
@@ -157,16 +146,3 @@ def test_the_command_leaves_map_picture_and_preview(tmp_path):
     assert result.values[39].max() < 100
     assert '120 x 80 cells of 10 m' in done.out
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
-
-
-def test_the_command_says_what_is_wrong(tmp_path):
-    pytest.importorskip('matplotlib', reason='the preview takes the extra "figures"')
-    dem = save(tmp_path / 'dem.npz', elevation=np.zeros((9, 9)), resolution=500.0)
-    for arguments, code, reason in (
-        ((tmp_path / 'no.npz', '-o', tmp_path / 'm.yaml'), 3, 'no.npz: No such file'),
-        ((dem, '-o', tmp_path / 'm.yaml'), 3, 'weapon range'),
-        ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), 2, '.yaml'),
-    ):
-        done = run_here(risk, *arguments)
-        assert done.code == code and reason in done.err and 'Traceback' not in done.err
-    assert not (tmp_path / 'm.yaml').exists()
