@@ -73,6 +73,7 @@ endurance: $(VENV)/.test
 		-o session_timeout=3600 test/test_recorder.py
 	HUNT=25 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_timeout=7200 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
+	$(BIN)/python benchmarks/random_games.py --count 1000 --first $$(date +%s)
 	$(BIN)/python benchmarks/node_fuzz.py
 	$(BIN)/python benchmarks/node_soak.py
 

@@ -136,21 +136,6 @@ def test_a_budget_below_the_best_route_is_infeasible():
     assert not unlimited.binds and unlimited.least == pytest.approx(3.0)
 
 
-@examples(20)
-@given(networks())
-def test_the_reduced_cost_along_a_route_is_its_cost_over_the_best(network):
-    game = make_game(network, GameOptions())
-    length, exposure = make_budgets(game, StrategyOptions(max_detour=2.0, max_exposure=3.0))
-    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
-    route = strategy.sample_route(np.random.default_rng(1))
-    pairs = list(zip(route[:-1].tolist(), route[1:].tolist(), strict=True))
-    used = [k for k, edge in enumerate(network.edges.tolist()) if tuple(edge) in pairs]
-    for budget in (length, exposure):
-        over = budget.cost[used].sum() - budget.least
-        assert budget.reduced_cost[used].sum() == pytest.approx(over, abs=1e-9 * (1 + budget.least))
-        assert (budget.reduced_cost >= 0.0).all()
-
-
 # Scale.
 
 

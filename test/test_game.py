@@ -3,35 +3,12 @@
 
 import numpy as np
 import pytest
-from games import PLAIN, examples, networks, routes_of
+from games import examples, networks, routes_of
 from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
 from ambush_planner.game.game import make_game
-from ambush_planner.game.value.cut import solve_by_min_cut
-
-
-def value(network, **options) -> float:
-    """Exact value; inf without a route."""
-    try:
-        return solve_by_min_cut(make_game(network, GameOptions(**options))).value
-    except NoRoute:
-        return np.inf
-
-
-@examples(20)
-@given(networks())
-def test_the_value_never_falls_as_the_threshold_falls(network):
-    values = [value(network, alpha_threshold=limit) for limit in (np.inf, 7, 3, 2, 1, 0.5, 0)]
-    for loose, tight in zip(values[:-1], values[1:], strict=True):
-        assert tight >= loose * (1 - 1e-12)
-
-
-@examples(20)
-@given(networks(alphas=PLAIN), st.floats(0, 8))
-def test_the_value_never_rises_as_more_ground_is_secured(network, radius):
-    assert value(network, secured_radius=radius) <= value(network) * (1 + 1e-12)
 
 
 @examples(20)

@@ -11,13 +11,11 @@ from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from test_routes import games
 
-from ambush_planner import GameOptions, Network, SolverFailed, StrategyOptions, TimeLimit
-from ambush_planner.game.game import make_game
+from ambush_planner import GameOptions, Network
 from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Search, SearchProblem
 from ambush_planner.game.solver import solve
-from ambush_planner.game.strategy import make_budgets
 from ambush_planner.game.trip_search import find_trip
 from ambush_planner.game.value.routes import Routes
 
@@ -103,20 +101,6 @@ def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     assert entropy >= of_places - math.log(len(routes.routes) + 1.0) - 1e-9
 
 
-def test_a_search_says_why_it_ended_last():
-    game = make_game(_bridges(), GameOptions(secured_radius=0.0))
-    budgets = make_budgets(game, StrategyOptions(max_detour=math.inf))
-    search = Search(SearchProblem(game, budgets, SLACK, math.inf),
-                    Routes(game, budgets, 1e-3, math.inf), SLACK)
-    for error, reason in ((SolverFailed(''), 'solver'), (None, 'stalled'), (TimeLimit(''), 'time')):
-        with search.keep_incumbent():
-            if error:
-                raise error
-        assert search.reason == reason
-    search.go_on_until(math.inf, math.inf)
-    assert search.reason == 'stalled'
-
-
 def _bridges():
     """From 0 over 1 or 2, two equal bridges, to the stop 3, and back over 1 or 2 to 4."""
     at = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (0.0, -0.5)])
@@ -124,20 +108,6 @@ def _bridges():
     edges = [(0, 1), (0, 2), (1, 8), (2, 8), (8, 6), (8, 7), (6, 9), (7, 9)]
     return Network(np.tile(at, (2, 1)), np.tile(alpha, 2), edges, 0, 9,
                    np.tile(np.arange(5), 2), np.repeat([0, 1], 5))
-
-
-def test_legs_that_have_to_agree():
-    """Drawn independently, 3 / 4 of the trips pass a bridge; half, if both legs take the same."""
-    game = make_game(_bridges(), GameOptions(secured_radius=0.0))
-    budgets = make_budgets(game, StrategyOptions(max_detour=math.inf))
-    routes = Routes(game, budgets, 1e-3, math.inf)
-    routes.solve()
-    assert routes.value == pytest.approx(0.5, rel=1e-2)
-    found = distribution_around(game, budgets, routes)
-    assert found.value <= 0.5 * (1.0 + 1.5 * SLACK)
-    unrolled, p = found.layers.unrolled(found.chain)
-    assert worst_loss(unrolled, p) == pytest.approx(found.value)
-    assert route_entropy(unrolled.network, p) <= math.log(4.0)
 
 
 def test_pictures_show_a_stretch_once_with_the_probability_of_all_its_layers():

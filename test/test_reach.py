@@ -41,18 +41,6 @@ def test_value_and_bound_enclose_the_value_over_all_routes(
         assert strategy.value <= once * (1 + 0.01 + 1e-5) + 1e-9
 
 
-@examples(6)
-@given(st.integers(0, 10**6), st.floats(0.0, 2.0), st.sampled_from((1.1, np.inf)))
-def test_the_optimum_never_falls_when_the_reach_grows(seed, secured, detour):
-    network = terrain_network(seed, cells=9)
-    options = StrategyOptions(max_detour=detour)
-    bound = 0.0
-    for reach in (0.0, 0.7, 1.5, 3.0, 6.0):
-        strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=secured), options)
-        assert strategy.value >= bound * (1.0 - 1e-6)
-        bound = max(bound, strategy.lower_bound)
-
-
 @examples(20)
 @given(st.integers(0, 10**6), st.floats(0.5, 2.0), st.floats(0.0, 2.0))
 def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
