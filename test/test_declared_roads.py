@@ -2,7 +2,6 @@
 """Which lines are roads, in which direction and how fast: tables of attributes and formats."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -10,11 +9,10 @@ import pytest
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
 import networkx
-from commands import heard, run_here
+from commands import heard
 from shapely.geometry import LineString, MultiLineString, Point, Polygon
 
 from ambush_planner import InvalidOption, NetworkOptions
-from ambush_planner.commands import plan
 from ambush_planner.maps.road_file import read_roads
 
 CRS = 'EPSG:32616'
@@ -255,16 +253,3 @@ def test_features_of_other_kinds_are_counted(tmp_path):
     found, _, said = read(tmp_path / 'a.gpkg')
     assert found == BOTH
     assert '3 of 5 features are left out: 1 Point, 1 Polygon, 1 without a geometry' in said
-
-
-@pytest.mark.parametrize(('option', 'words'), [
-    (('--set', 'network.graph=a.gpkg'), 'no effect without .*network.method=graph'),
-    (('--node-crossings',), 'no effect without .*network.method=graph'),
-    (('--set', 'network.join_distance=9'), 'no effect without .*network.method=graph'),
-    (('--slope-limit', '0.5'), '--slope-limit goes with --terrain'),
-    (('--weapon-range', '90'), '--weapon-range goes with --terrain'),
-])
-def test_options_without_an_effect_are_errors(option, words, tmp_path):
-    done = run_here(plan, tmp_path / 'm.npz', '--start', 1, 1, '--goal', 8, 8, '-o',
-                    tmp_path / 'r.csv', *option)
-    assert done.code == 2 and re.search(words, done.err)

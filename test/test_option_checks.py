@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
-from ambush_planner.maps import OccupancyOptions
+from ambush_planner.maps import InvalidTerrain, OccupancyOptions, TerrainOptions, ViewOptions
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
 WRONG = (None, '2', [1.0], True, 1j, np.nan, -2)
@@ -48,9 +48,13 @@ def test_numpy_numbers_are_accepted(record):
     (OccupancyOptions, 'alpha_max', [0.5, np.inf, 1e291]),
     (OccupancyOptions, 'obstacle_threshold', [0, 102]),
     (OccupancyOptions, 'unknown_alpha', [np.nan, 1e291]),
+    (TerrainOptions, 'slope_limit', [0.0]), (TerrainOptions, 'road_factor', [1.5]),
+    (TerrainOptions, 'weights', [(0.0,) * 4, (1.0, -1.0, 1.0, 1.0), (1.0, 1.0)]),
+    (ViewOptions, 'weapon_range', [0.0]), (ViewOptions, 'vehicle_height', [-1.0]),
+    (ViewOptions, 'person_height', [np.nan]), (ViewOptions, 'rays', [7]),
 ])
 def test_values_out_of_range_are_named(record, name, values):
     for value in values:
-        with pytest.raises(InvalidOption, match=name) as caught:
+        with pytest.raises((InvalidOption, InvalidTerrain), match=name) as caught:
             record(**{name: value})
         assert str(value) in str(caught.value)

@@ -281,6 +281,11 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--reach', '0.3furlongs'), 2, "--reach must be a number, got '0.3furlongs'"),
     (('--reach', -3), 2, '--reach must be'),
     (('--set', 'network.spacing=-1'), 2, '--set network.spacing must be'),
+    (('--set', 'network.graph=a.gpkg'), 2, 'no effect without .*network.method=graph'),
+    (('--node-crossings',), 2, 'no effect without .*network.method=graph'),
+    (('--set', 'network.join_distance=9'), 2, 'no effect without .*network.method=graph'),
+    (('--slope-limit', 0.5), 2, '--slope-limit goes with --terrain'),
+    (('--weapon-range', 90), 2, '--weapon-range goes with --terrain'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
                                                    reason):

@@ -56,7 +56,7 @@ def edge_counts(network, routes) -> np.ndarray:
 @pytest.mark.parametrize('draw', [one_by_one, at_once])
 def test_drawn_frequencies_are_the_published_probabilities(draw):
     """Every edge's count is binomial: normal approximation, Bonferroni over the edges."""
-    network, draws = terrain_network(3, cells=9), 10_000
+    network, draws = terrain_network(3, cells=9), 3_000
     strategy = solve(network)
     counts = edge_counts(network, draw(strategy, draws, 42))
     p = strategy.edge_probability
@@ -71,7 +71,7 @@ def test_drawn_frequencies_are_the_published_probabilities(draw):
 
 @pytest.mark.parametrize('draw', [one_by_one, at_once])
 def test_whole_routes_have_the_probability_of_their_steps(draw):
-    network, draws = paper_example(), 10_000
+    network, draws = paper_example(), 3_000
     strategy = solve(network)
     drawn = Counter(tuple(route.tolist()) for route in draw(strategy, draws, 7))
     assert len(drawn) == 7
@@ -87,7 +87,7 @@ def test_whole_routes_have_the_probability_of_their_steps(draw):
 
 
 def test_routes_at_once_have_the_distribution_of_single_routes_of_strategies_with_cycles():
-    network, draws = terrain_network(5, 'uniform_delaunay', 14), 4_000
+    network, draws = terrain_network(5, 'uniform_delaunay', 14), 2_000
     strategy = solve(network, options=StrategyOptions(solver='interior_point', max_detour=np.inf))
     assert not is_acyclic(network, strategy.edge_probability)
     single = edge_counts(network, one_by_one(strategy, draws, 3))

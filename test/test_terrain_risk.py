@@ -73,11 +73,3 @@ def test_unknown_terrain_stays_unknown_under_a_road():
 def test_rejects_roads_of_another_shape():
     with pytest.raises(InvalidTerrain, match='roads'):
         terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))
-
-
-@pytest.mark.parametrize('values', [
-    {'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
-    {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}])
-def test_rejects_options_out_of_range(values):
-    with pytest.raises(InvalidTerrain, match=next(iter(values))):
-        TerrainOptions(**values)

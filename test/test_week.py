@@ -118,6 +118,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
     page = (tmp_path / 'out' / 'report.html').read_text()
     assert f'<b>{SLOTS.value:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
+    assert 'Verified: all 6 recordings' in page
 
 
 def test_other_readers_take_the_recordings_and_definitions_are_those_installed(plans, tmp_path):
