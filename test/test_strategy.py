@@ -199,15 +199,6 @@ def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach)
     assert route[0] == network.source and route[-1] == network.target
 
 
-def test_a_warm_start_ends_at_the_same_optimum_sooner():
-    network = terrain_network(1, cells=24)
-    options = StrategyOptions(max_detour=1.3)
-    first = solve(network, options=options)
-    again = solve(network, options=options, warm=first.multipliers)
-    assert again.iterations < first.iterations / 4
-    assert again.route_entropy == pytest.approx(first.route_entropy, rel=5e-3)
-
-
 @pytest.mark.parametrize(('seed', 'reach'), [(0, 0.0), (3, 2.0)])
 def test_driving_times_that_differ_by_direction(seed, reach):
     network = terrain_network(seed, METHODS[seed % 5], 34)

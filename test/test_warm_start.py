@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warm starts: a solve that starts from the multipliers of a strategy on another map."""
+"""Warm starts: a solve that starts from what is known of another map."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plain import plain_options
 
-from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
-from ambush_planner.game.search import Multipliers
+from ambush_planner import GameOptions, StrategyOptions, build_network
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import WarmStart
-from ambush_planner.planning.trip import plan_trip
 
 ENDS = (1.5, 5.0), (10.5, 7.0)
 
@@ -53,16 +51,3 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     assert warm.lower_bound <= cold.value * (1 + room)
     assert cold.lower_bound <= warm.value * (1 + room)
     assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.05 if reach else 0.01)
-
-
-def test_multipliers_come_from_the_nearest_node():
-    made = plan_trip(ground(1), *ENDS, PlanningOptions(network=NetworkOptions(spacing=1.0)))
-    two_nodes = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
-    ends = Network(np.array(ENDS), np.zeros(2), [[0, 1]], 0, 1)
-    found = WarmStart(ends, two_nodes, np.empty((0, 2)), ends.refined).on(made.network)
-    nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
-        *(made.network.points - ENDS[1]).T)
-    assert np.array_equal(found.sites, np.where(nearer, 1.0, 2.0))
-    assert found.budgets == (3.0, 4.0)
-    multipliers = made.strategy.multipliers
-    assert WarmStart.of(made.strategy).on(made.network) is multipliers

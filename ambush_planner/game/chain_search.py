@@ -123,10 +123,6 @@ def _around_flow(search: Search) -> RouteDistribution:
     distribution = RouteDistribution(network, flow[network.edge], problem.budgets, game.ambushers,
                                      search.slack, exact, problem.deadline, rough=True)
     distribution.add_sites(search.entering, search.loss)
-    if problem.warm:
-        prices = zip(problem.warm.budgets, problem.budgets, strict=True)
-        distribution.start_from(problem.warm.sites[search.game.sites],
-                                np.array([price for price, b in prices if b.binds]), search.caps())
     distribution.measure(search.caps())
     return distribution
 

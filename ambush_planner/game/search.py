@@ -7,13 +7,13 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..arrays import ROUNDING, BoolArray, FloatArray, frozen_array
+from ..arrays import ROUNDING, BoolArray, FloatArray
 from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, padded
 from .budget import Budget
@@ -25,7 +25,7 @@ from .game import Game
 from .hits import worst_loss
 from .layered_graph import LayeredGraph
 from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, sum_of_largest, within
-from .strategy import Multipliers, Strategy, strategy_of
+from .strategy import Strategy, strategy_of
 from .value.routes import Progress, no_progress
 
 # Share of the slack that an LP's strategy may use; a distribution around it may use the rest.
@@ -122,7 +122,6 @@ class SearchProblem:
     slack: float
     deadline: float
     site_search: SiteSearch | None = None
-    warm: Multipliers | None = None
     progress: Progress = no_progress
     judged: float = math.inf
 
@@ -146,8 +145,7 @@ class Incumbent:
     """The best strategy so far.
 
     ``value`` is what it costs at the sites so far, ``worst`` the row of the one that costs most
-    (-1: none). ``weights`` (S,) and ``prices`` are its distribution's multipliers per hit and per
-    unit of cost, ``entropy_bound`` [nats] the most entropy that a distribution within the same
+    (-1: none). ``entropy_bound`` [nats] is the most entropy that a distribution within the same
     limits can have; NaN if that is not known. On a trip, its chain may be on ``layers``. Of two
     distributions the one of greater ``rating`` is better: whether it is within the slack, then its
     entropy, or else minus its value.
@@ -156,8 +154,6 @@ class Incumbent:
     chain: MarkovChain
     value: float
     worst: int = -1
-    weights: FloatArray = field(default_factory=lambda: np.zeros(0))
-    prices: FloatArray = field(default_factory=lambda: np.zeros(0))
     entropy_bound: float = np.nan
     layers: LayeredGraph | None = None
     rating: tuple[bool, float] = (False, -np.inf)
@@ -240,8 +236,8 @@ class Search:
                 chain.uses(len(self.game.playable))):
             return best
         self.problem.progress(value, self.lp.bound)
-        return Incumbent(chain, value, distribution.worst, *distribution.unscaled_multipliers(),
-                         distribution.entropy_bound, layers, rating)
+        return Incumbent(chain, value, distribution.worst, distribution.entropy_bound, layers,
+                         rating)
 
     def strategy(self, best: Incumbent | None) -> Strategy:
         """The best strategy, by default the LP's, with its value at any place.
@@ -254,9 +250,7 @@ class Search:
             best = Incumbent(chain_of(self.game.network, p), worst_loss(self.game, p))
         best = self._worst_of(best)
         own = np.arange(len(self.loss)) < len(self.game.sites)
-        weights = padded(best.weights, len(own))
-        q = [padded(each.q, len(own)) for each in self.lp.provers]
-        kept = own | np.any(q, axis=0) | (weights > 0.0)
+        kept = own | np.any([padded(each.q, len(own)) for each in self.lp.provers], axis=0)
         if best.worst >= 0:
             kept[best.worst] = True
         added = np.flatnonzero(kept & ~own)
@@ -270,12 +264,7 @@ class Search:
             budgets = length, exposure
         game = game.with_sites(self.points[added], self.loss[added], csr_matrix(entering))
         bound, ambusher = self.proof(game, kept, budgets, best.value / ceiling(1.0, self.slack))
-        per_hit = np.zeros(game.node_count)
-        per_hit[game.sites] = weights[kept]
-        multipliers = Multipliers(frozen_array(per_hit, np.float64),
-                                  self._of_all_budgets(best.prices))
         found = replace(strategy_of(game, p, ambusher, budgets, bound),
-                        multipliers=None if best.layers else multipliers,
                         iterations=self.evaluations, entropy_bound=best.entropy_bound)
         if within(found.value, found.lower_bound, self.problem.slack + CERTIFICATE_TOLERANCE):
             return found

@@ -21,7 +21,7 @@ from .faces import make_faces
 from .game import Game, GameOptions, make_game
 from .search import Search, SearchProblem, SiteSearch
 from .slack import MIN_SLACK
-from .strategy import Multipliers, Strategy, StrategyOptions, make_budgets
+from .strategy import Strategy, StrategyOptions, make_budgets
 from .trip_search import find_legs, find_mixture, find_trip
 from .value.cut import Cut
 from .value.linear_program import linear_program_strategy
@@ -43,8 +43,8 @@ RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
 ALL_ROUTES = 1.0 - StrategyOptions.risk_slack
 
 
-def solve(network: Network, game: GameOptions | None = None, options: StrategyOptions | None = None,
-          warm: Multipliers | None = None) -> Strategy:
+def solve(network: Network, game: GameOptions | None = None,
+          options: StrategyOptions | None = None) -> Strategy:
     """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
 
     ``plan_trip`` also considers ambushers between the nodes, the driven paths and the secured area.
@@ -57,9 +57,6 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
         What the ambusher can do.
     options
         The budgets, the solver, the time limit.
-    warm
-        Multipliers of a strategy for the same nodes with other losses, budgets or slack, to start
-        the search from.
 
     Returns
     -------
@@ -92,8 +89,7 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     if not isinstance(network, Network):
         raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
                              'build_network makes one of a RiskMap, and plan_trip does it all')
-    found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
-                       warm=warm)
+    found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions())
     loss = found.game.loss
     certain = (found.ambush_probability > 0.0) & (ALL_ROUTES * loss <= found.value) & (loss > 0.0)
     if not found.value > 0.0:
@@ -106,7 +102,7 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
 
 
 def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-               warm: Multipliers | None = None, progress: Progress = no_progress) -> Strategy:
+               progress: Progress = no_progress) -> Strategy:
     """Find the optimal strategy against an ambusher at a game's sites and those of ``site_search``.
 
     Raises the errors of ``solve``.
@@ -115,19 +111,18 @@ def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | N
         _check_losses(game.network)
         deadline = time.monotonic() + options.time_limit
         return linear_program_strategy(game, options, make_budgets(game, options), deadline)
-    problem = make_problem(game, options, site_search, warm, progress)
+    problem = make_problem(game, options, site_search, progress)
     return _in_time(_most_unpredictable(problem), options)
 
 
 def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-                 warm: Multipliers | None = None,
                  progress: Progress = no_progress) -> SearchProblem:
     """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
     _check_losses(game.network)
     deadline, judged = _search_ends(time.monotonic() + options.time_limit, options,
                                     game.network)
     return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
-                         site_search, warm, progress, judged)
+                         site_search, progress, judged)
 
 
 def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:

@@ -91,14 +91,6 @@ class StrategyOptions:
         return self.risk_slack if self.solver == 'max_entropy' else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of the Gibbs distribution: per hit of each site (N,), per unit of each budget."""
-
-    sites: FloatArray
-    budgets: tuple[float, ...]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Strategy(Shown):
     """A mixed strategy with its certificate.
@@ -113,8 +105,6 @@ class Strategy(Shown):
         The best one: where he waits, and what the budgets are worth to him.
     iterations : int
         Evaluations of the Gibbs distribution, or iterations of interior point or simplex method.
-    multipliers : Multipliers or None
-        Those of the Gibbs distribution, for a warm start.
     reason : str
         Why the search ended: 'complete', the value is within the slack of its bound; 'time', the
         time limit passed; 'solver', a numerical solver failed; 'stalled', no method found a better
@@ -127,7 +117,6 @@ class Strategy(Shown):
     budgets: tuple[Budget, Budget]
     certificate: Certificate
     iterations: int = 0
-    multipliers: Multipliers | None = None
     entropy_bound: float = math.nan
     reason: Reason = 'complete'
 

@@ -59,8 +59,8 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     """Solve for each of ``detours``, then for each of ``slacks``, the rest as in ``options``.
 
     The values are those of ``solve``, at the network's nodes; ``Plan.frontier`` gives those of
-    plans. Each solve starts from the previous one, the longest detour first. ``on_row`` is called
-    with each finished row; the result has the requested order. ``options.time_limit`` applies to
+    plans. ``on_row`` is called with each finished row, the longest detour first; the result has the
+    requested order. ``options.time_limit`` applies to
     each solve; at the limit the row is that of the best strategy so far, with its bound.
 
     Raises
@@ -76,8 +76,8 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     >>> [round(row.lower_bound, 2) for row in frontier(network, detours=(1.0, 2.0), slacks=())]
     [1.0, 0.5]
     """
-    def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
-        return solve(network, game, budgets, before.multipliers if before else None)
+    def solved(budgets: StrategyOptions, _: Strategy | None) -> Strategy:
+        return solve(network, game, budgets)
 
     return _rows(solved, detours, slacks, options or StrategyOptions(), on_row)
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, frozen_array
+from ..arrays import FloatArray
 from ..errors import TimeLimit
 from ..game.game import Game, GameOptions, make_game
 from ..game.revaluation import open_gap
 from ..game.search import Search
 from ..game.solver import find_value, finish, make_problem, solve_game
-from ..game.strategy import Multipliers, Strategy
+from ..game.strategy import Strategy
 from ..game.value.routes import Progress, no_progress
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_hiding_places, with_places
@@ -26,45 +26,30 @@ from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """What another strategy, or another search, knows.
+    """What another strategy, or another search, knows: where the ambusher waits between nodes.
 
-    ``network`` is that of its ``multipliers``, if it has any; ``places`` (K, 2) are sites of its
-    ambusher without edges [m]; ``refined`` (K, 3) is that of the new network.
+    ``places`` (K, 2) are his sites without edges [m]; ``refined`` (K, 3) is that of the new
+    network.
     """
 
-    network: Network
-    multipliers: Multipliers | None
     places: FloatArray
     refined: FloatArray
 
     @classmethod
     def of(cls, strategy: Strategy, refined: FloatArray | None = None) -> WarmStart:
         """Start from a strategy; by default its network's places are refined again."""
-        network, multipliers = strategy.network, strategy.multipliers
-        places = np.empty((0, 2))
-        if multipliers is not None:
-            binding = multipliers.sites[network.representatives] > 0.0
-            binding[network.places[network.edges]] = False
-            places = np.unique(network.points[network.representatives[binding]], axis=0)
-        return cls(network, multipliers, places, network.refined if refined is None else refined)
+        network = strategy.network
+        waits = strategy.ambush_probability[network.representatives] > 0.0
+        waits[network.places[network.edges]] = False
+        return cls(network.points[network.representatives[waits]],
+                   network.refined if refined is None else refined)
 
     @classmethod
     def after(cls, search: Search, refined: FloatArray) -> WarmStart:
         """Start from a search on another network."""
         added = np.flatnonzero(search.lp.q > 0.0)
         added = added[added >= len(search.game.sites)]
-        return cls(search.game.network, None, search.points[added], refined)
-
-    def on(self, network: Network) -> Multipliers | None:
-        """The multipliers for another network: each site's from the nearest node."""
-        points = self.network.points
-        if self.multipliers is None:
-            return None
-        if np.array_equal(points, network.points):
-            return self.multipliers
-        _, nearest = cKDTree(points).query(network.points)
-        sites = frozen_array(self.multipliers.sites[nearest], np.float64)
-        return Multipliers(sites, self.multipliers.budgets)
+        return cls(search.points[added], refined)
 
     def sites_beyond(self, network: Network) -> FloatArray:
         """Positions (K, 2) of the places at which another network has no node [m]."""
@@ -80,9 +65,9 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     matter are added to the network as nodes without edges. At the time limit, the best strategy is
     returned if it is within ``max_gap``. Raises the errors of ``solve``.
     """
-    game, site_search, known = _played(risk_map, network, options, warm)
+    game, site_search = _played(risk_map, network, options, warm)
     try:
-        return solve_game(game, options.strategy, site_search, known, progress)
+        return solve_game(game, options.strategy, site_search, progress)
     except TimeLimit as late:
         return _within_max_gap(late, options)
 
@@ -90,8 +75,8 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
 def find_value_on(risk_map: RiskMap, network: Network, options: PlanningOptions,
                   warm: WarmStart | None = None, progress: Progress = no_progress) -> Search:
     """The first half of ``solve_on_network``: the value, and where the ambusher waits."""
-    game, site_search, known = _played(risk_map, network, options, warm)
-    return find_value(make_problem(game, options.strategy, site_search, known, progress))
+    game, site_search = _played(risk_map, network, options, warm)
+    return find_value(make_problem(game, options.strategy, site_search, progress))
 
 
 def finish_on(search: Search, options: PlanningOptions, end: float) -> Strategy:
@@ -108,9 +93,9 @@ def with_time(options: PlanningOptions, end: float) -> PlanningOptions:
     return replace(options, strategy=replace(options.strategy, time_limit=left))
 
 
-def _played(risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None
-            ) -> tuple[Game, CellSearch | None, Multipliers | None]:
-    """The game on a network, the search for sites between its nodes, and the multipliers known."""
+def _played(risk_map: RiskMap, network: Network, options: PlanningOptions,
+            warm: WarmStart | None) -> tuple[Game, CellSearch | None]:
+    """The game on a network, and the search for sites between its nodes."""
     cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
     played = solved_game(risk_map, options)
     network = add_hiding_places(network, risk_map, options, played)
@@ -118,8 +103,7 @@ def _played(risk_map: RiskMap, network: Network, options: PlanningOptions, warm:
         places = warm.sites_beyond(network)
         network = with_places(network, places, cells.at(places))
     game = make_game(network, played)
-    site_search = CellSearch(cells, game) if holds_anywhere(options) else None
-    return game, site_search, warm.on(network) if warm else None
+    return game, CellSearch(cells, game) if holds_anywhere(options) else None
 
 
 def _within_max_gap(late: TimeLimit, options: PlanningOptions) -> Strategy:

@@ -77,8 +77,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     """Return the strategy in the bytes of a ``strategy.npz``, and the numbers stated there.
 
     ``options`` are the game's. Everything that follows from the probabilities, including the
-    certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations and
-    multipliers are not recorded.
+    certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations are
+    not recorded.
     """
     content = arrays_in(BytesIO(data), (*_NETWORK, *_ON_ROADS, *_PROBABILITIES, *NUMBERS,
                                         *_PLANNED, *_CIRCULATION, _BY_LEG, _REASON))

@@ -82,19 +82,6 @@ class RouteDistribution:
         self._loss = np.append(self._loss, loss)
         self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
-    def start_from(self, sites: FloatArray, budgets: FloatArray, caps: FloatArray) -> None:
-        """Begin with the multipliers per hit of the first sites (K,) and per unit of cost."""
-        first = slice(len(sites))
-        self.multipliers[first] = sites * caps[first] / self._loss[first]
-        self.prices = budgets * self._budget_slack
-
-    def unscaled_multipliers(self) -> tuple[FloatArray, FloatArray]:
-        """The multipliers per hit of each site (S,), and per unit of each budget's cost."""
-        known = len(self.caps)
-        most = np.maximum(self.caps / self._loss[:known], np.finfo(float).tiny)
-        return (np.append(self.multipliers[:known] / most, self.multipliers[known:]),
-                self.prices / self._budget_slack)
-
     def measure(self, caps: FloatArray) -> None:
         """Find the value of p, and rows that are exact at p, for new ``caps`` (S,)."""
         self.caps, limit = caps, caps / self._loss
