@@ -51,4 +51,5 @@ class Robot:
 
     def _known(self):
         """Where the node believes the robot to be, None if it does not know."""
-        return self._running.planner._parts.inputs.robot_place(self._frame, 'map', math.inf)
+        inputs = self._running.planner._parts.dispatcher.inputs
+        return inputs.robot_place(self._frame, 'map', math.inf)

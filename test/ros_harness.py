@@ -199,10 +199,10 @@ class Client:
 def interface_of(planner):
     """Return what a planner publishes, subscribes to and serves: types by name.
 
-    Maps and paths to look along arrive at hidden nodes; the one for transforms is left out.
+    Maps and paths to check arrive at hidden nodes; the one for transforms is left out.
     """
     nodes = (planner, planner._parts.subscriptions._maps.node,
-             *([planner._requests.looks.node] if planner._requests.looks else []))
+             *([planner._requests.path_checks.node] if planner._requests.path_checks else []))
 
     def made(kind, name, type_):
         return {getattr(each, name): type_name(getattr(each, type_))
@@ -228,7 +228,7 @@ class Stage:
     def know(self, values):
         """Give the planner a map of cell values, and wait until it has it."""
         self.client.publish('alpha_map', risk_grid(values))
-        inputs = self.planner._parts.inputs
+        inputs = self.planner._parts.dispatcher.inputs
         wait_until(lambda: inputs.map and np.array_equal(inputs.map.values, values), 'the map')
 
     def give(self, *inputs, **wanted):

@@ -224,10 +224,10 @@ def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):
     assert validity(path) == (True, [])
     assert validity(type(path)(header=path.header)) == (False, [])
     client.diagnostics(code='NONE')
-    with held(ClearGround, 'drivable_steps') as (looks, _):
+    with held(ClearGround, 'drivable_steps') as (checked, _):
         path.poses = blocked
         asked = service.call_async(kind.Request(path=path))
-        wait_until(looks.is_set, 'the look along the path')
+        wait_until(checked.is_set, 'the check of the path')
         assert client.get_plan(START, GOAL).poses and not asked.done(), 'nobody waits for it'
     wait_until(asked.done, 'the answer')
     path.poses = [*path.poses, pose(float('nan'), 5.5)]

@@ -97,7 +97,7 @@ def test_plans_are_kept_while_it_is_inactive_unless_the_map_changes():
         client.last('path', 2)
         client.diagnostics(departures='2')
         manager.go(deactivate='inactive')
-        values = running.planner._parts.inputs.map.values.copy()
+        values = running.planner._parts.dispatcher.inputs.map.values.copy()
         values[4, 2:18] = 100
         running.know(values)
         assert not any(running.planner._parts.dispatcher.activity)

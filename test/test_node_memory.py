@@ -56,7 +56,7 @@ def test_what_kept_plans_know_of_earlier_maps_is_freed(no_collection):
             running.know(values)
             for goal in goals:
                 assert client.get_plan(pose(1.5, 5.5), goal).poses
-        earlier = ref(running.planner._parts.inputs.current_map())
+        earlier = ref(running.planner._parts.dispatcher.inputs.current_map())
         running.know(FLAT)
         client.get_plan(pose(1.5, 5.5), goals[0])  # the last departure keeps its map
         wait_until(lambda: earlier() is None, 'the map being freed')

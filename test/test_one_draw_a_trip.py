@@ -302,7 +302,7 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         drive, client = Drive(running), running.client
         drive.robot.is_at(1.5, 5.5)
         client.publish('alpha_map', risk_grid(values, 0.25))
-        wait_until(lambda: running.planner._parts.inputs.map, 'the map')
+        wait_until(lambda: running.planner._parts.dispatcher.inputs.map, 'the map')
         path = drive.ask('new')
         assert tuple(path[0, :2]) == (1.5, 5.5)
         assert path[1, 0] > 2.0 and abs(path[1, 1] - 5.5) < 0.5
@@ -313,7 +313,7 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         drive.robot.is_at(1.5, 5.0)  # off its path, within the plan's tolerance
         wanted = pose(8.5, 5.5, 1.0)
         client.publish('goal_pose', wanted)
-        inputs, solves = running.planner._parts.inputs, len(submitted)
+        inputs, solves = running.planner._parts.dispatcher.inputs, len(submitted)
         wait_until(lambda: inputs.goal.message == wanted, 'the goal')
         client.get_plan(HERE, GOAL)
         assert len(submitted) == solves, 'a plan for it is kept'

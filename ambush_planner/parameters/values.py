@@ -30,7 +30,7 @@ _PLAIN_NODES = 1000
 # Stands for any file with roads.
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 # Parameters that are not fields of the options that their groups are named after.
-_OTHER_PARAMETERS = ('map.preset', 'map.costmap', 'strategy.max_gap', 'route.path_spacing')
+NO_OPTIONS = ('map.preset', 'map.costmap', 'strategy.max_gap', 'route.path_spacing')
 
 _Options = TypeVar('_Options')
 
@@ -134,7 +134,7 @@ def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any
     """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
     options = {name.removeprefix(start): values[name]
-               for name in values if name.startswith(start) and name not in _OTHER_PARAMETERS}
+               for name in values if name.startswith(start) and name not in NO_OPTIONS}
     try:
         return kind(**options, **others)
     except InvalidOption as error:

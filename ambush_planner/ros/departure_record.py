@@ -39,7 +39,7 @@ class Departure:
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
     map and a nearby trip, to which the start may have been ``joined``. The route is drawn from the
     ``entropy_source`` and driven between ``ends`` [m]. ``published`` is the path, and ``markers``
-    and the ``report`` are those published with it. ``worth`` is what the departure is worth on the
+    and the ``report`` are those published with it. The ``assessment`` is of the departure on the
     newest map. ``remarks`` are for who made the ``call``.
     """
 
@@ -54,7 +54,7 @@ class Departure:
     route: Route
     published: RecordedMessage
     markers: tuple[RecordedMessage, ...]
-    worth: Assessment
+    assessment: Assessment
     tight_turns: int
     remarks: str = ''
     diversion: Diversion | None = None

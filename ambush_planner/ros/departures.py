@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws departures and their diversions, has them leave, and knows which robots are on them."""
+"""Draws and publishes departures and diversions, and keeps track of the robots on them."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from .recordings import Recordings
 from .topics import Publishers
 from .trip import Trip, TripRequest
 
-# Maximum number of trips of one robot that are kept, each with its plan: another goal that is
-# looked up ends none.
+# Maximum number of trips of one robot that are kept, each with its plan. Asking for a path to
+# another goal does not end the present trip.
 _MAX_TRIPS = 4
 
 
@@ -61,7 +61,8 @@ class RobotTrip:
     """A trip, its departure or the last diversion of that, and the whole route (K,).
 
     ``left`` is done once the path is published; with ``recording.required`` that takes a while.
-    A request after that has ``begun`` the trip: its robot drove on while the path was recorded.
+    ``begun``: whether a request has come since then. The first one lets a robot that drove on
+    meanwhile join the path from where it is.
     ``before`` is the trip that this one diverts, until it has left. A tour that ends where it
     begins is ``recorded`` when the robot has set out, because Nav2's controllers can take it to be
     at the end.
@@ -159,8 +160,8 @@ class Departures:
         if self._refusal is not None:
             raise self._refusal()
 
-    def depart(self, fit: Fit, pending: Pending) -> bool:
-        """Draw a route and have it leave; False if hardly any route is clear."""
+    def draw(self, fit: Fit, pending: Pending) -> bool:
+        """Draw a route and publish its path; False if hardly any route is clear."""
         self._recordings.wait_for_room()
         self.check_active()
         self._displayed.show(fit)
@@ -178,7 +179,7 @@ class Departures:
         path, driven = self._driven(fit.trip, fit.cached, pending, source, route, rows, fit.ends)
         departure = Departure(
             id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
-            markers=self._displayed.markers, worth=fit.assessment, remarks=remarks, **driven)
+            markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
         track = trip_on(fit.cached.plan, route, rows, fit.trip.destination)
         self._set_out(track, departure, path, route.nodes, pending)
         return True
@@ -227,7 +228,7 @@ class Departures:
 
     def _set_out(self, track: TripUnderWay, departure: Departure, path: Path, route: IndexArray,
                  pending: Pending, before: RobotTrip | None = None) -> None:
-        """Have a departure leave, at once or when it is recorded; it is under way from now on.
+        """Publish a departure, at once or when it is recorded; it is under way from now on.
 
         ``before`` is the trip that it diverts.
         """
@@ -254,7 +255,7 @@ class Departures:
         at_once = (before is not None or not (trip.moves and trip.stops_xy)
                    or trip.parameters.recording.required
                    or math.dist(trip.start_xy, trip.goal_xy) > track.tolerance)
-        left = self._recordings.depart(departure, leave, record=at_once)
+        left = self._recordings.publish(departure, leave, record=at_once)
         if trip.moves:
             self.trips.add(RobotTrip(track, departure, pending.trip_request, route, left, at_once,
                                     before))
@@ -263,7 +264,7 @@ class Departures:
     def _record(self, under_way: RobotTrip) -> None:
         if not under_way.recorded:
             under_way.recorded = True
-            self._recordings.depart(under_way.departure, lambda: None)
+            self._recordings.publish(under_way.departure, lambda: None)
 
 
 def inactive() -> Refusal:

@@ -52,7 +52,7 @@ class Status:
     costmap that has 'stopped' and of a map without 'risk'. ``assessment`` is of the displayed plan
     on the current map, and ``stale`` says why that plan is stale, if it is. The
     ``last_answer`` to a request may have been the rest of the path of the ``last`` departure.
-    ``recording``: whether departures are recorded.
+    ``records``: whether departures are recorded.
     """
 
     lifecycle: str = 'active'
@@ -65,7 +65,7 @@ class Status:
     stale: str = ''
     last: Departure | None = None
     last_answer: str = ''
-    recording: bool = False
+    records: bool = False
 
     @property
     def state(self) -> str:
@@ -77,9 +77,9 @@ class Status:
         return 'waiting' if self.missing else 'ready'
 
     @property
-    def recordings(self) -> str:
+    def recording_state(self) -> str:
         """'on' or 'off'; 'failed' if the last one did."""
-        if not self.recording:
+        if not self.records:
             return 'off'
         return 'failed' if 'recording' in self.problems else 'on'
 
@@ -116,13 +116,17 @@ class Reporter:
             self._publishers.publish('/diagnostics', message)
 
     def set(self, **fields: Any) -> None:
-        """Set fields of the status; without any, publish it if what is looked up has changed."""
+        """Set fields of the status."""
         self._change(lambda status: replace(status, **fields))
+
+    def refresh(self) -> None:
+        """Publish the status if what is looked up has changed."""
+        self._change(lambda status: status)
 
     def unconfigured(self, lifecycle: str) -> None:
         """Clear everything except the warning about parameters."""
         self._change(lambda status: Status(
-            lifecycle, recording=status.recording,
+            lifecycle, records=status.records,
             problems={key: each for key, each in status.problems.items() if key == 'parameters'}))
 
     def note(self, concern: str, wrong: Exception | str | None) -> None:
@@ -183,11 +187,11 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'stale': ('yes' if status.stale else 'no') if now else '',
         'departures': str(last.number) if last else '0',
         'departure_id': last.id if last else '',
-        'departure_value': f'{last.worth.value:.9g}' if last else '',
-        'departure_gap': f'{last.worth.gap:.9g}' if last else '',
+        'departure_value': f'{last.assessment.value:.9g}' if last else '',
+        'departure_gap': f'{last.assessment.gap:.9g}' if last else '',
         'last_answer': status.last_answer,
         'tight_turns': str(last.tight_turns) if last else '0',
-        'recording': status.recordings,
+        'recording': status.recording_state,
     }
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     entry = DiagnosticStatus(level=level, name=f'{name}: planning', hardware_id=name,
@@ -222,8 +226,8 @@ def _departure_warnings(last: Departure | None) -> list[str]:
     if last is None:
         return []
     planned, turns, found = last.held.plan.strategy.value, last.tight_turns, []
-    if last.worth.value > planned * (1.0 + last.trip.parameters.planning.max_gap):
-        found.append(f'the last departure has a value of {last.worth.value:.4g}, its plan had '
+    if last.assessment.value > planned * (1.0 + last.trip.parameters.planning.max_gap):
+        found.append(f'the last departure has a value of {last.assessment.value:.4g}, its plan had '
                      f'{planned:.4g} when it was solved (strategy.max_gap)')
     if turns:
         are = '1 turn of the last path is' if turns == 1 else f'{turns} turns of the last path are'

@@ -36,23 +36,24 @@ from .trip import Trip, TripRequest
 
 # Maximum number of solves for one departure while the map changes or the robot drives. From the
 # second one on, a robot joins the plan at any value: the next one may be out of date again.
-_MAX_SOLVES, _BEST_VALUE = 4, 1
+_MAX_SOLVES, _ANY_VALUE_FROM = 4, 2
 
 
 class Dispatcher:
     """Answers the requests to a configured node; thread-safe.
 
     Requests are answered one after the other on a thread of their own, and no thread waits for a
-    solve. They are refused until it is active.
+    solve. The dispatcher refuses requests until it is active.
     Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
+    ``inputs`` are those that were given.
     """
 
     def __init__(self, settings: NodeSettings, inputs: Inputs, publishers: Publishers,
                  recordings: Recordings, reporter: Reporter, logger: RcutilsLogger) -> None:
-        self._inputs, self._reporter = inputs, reporter
+        self.inputs, self._reporter = inputs, reporter
         self._clock, self._logger = publishers.clock, logger
         self._plans = PlanCache(logger)
-        self._thread = SerialExecutor('departures', reporter.set,
+        self._thread = SerialExecutor('departures', reporter.refresh,
                                       lambda error: reporter.note('request', error),
                                       shutting_down)
         self._displayed = DisplayedPlan(self._plans, inputs, settings, publishers, reporter,
@@ -93,7 +94,7 @@ class Dispatcher:
 
     def adopt(self, saved: SavedPlan, grid: ReceivedMessage, request: TripRequest) -> None:
         """Depart on a plan from a file, as if its map, start, goal and stops had arrived."""
-        inputs = self._inputs
+        inputs = self.inputs
         if 'costmap' in inputs.map_names:
             raise InvalidOption('a plan from a file has the whole map: set map.costmap to false')
         inputs.accept_map('alpha_map', grid)
@@ -123,7 +124,7 @@ class Dispatcher:
         def solve() -> None:
             with suppress(AmbushPlannerError):  # each caller gets the reason
                 self._departures.check_active()
-                trip = self._inputs.locate(self._inputs.latest())
+                trip = self.inputs.locate(self.inputs.latest())
                 if trip.moves and not self._departures.trips.continued_by(trip):
                     trip = trip.out_of_obstacle()
                     if not self._plans.fit(trip):
@@ -131,12 +132,12 @@ class Dispatcher:
 
         self._thread.submit(solve)
 
-    def depart(self, call: RecordedCall, trip_request: TripRequest, client: str = '',
-               draws: bool = False) -> Future[Answer]:
-        """Return a path for a trip, unless the returned future is cancelled before.
+    def path_for(self, call: RecordedCall, trip_request: TripRequest, client: str = '',
+                 draws: bool = False) -> Future[Answer]:
+        """Return a path. Cancelling the future withdraws the request.
 
-        It fails with SolveCancelled if the same ``client`` asks for another goal before that. If it
-        ``draws``, it is a departure even for a robot on its way.
+        A newer request of the same ``client`` for another goal makes it fail with SolveCancelled.
+        ``draws``: always make a departure, even for a robot on its way.
         """
         if draws and not trip_request.parameters.values['path.publish']:
             raise InvalidOption(
@@ -152,7 +153,7 @@ class Dispatcher:
 
         def begin() -> None:
             self._departures.check_active()
-            trip = self._inputs.locate(trip_request).out_of_obstacle()
+            trip = self.inputs.locate(trip_request).out_of_obstacle()
             self._when_solved(self._plans.solve(trip), show, result)
 
         def show(cached: CachedPlan) -> None:
@@ -184,12 +185,12 @@ class Dispatcher:
         if pending.answer.done():  # cancelled, or a newer request has replaced this one
             return
         self._departures.check_active()
-        trip = self._inputs.locate(pending.trip_request)
+        trip = self.inputs.locate(pending.trip_request)
         if not pending.draws and self._goes_on(trip, pending):
             return
         trip = trip.out_of_obstacle()
-        fit = self._plans.fit(trip, pending.solves > _BEST_VALUE)
-        if not (fit and self._departures.depart(fit, pending)):
+        fit = self._plans.fit(trip, pending.solves >= _ANY_VALUE_FROM)
+        if not (fit and self._departures.draw(fit, pending)):
             self._solve_for(trip, pending)
 
     def _goes_on(self, trip: Trip, pending: Pending) -> bool:
@@ -237,7 +238,7 @@ class Dispatcher:
     def _when_solved(self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None],
                      result: Future[Any]) -> None:
         """Use the plan on the departures thread; an error becomes the exception of ``result``."""
-        self._reporter.set()
+        self._reporter.refresh()
         self._thread.submit_after(solve, lambda done: use(done.result()), result)
         # A future keeps its callbacks, and strong references both ways would keep the plan alive
         # until the next full garbage collection.

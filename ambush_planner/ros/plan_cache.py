@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -17,8 +16,8 @@ from ..arrays import FloatArray
 from ..parameters.values import NodeParameters
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
-from ..planning.moved_start import REGION, JoinedPlan, joined_plan
-from ..planning.options import is_graded, start_tolerance, strays
+from ..planning.moved_start import JoinedPlan, joined_plan
+from ..planning.options import is_graded, start_tolerance
 from ..planning.plan import Plan, PlanRequest, Route, depart, departure_path
 from ..planning.solving import WarmStart
 from ..routes.driven_path import Ends
@@ -26,8 +25,8 @@ from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .trip import Trip
 
-# Distance that a robot may drive and will probably join the plan that is being solved [m].
-_JOINABLE = 1.0
+# Least spacing that is expected of a plan that is being solved [m].
+_LEAST_SPACING = 0.1
 # Maximum number of plans kept, and of the bytes that they take for each edge, and for each cell of
 # the maps that a plan was solved and last assessed on, which are kept with their messages.
 _MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 330_000_000, 1100, 4
@@ -53,7 +52,7 @@ class Task:
     def _key(self) -> tuple[object, ...]:
         trip, planning = self.trip, self.trip.parameters.planning
         limits = planning.strategy.time_limit, planning.max_gap, planning.network.refine
-        return trip.map, trip.start_xy, trip.goal, trip.conditions, limits, self.first
+        return trip.map, trip.start_xy, trip.goal_and_tolerance, trip.conditions, limits, self.first
 
     @cached_property
     def parameters(self) -> NodeParameters:
@@ -65,24 +64,20 @@ class Task:
         """Return what the worker is asked for."""
         trip, parameters = self.trip, self.parameters
         return PlanRequest(trip.map.values, trip.map.resolution, trip.map.origin,
-                           parameters.occupancy, trip.start_xy, *trip.goal, parameters.planning,
-                           trip.stops_xy, parameters.values['trip.order'], warm)
+                           parameters.occupancy, trip.start_xy, *trip.goal_and_tolerance,
+                           parameters.planning, trip.stops_xy, parameters.values['trip.order'],
+                           warm)
 
     def will_suit(self, trip: Trip) -> bool:
         """Whether the plan will probably suit a trip."""
         own, planning = self.trip, trip.parameters.planning
-        # If the planner chooses the spacing, it is at least the map's resolution.
-        spacing = planning.network.spacing or trip.map.resolution
-        if not (trip.moves and own.goal == trip.goal):
-            near = start_tolerance(planning, spacing)
-        elif planning.network.roads:
-            near = strays(planning, spacing)
-        else:
-            near = max(REGION * spacing, _JOINABLE)
+        # The planner chooses a spacing that is at least the map's resolution.
+        spacing = planning.network.spacing or max(trip.map.resolution, _LEAST_SPACING)
         return (trip.map.same_ground(own.map) and own.conditions == trip.conditions
                 and own.parameters.planning.strategy.time_limit == planning.strategy.time_limit
                 and own.request.goal_tolerance == trip.request.goal_tolerance
-                and own.distance(trip) <= near)
+                and (own.distance(trip) <= start_tolerance(planning, spacing)
+                     or own.is_joined_by(trip, spacing)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,19 +113,14 @@ class CachedPlan:
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
     def fit(self, trip: Trip) -> Fit | None:
-        """Return how one can depart on this plan for a trip that may differ a little, if at all.
-
-        On roads a robot drives straight to the planned start, if that lies within the tube: other
-        ways on could leave the road.
-        """
+        """Return how one can depart on this plan for a trip that may differ a little, if at all."""
         plan, start = self.plan, self.trip.start_xy
-        if (trip.moves and plan.options.network.roads
-                and math.dist(start, trip.start_xy) <= strays(plan.options, plan.spacing)
+        if (plan.options.network.roads and self.is_near(trip)  # it drives to the planned start
                 and trip.ground.segments(np.array([trip.start_xy]), np.array([start]))[0]):
             trip = replace(trip, start_xy=start)
-        away = self.trip.distance(trip)
+        away, same_goal = self.trip.distance(trip), self.trip.same_goal(trip)
         if (away > plan.start_tolerance or not self._serves(trip)
-                or (self.goal_was_moved and self.trip.goal != trip.goal)):
+                or (self.goal_was_moved and not same_goal)):
             return None
         fits = away == 0.0 or self.ground.connects(trip.map, self.ends(trip))
         return Fit(self, trip) if fits else None
@@ -149,12 +139,11 @@ class CachedPlan:
 
     def is_near(self, trip: Trip) -> bool:
         """Whether a trip is that of a robot near the start of this plan, to the same goal."""
-        return (trip.moves and self.trip.goal == trip.goal
-                and math.dist(self.trip.start_xy, trip.start_xy) <= REGION * self.plan.spacing)
+        return self.trip.is_joined_by(trip, self.plan.spacing)
 
     def answers(self, trip: Trip) -> bool:
         """Whether the plan is for exactly this trip, perhaps on another map."""
-        return (self.trip.start_xy == trip.start_xy and self.trip.goal == trip.goal
+        return (self.trip.start_xy == trip.start_xy and self.trip.same_goal(trip)
                 and self.trip.conditions == trip.conditions)
 
     def _serves(self, trip: Trip) -> bool:

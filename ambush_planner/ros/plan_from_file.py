@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from ..errors import InvalidOption
 from ..maps.occupancy import risk_from_occupancy
 from ..parameters.table import PARAMETERS
-from ..parameters.values import NodeParameters
+from ..parameters.values import NO_OPTIONS, NodeParameters
 from ..recordings import UnreadableRecording, type_name
 from ..recordings.plain_messages import grid_values
 from ..recordings.plan_file import SavedPlan, read_plan
@@ -24,7 +24,6 @@ from .trip import TripRequest
 
 # Parameters that the plan sets begin with one of these, or are one; the node keeps the others.
 _SET = ('map.', 'network.', 'game.', 'strategy.', 'route.', 'trip.order')
-_KEPT = ('map.costmap', 'strategy.max_gap', 'route.path_spacing')
 
 
 def read_plan_for_node(path: str) -> SavedPlan:
@@ -51,7 +50,8 @@ def read_plan_for_node(path: str) -> SavedPlan:
 def planned_parameters(saved: SavedPlan) -> dict[str, Any]:
     """The parameters that a plan sets, by name."""
     return {name: value for name, value in saved.parameters.values.items()
-            if name in PARAMETERS and name.startswith(_SET) and name not in _KEPT}
+            if name in PARAMETERS and name.startswith(_SET)
+            and (name not in NO_OPTIONS or name == 'map.preset')}
 
 
 def other_options(saved: SavedPlan) -> dict[str, Any]:

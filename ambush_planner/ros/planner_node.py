@@ -66,11 +66,10 @@ class PlannerNode(LifecycleNode):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
-        # What is to be done at a cleanup, and at the end.
-        self._configured, self._closing = ExitStack(), ExitStack()
+        self._at_cleanup, self._at_end = ExitStack(), ExitStack()
         with ExitStack() as on_error:
-            on_error.enter_context(self._closing)
-            self._closing.callback(super().destroy_node)
+            on_error.enter_context(self._at_end)
+            self._at_end.callback(super().destroy_node)
             self._build()
             if self._settings.current.values['autostart']:
                 for transition in (self.trigger_configure, self.trigger_activate):
@@ -97,20 +96,19 @@ class PlannerNode(LifecycleNode):
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
                                   Publishers(self, STATUS_TOPICS), self._present,
                                   lambda: self._settings.current.values['diagnostics.error_hold'])
-        self._reporter.set(recording=current.recording.enabled)
+        self._reporter.set(records=current.recording.enabled)
         self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
-        self._closing.callback(self._error_boundary.log_repeated)
+        self._at_end.callback(self._error_boundary.log_repeated)
         self._requests = Requests(self, self._error_boundary,
-                                  lambda: self._configured_parts().dispatcher,
-                                  lambda: self._configured_parts().inputs)
-        self._closing.callback(self._requests.close)
+                                  self._configured_dispatcher)
+        self._at_end.callback(self._requests.close)
         for name, kind in ACTIONS.items():
             if action := installed_type('nav2_msgs.action', kind):
                 serving = ComputePath(self, self._error_boundary, self._requests, self._settings,
                                       name, action)
-                self._closing.callback(serving.close)
-        self._closing.callback(self._wait_for_recordings)
-        self._closing.callback(lambda: self._configured.close())
+                self._at_end.callback(serving.close)
+        self._at_end.callback(self._wait_for_recordings)
+        self._at_end.callback(lambda: self._at_cleanup.close())
         # A steady clock: diagnostics go on while simulated time is paused.
         self.create_timer(
             _REPORT_PERIOD, clock=Clock(clock_type=ClockType.STEADY_TIME),
@@ -174,20 +172,20 @@ class PlannerNode(LifecycleNode):
             subscriptions = Subscriptions(self, inputs, self._settings, self._error_boundary,
                                           self._reporter, dispatcher)
             made.callback(subscriptions.close)
-            self._configured = made.pop_all()
-        self._parts = _Parts(inputs, dispatcher, subscriptions)
+            self._at_cleanup = made.pop_all()
+        self._parts = _Parts(dispatcher, subscriptions)
         self._reporter.set(lifecycle='inactive')
 
-    def _configured_parts(self) -> _Parts:
+    def _configured_dispatcher(self) -> Dispatcher:
         if (parts := self._parts) is None:  # a cleanup in another thread forgets them
             raise Refusal(
                 'INACTIVE', 'the node is not configured: configure and activate it first (ros2 '
                 'lifecycle set); after a cleanup, publish start and goal again (a latched map '
                 'arrives by itself)')
-        return parts
+        return parts.dispatcher
 
     def _set_active(self, active: bool) -> None:
-        self._configured_parts().dispatcher.set_active(active)
+        self._configured_dispatcher().set_active(active)
         self._settings.active = active
         self._bond.set_active(active)
         self._reporter.set(lifecycle='active' if active else 'inactive')
@@ -196,7 +194,7 @@ class PlannerNode(LifecycleNode):
         self._settings.active = False
         self._bond.set_active(False)
         try:
-            self._configured.close()
+            self._at_cleanup.close()
         finally:
             self._parts = None
             self._reporter.unconfigured(state)
@@ -216,7 +214,7 @@ class PlannerNode(LifecycleNode):
 
     def destroy_node(self) -> None:
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
-        self._closing.close()
+        self._at_end.close()
 
     def _wait_for_recordings(self) -> None:
         for each in self._recordings:
@@ -236,7 +234,8 @@ class PlannerNode(LifecycleNode):
         if (parts := self._parts) is None:
             return {}
         solving, refining = parts.dispatcher.activity
-        return {'solving': solving, 'refining': refining, 'missing': parts.inputs.missing()}
+        return {'solving': solving, 'refining': refining,
+                'missing': parts.dispatcher.inputs.missing()}
 
     def _report(self) -> None:
         self._error_boundary.log_repeated()
@@ -249,7 +248,6 @@ class PlannerNode(LifecycleNode):
 class _Parts(NamedTuple):
     """The parts of a configured node that others ask."""
 
-    inputs: Inputs
     dispatcher: Dispatcher
     subscriptions: Subscriptions
 
@@ -273,26 +271,25 @@ def noted_signals() -> list[int]:
     starting node; and an Event's lock would not let one signal interrupt another. A second Ctrl-C
     does not interrupt the clean-up.
     """
-    came: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda got, _: came.append(got))
-    return came
+    received: list[int] = []
+    _handle_signals(lambda number, _: received.append(number))
+    return received
 
 
-def _ignore_signals() -> None:
-    """Python restores the default handlers at its end, and a second Ctrl-C would kill it then."""
+def _handle_signals(handler: Callable[[int, Any], None] | signal.Handlers) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+        signal.signal(number, handler)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
     os.umask(0o077)  # for logs, and whatever else libraries write
-    came = noted_signals()
+    received = noted_signals()
     try:
         with ExitStack() as ending:
-            ending.callback(_ignore_signals)
+            # Python restores its handlers at its end, and a second Ctrl-C would kill it then.
+            ending.callback(_handle_signals, signal.SIG_IGN)
             ending.callback(rclpy.try_shutdown)
             try:
                 rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -308,7 +305,7 @@ def main(args: list[str] | None = None) -> int:
             node.get_logger().info(
                 f'version {software_versions()["ambush_planner"]}: publish {", ".join(names)}; '
                 f'each call of {node.resolve_service_name("~/new_route")} is then a departure')
-            while rclpy.ok() and not came:
+            while rclpy.ok() and not received:
                 executor.spin_once(timeout_sec=_SPIN_PERIOD)
     except ExternalShutdownException:
         pass

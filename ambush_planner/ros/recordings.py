@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Has departures leave, and records them in a thread of their own with a bounded queue."""
+"""Publishes departures, and records them in a thread of their own with a bounded queue."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class _Queued(NamedTuple):
 
 
 class Recordings:
-    """Has departures leave, and writes them one after the other, as ``options`` say.
+    """Publishes departures, and writes them one after the other, as ``options`` say.
 
     At the start, temporary files in the folder are removed.
     """
@@ -65,8 +65,8 @@ class Recordings:
                                             _MAX_WAIT)
             self._stuck = self._stuck or not room
 
-    def depart(self, departure: Departure, leave: Callable[[], None],
-               record: bool = True) -> Future[None]:
+    def publish(self, departure: Departure, leave: Callable[[], None],
+                record: bool = True) -> Future[None]:
         """Have a departure ``leave`` and queue its recording; never waits for the disk.
 
         If recordings are required, it leaves once it is on the disk, in the recordings' thread. The

@@ -24,9 +24,8 @@ from .conversions import fields_of, installed_type
 from .departure_record import Answer
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
-from .inputs import Inputs
 from .listener import Listener
-from .serial_executor import completed, started
+from .serial_executor import started
 from .topics import REQUESTS
 from .trip import TripRequest
 
@@ -36,40 +35,40 @@ _Result = TypeVar('_Result')
 class Requests:
     """The services of ``node``, which answer in all of its lifecycle states.
 
-    ``error_boundary`` logs and reports errors; ``dispatcher`` and ``inputs`` return the parts of a
-    configured node, or raise Refusal.
+    ``error_boundary`` logs and reports errors; ``dispatcher`` returns that of a configured node, or
+    raises Refusal.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary,
-                 dispatcher: Callable[[], Dispatcher], inputs: Callable[[], Inputs]) -> None:
-        self._node, self._error_boundary = node, error_boundary
-        self._dispatcher, self._inputs = dispatcher, inputs
+                 dispatcher: Callable[[], Dispatcher]) -> None:
+        self._node, self._error_boundary, self._dispatcher = node, error_boundary, dispatcher
         planning = MutuallyExclusiveCallbackGroup()
         self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
                     planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
                     lambda answer: GetPlan.Response(plan=answer.path), planning)
-        self._serve(Trigger, '~/replan',
-                    lambda _: self._dispatcher().replan(self._inputs().latest()),
+        self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(self._latest()),
                     _replan_response, planning)
-        self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
-                    _cancel_response, MutuallyExclusiveCallbackGroup())
-        # A thread of its own looks along paths: rclpy takes 0.3 s to read one of 20 000 poses.
-        self.looks: Listener | None = None
+        self._serve(Trigger, '~/cancel', self._cancel, _cancel_response,
+                    MutuallyExclusiveCallbackGroup())
+        # A thread of its own checks paths: rclpy takes 0.3 s to read one of 20 000 poses.
+        self.path_checks: Listener | None = None
         if kind := installed_type('nav2_msgs.srv', 'IsPathValid'):
-            self.looks = Listener(node, 'looks')
-            self.looks.node.create_service(kind, node.resolve_service_name('~/is_path_valid'),
-                                           partial(self._look, kind.Response))
-            self.looks.start()
+            self.path_checks = Listener(node, 'path_checks')
+            self.path_checks.node.create_service(
+                kind, node.resolve_service_name('~/is_path_valid'),
+                partial(self._check_path, kind.Response))
+            self.path_checks.start()
 
     def close(self) -> None:
-        """End the thread that looks along paths."""
-        if self.looks is not None:
-            self.looks.close()
+        """End the thread that checks paths."""
+        if self.path_checks is not None:
+            self.path_checks.close()
 
-    def _look(self, kind: Any, request: Any, _: Any) -> Any:
+    def _check_path(self, kind: Any, request: Any, _: Any) -> Any:
         invalid, error = self._error_boundary.attempt(
-            'is_path_valid', 'request', lambda: self._inputs().invalid_poses(request.path))
+            'is_path_valid', 'request',
+            lambda: self._dispatcher().inputs.invalid_poses(request.path))
         return kind() if error else validity(kind, invalid)
 
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
@@ -77,9 +76,9 @@ class Requests:
         """Ask for a path between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
-        trip = self._inputs().given(request.start, request.goal, request.tolerance,
-                                    stops or PoseArray())
-        return self._depart(GetPlan, '~/get_plan', request, trip, client)
+        trip = self._dispatcher().inputs.given(request.start, request.goal, request.tolerance,
+                                               stops or PoseArray())
+        return self._ask(GetPlan, '~/get_plan', request, trip, client)
 
     def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
                to_response: Callable[[_Result], Any], group: CallbackGroup) -> None:
@@ -110,14 +109,22 @@ class Requests:
         )
 
     def _start_new_route(self, request: Trigger.Request) -> Future[Answer]:
-        return self._depart(Trigger, '~/new_route', request, self._inputs().latest(), 'topics')
+        return self._ask(Trigger, '~/new_route', request, self._latest(), 'topics')
 
-    def _depart(self, kind: Any, service: str, request: Any, trip: TripRequest,
-                client: str) -> Future[Answer]:
+    def _latest(self) -> TripRequest:
+        return self._dispatcher().inputs.latest()
+
+    def _cancel(self, _: Trigger.Request) -> Future[int]:
+        done: Future[int] = Future()
+        done.set_result(self._dispatcher().cancel())
+        return done
+
+    def _ask(self, kind: Any, service: str, request: Any, trip: TripRequest,
+             client: str) -> Future[Answer]:
         now = self._node.get_clock().now().nanoseconds
         call = RecordedCall(self._node.resolve_service_name(service), type_name(kind), now, now,
                             fields_of(request))
-        return self._dispatcher().depart(call, trip, client, draws=kind is Trigger)
+        return self._dispatcher().path_for(call, trip, client, draws=kind is Trigger)
 
     def _new_route_response(self, answer: Answer) -> Trigger.Response:
         path = self._node.resolve_topic_name('path')

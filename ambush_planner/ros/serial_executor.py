@@ -21,13 +21,6 @@ def started(work: Callable[[], Future[_Result]]) -> Future[_Result]:
         return failed
 
 
-def completed(result: _Result) -> Future[_Result]:
-    """Return a future that is done."""
-    future: Future[_Result] = Future()
-    future.set_result(result)
-    return future
-
-
 class SerialExecutor:
     """Runs pieces of work in order in a thread called ``name``.
 

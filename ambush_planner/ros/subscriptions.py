@@ -98,7 +98,7 @@ class Subscriptions:
                          ) -> None:
         def accept(received: ReceivedMessage) -> None:
             setattr(self._inputs, role, read(received) if read else received)
-            self._reporter.set()
+            self._reporter.refresh()
             self._dispatcher.prepare()
 
         self._subscriptions.append(

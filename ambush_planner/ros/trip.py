@@ -15,6 +15,8 @@ from std_msgs.msg import Header
 from ..arrays import FloatArray
 from ..parameters.values import NodeParameters
 from ..planning.clear_ground import ClearGround
+from ..planning.moved_start import REGION
+from ..planning.options import strays
 from ..planning.trip_under_way import Destination, Position
 from .conversions import path_to_ros
 from .current_map import CurrentMap, ReceivedMessage
@@ -71,9 +73,13 @@ class Trip:
         return self.robot != ''
 
     @property
-    def goal(self) -> tuple[Position, float]:
+    def goal_and_tolerance(self) -> tuple[Position, float]:
         """The goal, and how far it may be moved if it is blocked [m]."""
         return self.goal_xy, self.request.goal_tolerance
+
+    def same_goal(self, other: Trip) -> bool:
+        """Whether two trips have the same goal, which may be moved as far."""
+        return self.goal_and_tolerance == other.goal_and_tolerance
 
     @property
     def destination(self) -> Destination:
@@ -99,6 +105,16 @@ class Trip:
         """Return the distance of the starts or of the goals of two trips [m], the larger one."""
         return max(math.dist(self.start_xy, other.start_xy),
                    math.dist(self.goal_xy, other.goal_xy))
+
+    def is_joined_by(self, other: Trip, spacing: float) -> bool:
+        """Whether the other one is a robot's, near enough to join a plan for this one.
+
+        On roads, within the tube of its start: other ways could leave the road.
+        """
+        planning = self.parameters.planning
+        most = strays(planning, spacing) if planning.network.roads else REGION * spacing
+        return (other.moves and self.same_goal(other)
+                and math.dist(self.start_xy, other.start_xy) <= most)
 
     def out_of_obstacle(self) -> Trip:
         """Return the trip of a robot in the inflation of a costmap, from where it can drive out."""
