@@ -51,5 +51,5 @@ class Robot:
 
     def _known(self):
         """Where the node believes the robot to be, None if it does not know."""
-        inputs = self._running.planner._parts.dispatcher.inputs
+        inputs = self._running.planner._dispatcher.inputs
         return inputs.robot_place(self._frame, 'map', math.inf)

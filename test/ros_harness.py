@@ -201,7 +201,7 @@ def interface_of(planner):
 
     Maps and paths to check arrive at hidden nodes; the one for transforms is left out.
     """
-    nodes = (planner, planner._parts.subscriptions._maps.node,
+    nodes = (planner, planner._listening._maps.node,
              *([planner._requests.path_checks.node] if planner._requests.path_checks else []))
 
     def made(kind, name, type_):
@@ -228,7 +228,7 @@ class Stage:
     def know(self, values):
         """Give the planner a map of cell values, and wait until it has it."""
         self.client.publish('alpha_map', risk_grid(values))
-        inputs = self.planner._parts.dispatcher.inputs
+        inputs = self.planner._dispatcher.inputs
         wait_until(lambda: inputs.map and np.array_equal(inputs.map.values, values), 'the map')
 
     def give(self, *inputs, **wanted):

@@ -153,7 +153,7 @@ def full_queue(_):
     with solving() as (slow, _):
         slow.use({'queue.size': 1})
         slow.client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(5.0, 50.0)))
-        queue = slow.planner._parts.dispatcher._plans.queue
+        queue = slow.planner._dispatcher._plans.queue
         wait_until(lambda: len(queue.keys) == 2, 'the request')
         assert not slow.client.get_plan(pose(5.0, 50.0), NORTH).poses
         code = _error_code(slow.client)

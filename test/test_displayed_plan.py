@@ -51,7 +51,7 @@ def update(client, x, y, values, frame='map'):
 
 
 def current_values(running):
-    return running.planner._parts.dispatcher.inputs.current_map().values
+    return running.planner._dispatcher.inputs.current_map().values
 
 
 def displays(client):

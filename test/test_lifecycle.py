@@ -97,10 +97,10 @@ def test_plans_are_kept_while_it_is_inactive_unless_the_map_changes():
         client.last('path', 2)
         client.diagnostics(departures='2')
         manager.go(deactivate='inactive')
-        values = running.planner._parts.dispatcher.inputs.map.values.copy()
+        values = running.planner._dispatcher.inputs.map.values.copy()
         values[4, 2:18] = 100
         running.know(values)
-        assert not any(running.planner._parts.dispatcher.activity)
+        assert not any(running.planner._dispatcher.activity)
         manager.go(activate='active')
         client.last('edge_probabilities', 2)
 
@@ -114,7 +114,7 @@ def test_deactivation_answers_waiting_requests():
         manager.go(deactivate='inactive')
         wait_until(lambda: all(each.done() for each in waiting), 'the answers')
         assert not any(each.result().success for each in waiting)
-        assert not any(running.planner._parts.dispatcher.activity)
+        assert not any(running.planner._dispatcher.activity)
         assert client.call('cancel').message == 'no solve is running'
         assert not client.received['path']
 
@@ -211,7 +211,7 @@ def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method
 
     with stage() as running:
         client, manager = running.give(), Manager(running.client)
-        dispatcher = running.planner._parts.dispatcher
+        dispatcher = running.planner._dispatcher
         if transition == 'cleanup':
             manager.go(deactivate='inactive')
         with monkeypatch.context() as patch:

@@ -30,14 +30,14 @@ def test_a_plan_that_gives_way_to_others_is_freed(monkeypatch, no_collection):
         client, plans = running.give(risk_grid(FLAT)), []
         for y in range(2, 6):
             assert client.get_plan(pose(1.5, 5.5), pose(8.5, y)).poses
-            plans.append(ref(running.planner._parts.dispatcher._plans._plans[-1].plan))
+            plans.append(ref(running.planner._dispatcher._plans._plans[-1].plan))
         wait_until(lambda: all(each() is None for each in plans[:-1]), 'the plans being freed')
 
 
 def test_the_maps_of_earlier_diversions_are_freed(no_collection):
     with stage(parameters={**ROBOT, 'replan.tolerance': 1e9}) as running:
         drive = Drive(running)
-        trips = running.planner._parts.dispatcher._departures.trips
+        trips = running.planner._dispatcher._departures.trips
         drive.begin()
         rest, maps = drive.ask('continued'), []
         for paths in (2, 3, 4):
@@ -56,7 +56,7 @@ def test_what_kept_plans_know_of_earlier_maps_is_freed(no_collection):
             running.know(values)
             for goal in goals:
                 assert client.get_plan(pose(1.5, 5.5), goal).poses
-        earlier = ref(running.planner._parts.dispatcher.inputs.current_map())
+        earlier = ref(running.planner._dispatcher.inputs.current_map())
         running.know(FLAT)
         client.get_plan(pose(1.5, 5.5), goals[0])  # the last departure keeps its map
         wait_until(lambda: earlier() is None, 'the map being freed')

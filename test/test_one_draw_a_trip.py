@@ -302,7 +302,7 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         drive, client = Drive(running), running.client
         drive.robot.is_at(1.5, 5.5)
         client.publish('alpha_map', risk_grid(values, 0.25))
-        wait_until(lambda: running.planner._parts.dispatcher.inputs.map, 'the map')
+        wait_until(lambda: running.planner._dispatcher.inputs.map, 'the map')
         path = drive.ask('new')
         assert tuple(path[0, :2]) == (1.5, 5.5)
         assert path[1, 0] > 2.0 and abs(path[1, 1] - 5.5) < 0.5
@@ -313,7 +313,7 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         drive.robot.is_at(1.5, 5.0)  # off its path, within the plan's tolerance
         wanted = pose(8.5, 5.5, 1.0)
         client.publish('goal_pose', wanted)
-        inputs, solves = running.planner._parts.dispatcher.inputs, len(submitted)
+        inputs, solves = running.planner._dispatcher.inputs, len(submitted)
         wait_until(lambda: inputs.goal.message == wanted, 'the goal')
         client.get_plan(HERE, GOAL)
         assert len(submitted) == solves, 'a plan for it is kept'
@@ -371,7 +371,7 @@ class Tour(Drive):
         return path_from_ros(result.path), result.error_msg
 
     def undecided(self):
-        return self.running.planner._parts.dispatcher._undecided
+        return self.running.planner._dispatcher._undecided
 
 
 def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end():

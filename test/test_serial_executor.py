@@ -6,10 +6,7 @@ from concurrent.futures import Future
 import pytest
 
 from ambush_planner.ros.serial_executor import SerialExecutor
-
-
-class Closed(Exception):
-    pass
+from ambush_planner.worker.solve_errors import SolveCancelled
 
 
 @pytest.fixture
@@ -19,7 +16,7 @@ def errors():
 
 @pytest.fixture
 def executor(errors):
-    made = SerialExecutor('work', lambda: None, errors.append, Closed)
+    made = SerialExecutor('work', lambda: None, errors.append)
     yield made
     made.close()
 
@@ -39,5 +36,5 @@ def test_work_is_refused_after_the_end_and_a_cancelled_future_stays_cancelled(ex
     executor.submit(lambda: 1 / 0, cancelled)
     executor.close()
     executor.submit(lambda: None, future)
-    assert isinstance(future.exception(0.0), Closed)
+    assert isinstance(future.exception(0.0), SolveCancelled)
     assert cancelled.cancelled() and not errors

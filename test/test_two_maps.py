@@ -99,7 +99,7 @@ def test_a_risk_map_that_is_refused_stays_reported_while_costmaps_come(monkeypat
         client = running.client
         client.publish('alpha_map', risk_grid(FLAT))
         client.publish('costmap', risk_grid(FLAT))
-        wait_until(lambda: running.planner._parts.dispatcher.inputs.map, 'the map')
+        wait_until(lambda: running.planner._dispatcher.inputs.map, 'the map')
         client.publish('alpha_map', risk_grid(resolution=0.0))
         client.diagnostics(code='INVALID_MAP')
         client.publish('costmap', risk_grid(FLAT + 1))

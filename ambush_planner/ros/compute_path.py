@@ -39,7 +39,7 @@ class ComputePath:
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
     last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere. Waiting goals
     are accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal
-    leaves the solves of other requests alone.
+    leaves the solves of other requests alone. Destroy ``server`` before the node.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
@@ -58,17 +58,9 @@ class ComputePath:
             cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
         )
 
-    def close(self) -> None:
-        """Destroy the action server; call this before the node is destroyed."""
-        self.server.destroy()
-
     def _accepted(self, handle: Any) -> None:
-        def start() -> Future[Answer]:
-            request, stops = self._plan_request(handle.request)
-            robot = request.start.header.frame_id  # each robot has a goal of its own
-            return self._requests.start_plan(request, stops, f'{self._name} {robot}')
-
-        departure = started(start)
+        departure = started(
+            lambda: self._requests.start_plan(*self._plan_request(handle.request)))
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(lambda _: self._wake.trigger())
 
@@ -107,8 +99,8 @@ class ComputePath:
             handle.abort()
         return result
 
-    def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray]:
-        """Return the goal as a request of get_plan, and its stops.
+    def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray, str]:
+        """Return the goal as a request of get_plan, its stops, and who asks: each robot for itself.
 
         Raises Refusal if the goal is for another planner or has no poses, the start is missing or
         has no frame, or the stops have several.
@@ -134,7 +126,8 @@ class ComputePath:
         via = PoseArray(poses=[stop.pose for stop in stops])
         if stops:
             via.header = stops[0].header
-        return GetPlan.Request(start=start, goal=last), via
+        return (GetPlan.Request(start=start, goal=last), via,
+                f'{self._name} {start.header.frame_id}')
 
 
 def poses_of(goal: Any) -> list[PoseStamped]:

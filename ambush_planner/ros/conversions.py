@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import array
 import math
-from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -69,11 +68,6 @@ def fields_of(message: Any) -> dict[str, Any]:
 
     For messages of numbers and strings, without arrays.
     """
-    values = {name: getattr(message, name) for name in _field_names(message)}
-    return {name: fields_of(value) if _field_names(value) else value
+    values = {name: getattr(message, name) for name in message.get_fields_and_field_types()}
+    return {name: fields_of(value) if hasattr(value, 'get_fields_and_field_types') else value
             for name, value in values.items()}
-
-
-def _field_names(message: Any) -> Mapping[str, str]:
-    names: Mapping[str, str] = getattr(message, 'get_fields_and_field_types', dict)()
-    return names

@@ -69,7 +69,7 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     """
     asked, call = departure.trip.request, departure.call
     planned_on = departure.held.trip.map.received
-    inputs = [_received(each, call.request_ns)
+    inputs = [RecordedMessage(each.topic, each.type, each.data, each.qos, call.request_ns)
               for each in (planned_on, asked.start, asked.goal, asked.via) if each]
     published = [replace(each, stamp_ns=min(max(call.request_ns, each.stamp_ns), call.response_ns))
                  for each in (*departure.markers, departure.report, departure.published) if each]
@@ -101,7 +101,3 @@ def map_changes(departure: Departure) -> dict[str, bytes]:
         return {}
     changes = map_changes_file(planned_on.values, newest.values)
     return {MAP_CHANGES_FILE: changes} if changes else {}
-
-
-def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:
-    return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)

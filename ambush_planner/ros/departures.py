@@ -29,7 +29,6 @@ from ..routes.driven_path import Ends, tight_turns
 from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
-from .error_codes import Refusal
 from .inputs import Inputs
 from .plan_cache import CachedPlan, Fit
 from .recordings import Recordings
@@ -136,34 +135,24 @@ class RobotTrips:
 class Departures:
     """Makes departures, which leave one after the other while the node is active.
 
-    Call all methods except ``refuse`` and ``check_active`` on the departures thread. ``trips`` are
-    those that robots are on.
+    Call all methods on the departures thread. ``check_active`` raises what refuses requests, if
+    anything does; that must not begin while a departure is ``leaving``. ``trips`` are those that
+    robots are on.
     """
 
     def __init__(self, displayed: DisplayedPlan, inputs: Inputs, publishers: Publishers,
-                 recordings: Recordings, reporter: Reporter, logger: RcutilsLogger) -> None:
+                 recordings: Recordings, reporter: Reporter, logger: RcutilsLogger,
+                 check_active: Callable[[], None]) -> None:
         self._displayed, self._publishers, self._recordings = displayed, publishers, recordings
-        self._reporter, self._logger = reporter, logger
+        self._reporter, self._logger, self._check_active = reporter, logger, check_active
         self.trips = RobotTrips(inputs, self._record)
         self._count = 0
-        self._refusal: Callable[[], AmbushPlannerError] | None = None
-        self._leaving = Lock()  # while a departure leaves
-
-    def refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
-        """Let nothing leave once this returns, and refuse requests; with None, end that."""
-        with self._leaving:
-            self._refusal = refusal
-        self._recordings.hurry(refusal is not None)
-
-    def check_active(self) -> None:
-        """Raise what refuses requests now, if anything does."""
-        if self._refusal is not None:
-            raise self._refusal()
+        self.leaving = Lock()
 
     def draw(self, fit: Fit, pending: Pending) -> bool:
         """Draw a route and publish its path; False if hardly any route is clear."""
         self._recordings.wait_for_room()
-        self.check_active()
+        self._check_active()
         self._displayed.show(fit)
         source = _entropy_source(fit.trip.parameters.values['seed'], self._count + 1)
         drawn = fit.draw(source)
@@ -237,8 +226,8 @@ class Departures:
         trip, answer = departure.trip, pending.answer
 
         def leave() -> None:
-            with self._leaving:
-                self.check_active()
+            with self.leaving:
+                self._check_active()
                 if trip.parameters.values['path.publish']:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
@@ -265,12 +254,6 @@ class Departures:
         if not under_way.recorded:
             under_way.recorded = True
             self._recordings.publish(under_way.departure, lambda: None)
-
-
-def inactive() -> Refusal:
-    """Return the error of requests to a node that is not active."""
-    return Refusal('INACTIVE', 'the node is inactive: activate it first (ros2 lifecycle set NODE '
-                               'activate)')
 
 
 def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:

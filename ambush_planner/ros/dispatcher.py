@@ -22,7 +22,7 @@ from ..recordings.plan_file import SavedPlan
 from ..worker.solve_errors import SolveCancelled, shutting_down
 from .current_map import ReceivedMessage
 from .departure_record import Answer
-from .departures import Departures, Pending, inactive
+from .departures import Departures, Pending
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
 from .error_codes import Refusal
@@ -37,6 +37,8 @@ from .trip import Trip, TripRequest
 # Maximum number of solves for one departure while the map changes or the robot drives. From the
 # second one on, a robot joins the plan at any value: the next one may be out of date again.
 _MAX_SOLVES, _ANY_VALUE_FROM = 4, 2
+_INACTIVE = partial(Refusal, 'INACTIVE', 'the node is inactive: activate it first (ros2 lifecycle '
+                    'set NODE activate)')
 
 
 class Dispatcher:
@@ -54,15 +56,15 @@ class Dispatcher:
         self._clock, self._logger = publishers.clock, logger
         self._plans = PlanCache(logger)
         self._thread = SerialExecutor('departures', reporter.refresh,
-                                      lambda error: reporter.note('request', error),
-                                      shutting_down)
+                                      lambda error: reporter.note('request', error))
         self._displayed = DisplayedPlan(self._plans, inputs, settings, publishers, reporter,
                                         self._thread)
         self._departures = Departures(self._displayed, inputs, publishers, recordings, reporter,
-                                      logger)
+                                      logger, self._plans.queue.check)
+        self._recordings = recordings
         self._waiting: list[Pending] = []
         self._undecided: list[Pending] = []  # for a trip at its end, or for its next round
-        self._refuse(inactive)
+        self._refuse(_INACTIVE)
 
     @property
     def activity(self) -> tuple[bool, bool]:
@@ -79,13 +81,14 @@ class Dispatcher:
 
     def set_active(self, active: bool) -> None:
         """Accept requests; or refuse them, waiting ones, too, and nothing leaves after that."""
-        self._refuse(None if active else inactive)
+        self._refuse(None if active else _INACTIVE)
         if active and self._displayed.cached is not None:
             self.map_changed()
 
     def _refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
-        self._departures.refuse(refusal)
-        self._plans.queue.refuse(refusal)
+        with self._departures.leaving:  # nothing leaves after this
+            self._plans.queue.refuse(refusal)
+        self._recordings.hurry(refusal is not None)
 
     def close(self) -> None:
         """Answer waiting requests, and end."""
@@ -123,7 +126,7 @@ class Dispatcher:
         """Have a robot's trip to the latest goal solved in the background, before it asks."""
         def solve() -> None:
             with suppress(AmbushPlannerError):  # each caller gets the reason
-                self._departures.check_active()
+                self._plans.queue.check()
                 trip = self.inputs.locate(self.inputs.latest())
                 if trip.moves and not self._departures.trips.continued_by(trip):
                     trip = trip.out_of_obstacle()
@@ -147,13 +150,14 @@ class Dispatcher:
         self._thread.submit(lambda: self._begin(pending), pending.answer)
         return pending.answer
 
-    def replan(self, trip_request: TripRequest) -> Future[Plan]:
-        """Solve a trip on the current map, whether or not a plan is cached."""
+    def replan(self) -> Future[Plan]:
+        """Solve the latest trip on the current map, whether or not a plan is cached."""
         result: Future[Plan] = Future()
+        latest = self.inputs.latest()
 
         def begin() -> None:
-            self._departures.check_active()
-            trip = self.inputs.locate(trip_request).out_of_obstacle()
+            self._plans.queue.check()
+            trip = self.inputs.locate(latest).out_of_obstacle()
             self._when_solved(self._plans.solve(trip), show, result)
 
         def show(cached: CachedPlan) -> None:
@@ -184,7 +188,7 @@ class Dispatcher:
         """Answer without a departure, or depart on a plan, or try again once one is solved."""
         if pending.answer.done():  # cancelled, or a newer request has replaced this one
             return
-        self._departures.check_active()
+        self._plans.queue.check()
         trip = self.inputs.locate(pending.trip_request)
         if not pending.draws and self._goes_on(trip, pending):
             return

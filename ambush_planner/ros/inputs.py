@@ -106,8 +106,8 @@ class Inputs:
 
     def missing(self) -> tuple[str, ...]:
         """Return the full names of the topics of the inputs that have not arrived."""
-        poses = {'start_pose': self.start or self._robot,
-                 'goal_pose': self.goal}
+        robot = self._settings.current.values['robot_base_frame']
+        poses = {'start_pose': self.start or robot, 'goal_pose': self.goal}
         inputs = {**self._arrived, **({} if self.asked_directly else poses)}
         return tuple(self._full_name(name) for name, given in inputs.items() if not given)
 
@@ -118,7 +118,7 @@ class Inputs:
         each other.
         """
         self.current_map()
-        if self.start is None and not self._robot:
+        if self.start is None and not self._settings.current.values['robot_base_frame']:
             start, estimate = map(self._full_name, ('start_pose', 'initialpose'))
             raise Refusal('NO_START', f'no start yet: publish one on {start} or {estimate}, or set '
                           'robot_base_frame')
@@ -187,11 +187,6 @@ class Inputs:
                           for name, stop in stops.items()),
                     '' if frame == present.frame else frame)
 
-    @property
-    def _robot(self) -> str:
-        """The robot's frame; '' if it is not known."""
-        return str(self._settings.current.values['robot_base_frame'])
-
     def robot_place(self, robot: str, frame: str, max_age: float) -> Position | None:
         """Return where a robot's frame is in another one [m]; None if that is not known."""
         pose = robot_pose(robot)
@@ -216,7 +211,9 @@ class Inputs:
         points = path_from_ros(path)[:, :2]
         if not np.isfinite(points).all():
             raise InvalidPose('path: positions must be finite')
-        place = self.robot_place(self._robot, newest.frame, parameters.values['transform.max_age'])
+        values = parameters.values
+        place = self.robot_place(values['robot_base_frame'], newest.frame,
+                                 values['transform.max_age'])
         first = _first_near(points, place) if place else 0
         rest = points[first:]
         ground = ClearGround(newest, parameters.occupancy, parameters.planning.network)

@@ -19,7 +19,7 @@ from ..errors import InvalidOption, telling_warnings
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import NodeParameters, check_possible, parameters_from
 from ..recordings.plan_file import SavedPlan
-from .plan_from_file import other_options, planned_parameters, read_plan_for_node
+from .plan_from_file import planned_parameters, read_plan_for_node
 
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
@@ -33,8 +33,8 @@ class NodeSettings:
     The changes of one request must be possible for some values of the other parameters. They may
     contradict the present values, for instance while ``ros2 param load`` sets one parameter after
     the other; then ``current`` keeps the last values that agreed, and ``contradiction`` is the
-    reason. ``changed`` is called after each change. With ``parameters.locked`` changes are refused
-    while ``active`` is set.
+    reason, with which ``changed`` is called after each change. With ``parameters.locked`` changes
+    are refused while ``active`` is set.
 
     ``saved`` is the plan that the node starts from, if it is given one; its options are set first.
 
@@ -42,7 +42,7 @@ class NodeSettings:
     rclpy.exceptions.ParameterException if one has the wrong type or is out of its range.
     """
 
-    def __init__(self, node: Node, changed: Callable[[], None]) -> None:
+    def __init__(self, node: Node, changed: Callable[[str], None]) -> None:
         self._node, self._changed = node, changed
         node.declare_parameters(
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
@@ -65,9 +65,8 @@ class NodeSettings:
         return self.current
 
     def _read(self) -> NodeParameters:
-        values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
-        if self.saved is not None:
-            values |= other_options(self.saved)
+        planned = self.saved.parameters.values if self.saved else {}  # also what is no parameter
+        values = {**planned, **{name: self._node.get_parameter(name).value for name in PARAMETERS}}
         with telling_warnings(self._node.get_logger().warning):
             parameters = parameters_from(values, self._roads)
         self._roads = parameters.planning.network.roads
@@ -97,7 +96,7 @@ class NodeSettings:
         except InvalidOption as error:
             self.contradiction = ('parameters contradict each other, and requests are refused: '
                                   f'{error}')
-        self._changed()
+        self._changed(self.contradiction)
 
 
 def _saved_plan(node: Node) -> SavedPlan | None:

@@ -99,11 +99,6 @@ class CachedPlan:
         return Fit(self, self.trip)
 
     @property
-    def bytes(self) -> int:
-        """About what the plan takes in memory."""
-        return _OF_EDGE * len(self.plan.network.edges) + _OF_CELL * self.trip.map.values.size
-
-    @property
     def goal_was_moved(self) -> bool:
         """Whether the goal was blocked and has been moved."""
         return self.plan.goal_xy != self.trip.goal_xy
@@ -114,11 +109,13 @@ class CachedPlan:
 
     def fit(self, trip: Trip) -> Fit | None:
         """Return how one can depart on this plan for a trip that may differ a little, if at all."""
-        plan, start = self.plan, self.trip.start_xy
-        if (plan.options.network.roads and self.is_near(trip)  # it drives to the planned start
-                and trip.ground.segments(np.array([trip.start_xy]), np.array([start]))[0]):
-            trip = replace(trip, start_xy=start)
-        away, same_goal = self.trip.distance(trip), self.trip.same_goal(trip)
+        own, plan = self.trip, self.plan
+        if plan.options.network.roads and own.is_joined_by(trip, plan.spacing):
+            way = np.array([trip.start_xy]), np.array([own.start_xy])
+            if trip.ground.segments(*way)[0]:  # the robot drives to the planned start
+                trip = replace(trip, start_xy=own.start_xy)
+        away = own.distance(trip)
+        same_goal = own.goal_and_tolerance == trip.goal_and_tolerance
         if (away > plan.start_tolerance or not self._serves(trip)
                 or (self.goal_was_moved and not same_goal)):
             return None
@@ -130,20 +127,17 @@ class CachedPlan:
 
         Unless ``at_any_value``, that must not raise the value by more than ``strategy.max_gap``.
         """
-        if not (self.is_near(trip) and self._serves(trip)):
+        if not (self.trip.is_joined_by(trip, self.plan.spacing) and self._serves(trip)):
             return None
         joined = joined_plan(self.ground, trip.map, self.ends(trip))
         most = (1.0 + trip.parameters.planning.max_gap) * self.plan.strategy.value
         good = joined and (at_any_value or joined.assessment.value <= most)
         return Fit(self, trip, joined) if good else None
 
-    def is_near(self, trip: Trip) -> bool:
-        """Whether a trip is that of a robot near the start of this plan, to the same goal."""
-        return self.trip.is_joined_by(trip, self.plan.spacing)
-
     def answers(self, trip: Trip) -> bool:
         """Whether the plan is for exactly this trip, perhaps on another map."""
-        return (self.trip.start_xy == trip.start_xy and self.trip.same_goal(trip)
+        return (self.trip.start_xy == trip.start_xy
+                and self.trip.goal_and_tolerance == trip.goal_and_tolerance
                 and self.trip.conditions == trip.conditions)
 
     def _serves(self, trip: Trip) -> bool:
@@ -211,7 +205,7 @@ class PlanCache:
         """
         with self._lock:
             plans = sorted(self._plans, key=lambda one: one.trip.distance(trip))
-            near = [each for each in plans if each.is_near(trip)]
+            near = [each for each in plans if each.trip.is_joined_by(trip, each.plan.spacing)]
             tries = chain((each.fit(trip) for each in plans),
                           (each.joined(trip, at_any_value) for each in near[:1]))
             fit = next(filter(None, tries), None)
@@ -277,6 +271,8 @@ class PlanCache:
     def _keep(self, cached: CachedPlan) -> None:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
         others = [each for each in self._plans if not each.answers(cached.trip)]
-        taken = np.cumsum([each.bytes for each in (cached, *reversed(others))])
+        taken = np.cumsum([
+            _OF_EDGE * len(each.plan.network.edges) + _OF_CELL * each.trip.map.values.size
+            for each in (cached, *reversed(others))])
         kept = min(_MAX_PLANS, max(1, int((taken <= _MAX_BYTES).sum())))
         self._plans = [*others, cached][-kept:]

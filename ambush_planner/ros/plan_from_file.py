@@ -54,12 +54,6 @@ def planned_parameters(saved: SavedPlan) -> dict[str, Any]:
             and (name not in NO_OPTIONS or name == 'map.preset')}
 
 
-def other_options(saved: SavedPlan) -> dict[str, Any]:
-    """The options of a plan that are no parameters of the node."""
-    return {name: value for name, value in saved.parameters.values.items()
-            if name not in PARAMETERS}
-
-
 def inputs_of(saved: SavedPlan, parameters: NodeParameters,
               resolve: Callable[[str], str]) -> tuple[ReceivedMessage, TripRequest]:
     """The messages from which a plan could have been made; ``resolve`` gives a topic's name."""

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -81,10 +81,10 @@ class PlannerNode(LifecycleNode):
         """Make the parts that exist in every state."""
         hide_segments()
         protect_services(self)
-        self._parts: _Parts | None = None
+        self._dispatcher: Dispatcher | None = None  # while the node is configured
         self._recordings: list[Recordings] = []  # those of earlier configurations may still write
         self._transition_error: Exception | None = None
-        self._settings = NodeSettings(self, self._parameters_changed)
+        self._settings = NodeSettings(self, lambda why: self._reporter.note('parameters', why))
         self._bond = Bond(self)
         current, logger = self._settings.current, self.get_logger()
         if current.values['seed'] >= 0:
@@ -99,14 +99,13 @@ class PlannerNode(LifecycleNode):
         self._reporter.set(records=current.recording.enabled)
         self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
         self._at_end.callback(self._error_boundary.log_repeated)
-        self._requests = Requests(self, self._error_boundary,
-                                  self._configured_dispatcher)
+        self._requests = Requests(self, self._error_boundary, self._configured_dispatcher)
         self._at_end.callback(self._requests.close)
         for name, kind in ACTIONS.items():
             if action := installed_type('nav2_msgs.action', kind):
                 serving = ComputePath(self, self._error_boundary, self._requests, self._settings,
                                       name, action)
-                self._at_end.callback(serving.close)
+                self._at_end.callback(serving.server.destroy)
         self._at_end.callback(self._wait_for_recordings)
         self._at_end.callback(lambda: self._at_cleanup.close())
         # A steady clock: diagnostics go on while simulated time is paused.
@@ -169,20 +168,20 @@ class PlannerNode(LifecycleNode):
             if (saved := self._settings.saved) is not None:  # before newer maps arrive
                 dispatcher.adopt(saved, *inputs_of(saved, self._settings.current,
                                                    self.resolve_topic_name))
-            subscriptions = Subscriptions(self, inputs, self._settings, self._error_boundary,
-                                          self._reporter, dispatcher)
-            made.callback(subscriptions.close)
+            self._listening = Subscriptions(self, inputs, self._settings, self._error_boundary,
+                                            self._reporter, dispatcher)
+            made.callback(self._listening.close)
             self._at_cleanup = made.pop_all()
-        self._parts = _Parts(dispatcher, subscriptions)
+        self._dispatcher = dispatcher
         self._reporter.set(lifecycle='inactive')
 
     def _configured_dispatcher(self) -> Dispatcher:
-        if (parts := self._parts) is None:  # a cleanup in another thread forgets them
+        if (dispatcher := self._dispatcher) is None:  # read once: a cleanup may forget it
             raise Refusal(
                 'INACTIVE', 'the node is not configured: configure and activate it first (ros2 '
                 'lifecycle set); after a cleanup, publish start and goal again (a latched map '
                 'arrives by itself)')
-        return parts.dispatcher
+        return dispatcher
 
     def _set_active(self, active: bool) -> None:
         self._configured_dispatcher().set_active(active)
@@ -196,7 +195,7 @@ class PlannerNode(LifecycleNode):
         try:
             self._at_cleanup.close()
         finally:
-            self._parts = None
+            self._dispatcher = None
             self._reporter.unconfigured(state)
 
     def stop_solving(self, executor: Executor) -> None:
@@ -205,8 +204,8 @@ class PlannerNode(LifecycleNode):
         The executor spins for a moment: the answer to a goal takes several tasks, and answers are
         lost if DDS announces first that the node has gone.
         """
-        if self._parts is not None:
-            self._parts.dispatcher.stop_solving()
+        if self._dispatcher is not None:
+            self._dispatcher.stop_solving()
         end = time.monotonic() + _LAST_ANSWERS_TIME
         with suppress(ExternalShutdownException):
             while time.monotonic() < end:
@@ -227,29 +226,18 @@ class PlannerNode(LifecycleNode):
             result.reason = self._settings.contradiction
         return result
 
-    def _parameters_changed(self) -> None:
-        self._reporter.note('parameters', self._settings.contradiction)
-
     def _present(self) -> dict[str, Any]:
-        if (parts := self._parts) is None:
+        if (dispatcher := self._dispatcher) is None:
             return {}
-        solving, refining = parts.dispatcher.activity
-        return {'solving': solving, 'refining': refining,
-                'missing': parts.dispatcher.inputs.missing()}
+        solving, refining = dispatcher.activity
+        return {'solving': solving, 'refining': refining, 'missing': dispatcher.inputs.missing()}
 
     def _report(self) -> None:
         self._error_boundary.log_repeated()
-        if (parts := self._parts) is not None:
-            parts.subscriptions.check()
-            parts.dispatcher.follow()
+        if (dispatcher := self._dispatcher) is not None:
+            self._listening.check()
+            dispatcher.follow()
         self._reporter.report()
-
-
-class _Parts(NamedTuple):
-    """The parts of a configured node that others ask."""
-
-    dispatcher: Dispatcher
-    subscriptions: Subscriptions
 
 
 def check_arguments(arguments: list[str] | None) -> None:

@@ -47,8 +47,8 @@ class Requests:
                     planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
                     lambda answer: GetPlan.Response(plan=answer.path), planning)
-        self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(self._latest()),
-                    _replan_response, planning)
+        self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(), _replan_response,
+                    planning)
         self._serve(Trigger, '~/cancel', self._cancel, _cancel_response,
                     MutuallyExclusiveCallbackGroup())
         # A thread of its own checks paths: rclpy takes 0.3 s to read one of 20 000 poses.
@@ -109,10 +109,8 @@ class Requests:
         )
 
     def _start_new_route(self, request: Trigger.Request) -> Future[Answer]:
-        return self._ask(Trigger, '~/new_route', request, self._latest(), 'topics')
-
-    def _latest(self) -> TripRequest:
-        return self._dispatcher().inputs.latest()
+        latest = self._dispatcher().inputs.latest()
+        return self._ask(Trigger, '~/new_route', request, latest, 'topics')
 
     def _cancel(self, _: Trigger.Request) -> Future[int]:
         done: Future[int] = Future()

@@ -8,6 +8,8 @@ from concurrent.futures import Future, InvalidStateError, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, TypeVar
 
+from ..worker.solve_errors import shutting_down
+
 _Result = TypeVar('_Result')
 
 
@@ -25,14 +27,12 @@ class SerialExecutor:
     """Runs pieces of work in order in a thread called ``name``.
 
     Each is preceded by a call of ``before_each``. ``on_error`` gets errors of work that has no
-    future; ``closed_error`` makes the error that refuses work after ``close``.
+    future. Work after ``close`` is refused with SolveCancelled.
     """
 
     def __init__(self, name: str, before_each: Callable[[], None],
-                 on_error: Callable[[Exception], None],
-                 closed_error: Callable[[], Exception]) -> None:
+                 on_error: Callable[[Exception], None]) -> None:
         self._before_each, self._on_error = before_each, on_error
-        self._closed_error = closed_error
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
 
     def submit(self, work: Callable[[], None], future: Future[Any] | None = None) -> None:
@@ -56,7 +56,7 @@ class SerialExecutor:
             self._thread.submit(attempt)
         except RuntimeError:  # the thread has ended
             if future is not None:
-                fail(self._closed_error())
+                fail(shutting_down())
 
     def submit_after(self, awaited: Future[_Result], work: Callable[[Future[_Result]], None],
                      future: Future[Any] | None = None) -> None:

@@ -98,7 +98,6 @@ class Subscriptions:
                          ) -> None:
         def accept(received: ReceivedMessage) -> None:
             setattr(self._inputs, role, read(received) if read else received)
-            self._reporter.refresh()
             self._dispatcher.prepare()
 
         self._subscriptions.append(

@@ -27,9 +27,6 @@ from .error_codes import FrameMismatch
 from .listener import Listener
 from .topics import TF, TF_STATIC
 
-# Maximum length of a frame's name in messages [characters].
-_MAX_SHOWN = 80
-
 
 class FrameTransforms:
     """Transforms poses between frames; without ``tf2_msgs``, only within a frame.
@@ -74,7 +71,7 @@ class FrameTransforms:
         given = pose.header.frame_id
         if given and given == frame:
             return pose
-        shown = given if len(given) <= _MAX_SHOWN else f'{given[:_MAX_SHOWN]}...'
+        shown = given[:80]
         problem = (f"{name} is given in the frame {shown!r}, the map in {frame!r}; give it in the "
                    "map's frame")
         if not given:

@@ -77,10 +77,6 @@ class Trip:
         """The goal, and how far it may be moved if it is blocked [m]."""
         return self.goal_xy, self.request.goal_tolerance
 
-    def same_goal(self, other: Trip) -> bool:
-        """Whether two trips have the same goal, which may be moved as far."""
-        return self.goal_and_tolerance == other.goal_and_tolerance
-
     @property
     def destination(self) -> Destination:
         """Where the trip leads, to be compared with later requests."""
@@ -113,7 +109,7 @@ class Trip:
         """
         planning = self.parameters.planning
         most = strays(planning, spacing) if planning.network.roads else REGION * spacing
-        return (other.moves and self.same_goal(other)
+        return (other.moves and self.goal_and_tolerance == other.goal_and_tolerance
                 and math.dist(self.start_xy, other.start_xy) <= most)
 
     def out_of_obstacle(self) -> Trip:

@@ -13,7 +13,6 @@ import signal
 import socket
 import sys
 from contextlib import suppress
-from io import BufferedRWPair
 from pathlib import Path
 
 from ..errors import AmbushPlannerError, TimeLimit
@@ -55,7 +54,8 @@ def serve(connection: socket.socket) -> None:
             request, low_priority = pickle.load(stream)
             if low_priority:
                 _lower_priority()
-            _send(_answer(request), stream)
+            pickle.dump(_answer(request), stream, PICKLE_PROTOCOL)
+            stream.flush()
 
 
 def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
@@ -71,11 +71,6 @@ def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
         return WorkerFailed('not enough memory to plan; choose a larger network.spacing')
     except Exception as error:
         return unexpected(error)
-
-
-def _send(answer: object, stream: BufferedRWPair) -> None:
-    pickle.dump(answer, stream, PICKLE_PROTOCOL)
-    stream.flush()
 
 
 def _lower_priority() -> None:

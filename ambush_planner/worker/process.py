@@ -98,7 +98,7 @@ class WorkerProcess:
         with theirs:
             parent.fork(theirs)
         self._stream = self._socket.makefile('rwb')
-        self._killed, self._lock = False, Lock()
+        self._lock = Lock()
         self._pidfd: int | None = None  # known when the process has started
 
     @property
@@ -106,7 +106,7 @@ class WorkerProcess:
         """Whether the process is starting or running, and has not been killed."""
         ends = poll()
         ends.register(self._socket, POLLHUP)
-        return not (self._killed or ends.poll(0))
+        return not ends.poll(0)
 
     def solve(self, request: PlanRequest, low_priority: bool = False) -> Plan:
         """Solve a request, in little more than the strategy's ``time_limit``.
@@ -146,7 +146,6 @@ class WorkerProcess:
     def kill(self) -> None:
         """Kill the process; a waiting ``solve`` raises WorkerFailed."""
         with self._lock, suppress(OSError):  # it has ended
-            self._killed = True
             if self._pidfd is not None:
                 signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
             self._socket.shutdown(socket.SHUT_RDWR)

@@ -16,7 +16,6 @@ from ..planning.plan import Plan, PlanRequest
 from .process import WorkerParent, WorkerProcess
 from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known, shutting_down
 
-_CANCELLED = 'the solve was cancelled'
 _SUPERSEDED = 'a newer background solve replaced this one'
 _WITHDRAWN = 'all callers have withdrawn'
 
@@ -102,8 +101,7 @@ class SolveQueue(Generic[_Key, _Result]):
         Raises what the queue refuses solves with, and QueueFull if ``size`` solves wait.
         """
         with self._condition:
-            if self._refusal is not None:
-                raise self._refusal()
+            self.check()
             superseded: list[_Solve[_Key, _Result]] = []
             solve = next((each for each in self._unfinished
                           if each.key == key and not each.cancelled), None)
@@ -137,7 +135,7 @@ class SolveQueue(Generic[_Key, _Result]):
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
         _end(waited, _WITHDRAWN)
 
-    def cancel(self, why: str = _CANCELLED) -> int:
+    def cancel(self, why: str = 'the solve was cancelled') -> int:
         """Cancel all solves; return their number."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
@@ -152,6 +150,11 @@ class SolveQueue(Generic[_Key, _Result]):
             self._refusal = refusal
         if refusal is not None:
             self.cancel(str(refusal()))
+
+    def check(self) -> None:
+        """Raise what solves are refused with, if they are."""
+        if (refusal := self._refusal) is not None:
+            raise refusal()
 
     def close(self) -> None:
         """Cancel all solves and end the worker process."""
