@@ -79,6 +79,7 @@ def find_chain(search: Search) -> Incumbent | None:
     for _ in range(ROUNDS):
         distribution.deadline = end if best and best.good else latest
         if time.monotonic() > distribution.deadline:
+            search.reason = 'time'
             break
         found, feasible = None, distribution.round()
         search.evaluations += distribution.evaluations
