@@ -7,12 +7,12 @@ import re
 import interfaces
 import numpy as np
 import pytest
-from bad_maps import BAD_MAPS
 from commands import table_under
 from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped, Quaternion
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage, wait_until
+from test_conversions import BAD_MAPS
 from test_long_solves import NORTH, solving
 
 from ambush_planner.ros.inputs import MAX_STOPS
