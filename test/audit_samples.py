@@ -4,7 +4,7 @@
 from functools import cache
 
 import numpy as np
-from plain import plain_options
+from games import plain_options
 from recording_samples import metadata_entries, new_route_call
 
 from ambush_planner.game.game import GameOptions

@@ -95,6 +95,11 @@ def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple
     return RiskMap(alpha, obstacles, 1.0), start, goal
 
 
+def plain_options(**options) -> NetworkOptions:
+    """Options of networks that plans do not refine: tests of something else are quick on them."""
+    return NetworkOptions(refine=0, **options)
+
+
 terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS),
                              st.integers(5, 10))
 

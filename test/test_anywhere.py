@@ -15,13 +15,13 @@ from games import (
     hit_once,
     is_acyclic,
     meets,
+    plain_options,
     random_map,
     routes_of,
     standing_places,
     unbalanced,
     value_by_routes,
 )
-from plain import plain_options
 
 from ambush_planner import (
     GameOptions,

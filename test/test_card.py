@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from plain import plain_options
+from games import plain_options
 
 pytest.importorskip('matplotlib', reason='the map on a card needs matplotlib')
 

@@ -4,8 +4,7 @@
 import numpy as np
 import pytest
 from drive_samples import dense
-from games import HUNT
-from plain import plain_options
+from games import HUNT, plain_options
 from scipy.spatial import cKDTree
 
 from ambush_planner import GameOptions, RiskMap, StrategyOptions

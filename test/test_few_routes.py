@@ -7,10 +7,9 @@ from itertools import combinations, count
 
 import numpy as np
 import pytest
-from games import examples
+from games import examples, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
-from plain import plain_options
 from test_path_mixtures import GOAL, OPTIONS, START, ground
 
 from ambush_planner import (

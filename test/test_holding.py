@@ -7,10 +7,9 @@ import json
 import numpy as np
 import pytest
 from commands import run_here
-from games import examples, planar_network, routes_of, value_by_routes
+from games import examples, plain_options, planar_network, routes_of, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plain import plain_options
 
 from ambush_planner import (
     GameOptions,

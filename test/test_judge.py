@@ -7,10 +7,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from games import examples
+from games import examples, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
-from plain import plain_options
 
 pytest.importorskip('geopandas', reason='files of tracks take the extra "gis"')
 pytest.importorskip('matplotlib', reason='the picture needs matplotlib')
@@ -20,7 +19,6 @@ import shapely
 from audit_samples import record_drawn, sample_plan
 from commands import run_here
 from gpxpy import gpx
-from track_samples import GOAL, HABIT, START, driven, habit
 
 from ambush_planner import GameOptions, PlanningOptions, RiskMap
 from ambush_planner.commands import judge as command
@@ -30,6 +28,17 @@ from ambush_planner.maps.track_file import InvalidFeatures, Track, read_tracks
 from ambush_planner.planning.habits import MIN_DETOUR, find_trips, judge
 from ambush_planner.planning.path_mixtures import MAX_GAP
 
+# A driver with habits in docs/yard.yaml.
+START, GOAL = (4.0, 20.0), (56.0, 20.0)
+NORTH_OF_HALL = [(34.0, 22.0), (36.5, 30.5), (48.5, 30.5)]
+SOUTH_OF_HALL = [(36.0, 16.0), (48.0, 16.0)]
+ROUTES = {
+    'short': [(30.0, 18.5), (33.0, 18.0), *SOUTH_OF_HALL],
+    'north': [(26.0, 24.0), (30.0, 34.5), (34.0, 34.5), (49.0, 31.0)],
+    'hall': [(30.0, 19.5), (33.0, 20.0), *NORTH_OF_HALL],
+    'south': [(15.0, 14.0), (30.0, 5.0), (33.0, 5.0), (50.0, 13.0)],
+}
+HABIT = ('hall', 'hall', 'north', 'hall', 'short', 'hall', 'hall', 'north')
 CRS = 'EPSG:32616'
 ORIGIN = np.array([740000.0, 4050000.0])
 REACH, NEAR = 2.0, 2.6
@@ -37,6 +46,21 @@ OPTIONS = PlanningOptions(network=plain_options(spacing=2.5),
                           game=GameOptions(ambush_radius=REACH))
 ENDS = np.array(START), np.array(GOAL)
 find = partial(find_trips, start=ENDS[0], goal=ENDS[1], near=NEAR, reach=REACH)
+
+
+def driven(name, rng, step=3.5, noise=0.25):
+    """Positions (L, 2) of a receiver on one of ``ROUTES``, a step apart [m]."""
+    corners = np.array([START, *ROUTES[name], GOAL])
+    along = np.append(0.0, np.hypot(*np.diff(corners, axis=0).T).cumsum())
+    at = np.append(np.arange(0.0, along[-1] - 0.5 * step, step), along[-1])
+    line = np.column_stack([np.interp(at, along, axis) for axis in corners.T])
+    return line + rng.normal(0.0, noise, line.shape)
+
+
+def habit(weeks, seed=0):
+    """Tracks of trips on ``HABIT``, week by week, the last one by the south gate."""
+    rng = np.random.default_rng(seed)
+    return [driven(name, rng) for name in (*HABIT * weeks, 'south')]
 
 
 def ground(seed=0):

@@ -6,10 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from games import drawn_routes, examples, hit_once, least_value, meets
+from games import drawn_routes, examples, hit_once, least_value, meets, plain_options
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plain import plain_options
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import StrategyOptions

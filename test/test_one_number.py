@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from commands import ROOT, run_here
-from plain import plain_options
+from games import plain_options
 
 from ambush_planner import GameOptions, PlanningOptions, Problem, plan_trip, solve_many
 from ambush_planner.commands import frontier as frontier_command

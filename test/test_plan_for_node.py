@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plain import plain_options
+from games import plain_options
 from ros_harness import stage
 
 from ambush_planner import GameOptions, InvalidOption, PlanningOptions, plan_trip

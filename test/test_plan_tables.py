@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from plain import plain_options
+from games import plain_options
 
 from ambush_planner import GameOptions, InvalidOption, PlanningOptions, RiskMap, evaluate, plan_trip
 

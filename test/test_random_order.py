@@ -6,10 +6,9 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from games import examples, least_weight, routes_of, value_by_routes
+from games import examples, least_weight, plain_options, routes_of, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from plain import plain_options
 from test_trip import FREE, GOAL, OPTIONS, START, STOPS, drawn_trips, roads_of, there_and_back
 from test_trip import check_laws as check_laws_of_one_order
 

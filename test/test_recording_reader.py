@@ -13,10 +13,10 @@ import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from commands import NO_ROS
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger
+from games import plain_options
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
-from plain import plain_options
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, recorded, small_departure
 from std_msgs.msg import Header

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every public record that has a value and a bound, from random games: order, units, reason."""
+"""Every public record that has a value and a bound, from random games: order, units, reason.
+
+And strategy files, read back whole, their certificates computed from the probabilities.
+"""
 
 import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from io import BytesIO
 from typing import get_args
 
 import numpy as np
 import pytest
-from games import examples, networks, random_map, terrain_network
+from games import examples, networks, plain_options, random_map, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
-from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
@@ -20,6 +23,7 @@ from ambush_planner import (
     Problem,
     SolverFailed,
     StrategyOptions,
+    arrays,
     evaluate,
     frontier,
     places_to_hold,
@@ -36,7 +40,7 @@ from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_f
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.concerns import wide_gap
 from ambush_planner.planning.slots import mix_slots
-from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
+from ambush_planner.recordings.attachments import NUMBERS, strategy_file, strategy_from_file
 
 OPTIONS = StrategyOptions(max_detour=1.3)
 
@@ -115,7 +119,9 @@ def test_records_of_plans(seed, reach, stops):
         return
     for row in plans[0].frontier((1.3,), ()):
         check(row)
-    for each in places_to_hold(risk_map, start, goal, 2.0, 1, options).strategies:
+    candidates = {'north': (7.0, 11.0), 'middle': (7.0, 7.0), 'south': (7.0, 3.0)}
+    for each in places_to_hold(risk_map, start, goal, 2.0, 1, options,
+                               candidates=candidates).strategies:
         check_strategy(each)
     with ThreadPoolExecutor(2) as pool:
         for solved in solve_many([Problem(risk_map, start, goal, options)] * 2, pool):
@@ -130,3 +136,34 @@ def test_a_certificate_never_has_a_bound_above_its_value():
     assert rounded.bound == rounded.value
     with pytest.raises(AmbushPlannerError, match='lower bound'):
         mix_slots([1.0, 2.0], [1.0, 2.1])
+
+
+# Files of strategies.
+
+
+def test_a_file_that_would_fill_the_memory_is_refused_and_no_other_arrays_are_read(monkeypatch):
+    monkeypatch.setattr(arrays, 'MAX_BYTES', 10**6)
+    stream = BytesIO()
+    np.savez_compressed(stream, points=np.zeros(10**6), other=np.zeros(10**6), alpha=np.ones(3))
+    assert stream.tell() < 10**5
+    with pytest.raises(ValueError, match=r'points would take 8e\+06 bytes'):
+        strategy_from_file(stream.getvalue(), GameOptions())
+    stream.seek(0)
+    assert arrays.arrays_in(stream, ('alpha', 'absent')).keys() == {'alpha'}
+
+
+@pytest.mark.parametrize(('solver', 'radius'), [('max_entropy', 1.0), ('simplex', 0.0)])
+def test_a_strategy_comes_back_whole(solver, radius):
+    network = terrain_network(3)
+    theirs = solve(network, GameOptions(ambush_radius=radius), StrategyOptions(solver=solver))
+    ours, stated = strategy_from_file(strategy_file(theirs), GameOptions(ambush_radius=radius))
+    for name in ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg'):
+        assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
+    for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
+        assert np.array_equal(getattr(ours, name), getattr(theirs, name))
+    assert stated == {name: getattr(theirs, name) for name in NUMBERS}
+    for name in NUMBERS:
+        assert getattr(ours, name) == pytest.approx(stated[name], rel=1e-9, abs=1e-12)
+    rngs = np.random.default_rng(4), np.random.default_rng(4)
+    assert np.array_equal(*(each.sample_route(rng) for each, rng in zip(
+        (ours, theirs), rngs, strict=True)))

@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 import numpy as np
 import pytest
 from commands import run_here
-from plain import plain_options
+from games import plain_options
 
 from ambush_planner import (
     AmbushPlannerWarning,

@@ -27,7 +27,6 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from route_entropy import route_entropy
 from test_trip import roads_of
 
 from ambush_planner import (
@@ -51,6 +50,13 @@ from ambush_planner.game.value.face_flows import KeptFlows, RepeatedFlows
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
 SLACK = StrategyOptions().risk_slack
+
+
+def route_entropy(network, p) -> float:
+    """-sum p ln(p / x_tail) [nats]."""
+    x = np.bincount(network.tails, p, len(network.points))[network.tails]
+    used = p > 0.0
+    return float(-(p[used] * np.log(p[used] / x[used])).sum())
 
 
 def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None:

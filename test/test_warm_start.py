@@ -3,10 +3,9 @@
 
 import numpy as np
 import pytest
-from games import examples
+from games import examples, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
-from plain import plain_options
 
 from ambush_planner import GameOptions, StrategyOptions, build_network
 from ambush_planner.maps.occupancy import risk_from_occupancy
