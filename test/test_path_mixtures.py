@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drive_samples import distance_to
-from games import examples, least_value
+from games import examples, least_value, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
-from plain import plain_options
 
 from ambush_planner import (
     GameOptions,
@@ -99,7 +98,8 @@ def test_a_length_budget_limits_the_shares():
 
 def test_trips_pass_their_stops():
     risk_map = ground(walls=False)
-    plan = plan_trip(risk_map, START, GOAL, OPTIONS, stops=[(20.0, 4.0)])
+    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, network=plain_options(spacing=3.0)),
+                     stops=[(20.0, 4.0)])
     paths = plan.paths(3, np.random.default_rng(3))
     assert PathMixtures(risk_map, plan, paths).best(np.zeros((0, 3))).value > 0.0
     with pytest.raises(InvalidOption, match='stop 1'):

@@ -12,7 +12,7 @@ from io import StringIO
 import numpy as np
 import pytest
 from commands import NO_ROS, documented_keys, run_here, run_python
-from plain import plain_options
+from games import plain_options
 from recording_samples import read_with_mcap_ros2, read_with_rosbags
 from test_path_mixtures import GOAL, START, ground
 
@@ -110,6 +110,8 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         departure = read_departure(path)
         assert departure.drawn_from.value == pytest.approx(plan.value)
         assert departure.path_poses[0, :2] == pytest.approx(START, abs=1e-9)
+    if name in ('routes', 'refined', 'few', 'held'):
+        return  # what the commands read of these, the others have, too
     for command, more in ((audit, ()), (report, ('-o', tmp_path / 'out', '--verify')),
                           (export, ('-o', tmp_path / 'all.csv'))):
         done = run_here(command, folder, *more)
