@@ -105,17 +105,18 @@ def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned
     assert ('0.9996, its plan had 0.504' in reported.message) is warned
 
 
-def test_warns_of_a_volatile_map_as_long_as_it_is_published():
-    with stage() as running:
+@pytest.mark.parametrize('topic', ['alpha_map', 'costmap'])
+def test_warns_of_a_volatile_map_as_long_as_it_is_published(topic):
+    with stage(parameters={'map.costmap': topic == 'costmap'}) as running:
         client = running.client
         # Of its own and not spun, so that it can be destroyed at any time.
         other = Node('mapper', context=client.node.context)
-        other.create_publisher(OccupancyGrid, 'alpha_map', QoSProfile(depth=1))
+        other.create_publisher(OccupancyGrid, topic, QoSProfile(depth=1))
 
         def message():
             return client.diagnostics(state='waiting')['message']
 
-        words = '/mapper publishes /alpha_map with volatile durability'
+        words = f'/mapper publishes /{topic} with volatile durability'
         wait_until(lambda: words in message(), 'a warning')
         assert client.diagnostics(state='waiting')['level'] == b'\1'
         other.destroy_node()
