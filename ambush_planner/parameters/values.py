@@ -27,6 +27,8 @@ from .table import PARAMETERS
 COSTMAP_OBSTACLE = 99
 # Maximum network.target_nodes of a plan that is soon refined: it is there in about a second.
 _PLAIN_NODES = 1000
+# Parameters in which it differs from what is asked for.
+OF_PLAIN_NETWORK = ('network.refine', 'network.target_nodes')
 # Stands for any file with roads.
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 # Parameters that are not fields of the options that their groups are named after.
@@ -72,7 +74,7 @@ class NodeParameters:
         """The parameters of a plan that is soon refined: on a plain network of few nodes."""
         nodes = min(self.planning.network.target_nodes, _PLAIN_NODES)
         network = replace(self.planning.network, refine=0, target_nodes=nodes)
-        changed = {'network.refine': 0, 'network.target_nodes': nodes}
+        changed = dict(zip(OF_PLAIN_NETWORK, (0, nodes), strict=True))
         return replace(self, planning=replace(self.planning, network=network),
                        values=MappingProxyType({**self.values, **changed}))
 

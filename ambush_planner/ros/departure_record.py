@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from nav_msgs.msg import Path
 
+from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
 from ..recordings import RecordedMessage
@@ -17,9 +18,6 @@ from ..routes.driven_path import Ends
 from .current_map import ReceivedMessage
 from .plan_cache import CachedPlan
 from .trip import Trip
-
-# They differ from the request's if the plan is the first one of its trip.
-_OF_PLAN = ('network.refine', 'network.target_nodes')
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +84,7 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
     return Metadata(
         departure.id, departure.number, trip.map.frame,
         {**trip.parameters.values,
-         **{name: departure.held.task.parameters.values[name] for name in _OF_PLAN}},
+         **{name: departure.held.task.parameters.values[name] for name in OF_PLAIN_NETWORK}},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
         departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),
