@@ -17,7 +17,6 @@ from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import NOTHING_SECURED, make_corridors
 from ambush_planner.routes.driven_path import (
     MAX_MARGIN,
-    different_paths,
     driven_path,
     driven_paths,
     tight_turns,
@@ -158,7 +157,7 @@ def test_routes_with_the_same_shortened_nodes_share_a_path():
     paths = [path.round(6).tobytes() for path in driven_paths(corridors, once, 0.3)]
     shortened = [corridors.shortened(route).tobytes() for route in once]
     made = set(zip(shortened, paths, strict=True))
-    assert len(made) == len(set(shortened)) == different_paths(corridors, routes)
+    assert len(made) == len(set(shortened))
     assert len(set(paths)) <= len(made) < len(once)
 
 

@@ -144,7 +144,6 @@ def test_warns_of_a_bottleneck_at_the_ends_and_of_tight_turns(running, name, val
     wait_until(lambda: words in client.diagnostics(code='NONE', level=b'\1')['message'], words)
     report = client.diagnostics(code='NONE', level=b'\1')
     assert re.search(rf'\b{report[counted]} ', report['message'])
-    assert 1 <= int(report['different_paths_of_1000']) <= 1000
     assert report['search_ended'] == 'complete'
     running.use({name: before})
 

@@ -15,7 +15,7 @@ from ..game.solver import ALL_ROUTES
 from ..game.strategy import within_slack
 from ..words import distance, ends
 from .options import holds_anywhere, start_tolerance
-from .plan import DRAWN, Plan
+from .plan import Plan
 from .refinement import LEAST_FALL
 
 # What a gap over the slack says about the search.
@@ -198,8 +198,6 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
         'expected_length', 'shortest_length')},
     'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.strategy.game)
                               else 'mean loss'),
-    f'different_paths_of_{DRAWN}': lambda plan: (
-        '' if plan.different_paths is None else str(plan.different_paths)),
     'value_holds_at': lambda plan: ('anywhere in free ground' if holds_anywhere(plan.options)
                                     else "the network's nodes"),
     'secured_radius': lambda plan: f'{plan.strategy.game.options.secured_distance:.9g}',

@@ -27,10 +27,12 @@ from ..game.route_sampler import route_edges
 from ..routes.driven_path import driven_paths
 from .best_shares import BestShares, SharesLP
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import DRAWN, Plan, path_lengths
+from .plan import Plan, path_lengths
 
 # Maximum number of routes; with more, draw from the plan itself.
 MAX_ROUTES = 100
+# Number of routes drawn to find different ones.
+DRAWN = 1000
 # Numbers of routes whose values make the curve.
 CURVE = (1, 2, 4, 6, 10, 20)
 # Drawn routes that are driven, to choose from.

@@ -80,7 +80,7 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     if is_graded(options):
         plan = plan_quietly(risk_map, start, goal, options)
     else:
-        plan = make_plan(risk_map, solve_on_network(risk_map, network, options), options, begin)
+        plan = make_plan(risk_map, solve_on_network(risk_map, network, options), options)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('the secured area covers everything around start and goal, so that '
                             'nobody can wait there: choose a smaller radius (--held)')

@@ -25,7 +25,7 @@ from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
-from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
+from ..routes.driven_path import Ends, driven_path, driven_paths
 from ..words import distance
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
 from .solving import WarmStart
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from .frontier import FrontierRow
     from .refinement import Round
 
-# Number of routes drawn to count the different paths.
-DRAWN = 1000
 # Number of routes driven to find the mean length of paths: a third of a per cent of it.
 DRIVEN = 300
 
@@ -81,8 +79,8 @@ class Plan(Shown):
     """The strategy for a map, a start and a goal, with everything that departures need.
 
     ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
-    distance of the network's nodes, at least the map's resolution [m]. ``different_paths`` counts
-    those of ``DRAWN`` routes; None: the time limit had passed. ``seconds`` is the planning time.
+    distance of the network's nodes, at least the map's resolution [m]. ``seconds`` is the planning
+    time.
     ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
     of few routes that departures draw from, None if they draw from the strategy.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
@@ -95,8 +93,7 @@ class Plan(Shown):
     corridors: Corridors
     options: PlanningOptions
     spacing: float
-    different_paths: int | None
-    seconds: float
+    seconds: float = 0.0
     order: tuple[int, ...] = ()
     order_found: str = 'given'
     risk_map: RiskMap | None = None
@@ -311,18 +308,10 @@ class Route:
     points: FloatArray
 
 
-def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
-              begin: float) -> Plan:
-    """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
-    spacing = node_spacing(risk_map, options.network)
-    corridors = plan_corridors(strategy, risk_map, options)
-    different = None
-    if time.monotonic() < begin + options.strategy.time_limit:
-        # A fixed seed keeps the count independent of the departures' draws.
-        drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
-        different = different_paths(corridors, drawn)
-    return Plan(strategy, corridors, options, spacing, different, time.monotonic() - begin,
-                risk_map=risk_map)
+def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions) -> Plan:
+    """The plan that follows from a strategy."""
+    return Plan(strategy, plan_corridors(strategy, risk_map, options), options,
+                node_spacing(risk_map, options.network), risk_map=risk_map)
 
 
 def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions) -> Corridors:

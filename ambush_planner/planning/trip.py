@@ -155,8 +155,9 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     trip = _Trip(risk_map, start_xy, goal_xy, [asked[k] for k in place], order, options, progress)
     strategy, chosen, found, done = trip.solve(warm, begin)
-    made = make_plan(risk_map, strategy, options, begin)
-    return replace(made, order=tuple(place[k] for k in chosen), order_found=found, refinement=done)
+    made = make_plan(risk_map, strategy, options)
+    return replace(made, seconds=time.monotonic() - begin,
+                   order=tuple(place[k] for k in chosen), order_found=found, refinement=done)
 
 
 @dataclass(frozen=True)

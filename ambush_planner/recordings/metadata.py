@@ -99,7 +99,6 @@ class RecordedPlan:
     made_ns: int
     order: tuple[int, ...]
     order_found: str
-    different_paths: int | None
     seconds: float
     source: MapSource | None
     slots: RecordedSlots | None

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -22,8 +22,7 @@ from ..network.road_network import in_map_frame
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.few_strategy import few_strategy
-from ..planning.options import node_spacing
-from ..planning.plan import Plan, plan_corridors
+from ..planning.plan import Plan, make_plan
 from .attachments import (
     FEW_FILE,
     MAP_FILE,
@@ -124,8 +123,8 @@ def plan_bytes(saved: SavedPlan) -> bytes:
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
     """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
     plan = saved.plan
-    return RecordedPlan(saved.id, saved.made_ns, plan.order, plan.order_found,
-                        plan.different_paths, plan.seconds, saved.source, saved.slots)
+    return RecordedPlan(saved.id, saved.made_ns, plan.order, plan.order_found, plan.seconds,
+                        saved.source, saved.slots)
 
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
@@ -183,8 +182,7 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
     if few:
         few_strategy(strategy, few)  # raises an error if its shares and routes are none
-    plan = Plan(strategy, plan_corridors(strategy, risk_map, planning), planning,
-                node_spacing(risk_map, planning.network), about.different_paths, about.seconds,
-                about.order, about.order_found, risk_map, few)
+    plan = replace(make_plan(risk_map, strategy, planning), seconds=about.seconds,
+                   order=about.order, order_found=about.order_found, few=few)
     return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
                      about.made_ns)

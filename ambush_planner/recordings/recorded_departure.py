@@ -26,8 +26,8 @@ from ..planning.changed_ground import ChangedGround
 from ..planning.few_routes import FewRoutes
 from ..planning.few_strategy import few_strategy
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
-from ..planning.options import PlanningOptions, node_spacing
-from ..planning.plan import Plan, plan_corridors
+from ..planning.options import PlanningOptions
+from ..planning.plan import make_plan
 from ..routes.driven_path import Ends
 from .attachments import (
     FEW_FILE,
@@ -256,9 +256,7 @@ def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
 def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
               planning: PlanningOptions, risk_map: RiskMap) -> ChangedGround:
     """Return a recorded strategy as a plan with corridors, on its ground."""
-    plan = Plan(strategy, plan_corridors(strategy, risk_map, planning), planning,
-                node_spacing(risk_map, planning.network), None, 0.0)
-    return ChangedGround(plan, planned_on, options)
+    return ChangedGround(make_plan(risk_map, strategy, planning), planned_on, options)
 
 
 def _newest(planned_on: OccupancyMap, changes: bytes) -> OccupancyMap:

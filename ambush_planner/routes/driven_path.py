@@ -9,7 +9,6 @@ widened.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import islice, pairwise
 
@@ -147,17 +146,6 @@ def tight_turns(poses: FloatArray, turning_radius: float) -> int:
     """Number of turns of a path (L, 3) that are tighter than ``turning_radius`` [m]."""
     tight = turn_radii(poses) < turning_radius * (1.0 - 1e-6)
     return int(np.count_nonzero(tight & ~np.append(False, tight[:-1])))
-
-
-def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
-    """Upper bound of the number of different paths of the routes (K,).
-
-    Routes with the same nodes after ``Corridors.shortened`` have the same path and count once. Only
-    routes whose paths run straight through portals at different nodes can share one as well.
-    """
-    once = {route.tobytes(): route for route in routes}.values()
-    return len({tuple(corridors.shortened(places).tobytes() for places in _places(corridors, route))
-                for route in once})
 
 
 def _smooth(portals: Portals, turning_radius: float) -> _Lines:
