@@ -31,7 +31,6 @@ from ambush_planner import (
     solve,
     solve_many,
 )
-from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.game.bottleneck import find_bottleneck, secured_bound
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.game.revaluation import revalue
@@ -39,8 +38,8 @@ from ambush_planner.game.slack import Reason
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.concerns import wide_gap
-from ambush_planner.planning.slots import mix_slots
 from ambush_planner.recordings.attachments import NUMBERS, strategy_file, strategy_from_file
+from ambush_planner.recordings.metadata import RecordedSlots
 
 OPTIONS = StrategyOptions(max_detour=1.3)
 
@@ -111,7 +110,7 @@ def test_records_of_plans(seed, reach, stops):
             assert plan.few.curve[-1][1] == plan.few.value == plan.value
     check_strategy(plans[0].strategy)
     assert bool(wide_gap(plans[0])) == (plans[0].strategy.reason != 'complete')
-    check(mix_slots([each.value for each in plans], [each.lower_bound for each in plans]))
+    check(RecordedSlots.of(('08:00', '09:00', '10:00'), 2, plans[0].value, plans[0].lower_bound))
     newer = values.copy()
     newer[::3] = 40
     check(ChangedGround(plans[0], on, OccupancyOptions()).assess(replace(on, values=newer)))
@@ -134,8 +133,6 @@ def test_a_certificate_never_has_a_bound_above_its_value():
             Certificate(value, bound)
     rounded = Certificate(1.0, 1.0 + 1e-12)
     assert rounded.bound == rounded.value
-    with pytest.raises(AmbushPlannerError, match='lower bound'):
-        mix_slots([1.0, 2.0], [1.0, 2.1])
 
 
 # Files of strategies.

@@ -22,7 +22,6 @@ from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.few_strategy import few_strategy
-from ambush_planner.planning.slots import mix_slots
 from ambush_planner.recordings import read_departure, schemas
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
@@ -33,8 +32,7 @@ from ambush_planner.recordings.verify import Verifier
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=3.0), game=GameOptions(ambush_radius=2.5))
-SLOTS = RecordedSlots.of(('08:00', '09:30', '11:00'),
-                         mix_slots([1.0, 2.0, 3.0], [0.9, 1.9, 2.9]))
+SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1, 0.6, 0.5)
 
 
 def roads():

@@ -16,7 +16,6 @@ from ..planning.concerns import assumptions, concerns, is_sound, main_assumption
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
-from ..planning.slots import mix_slots
 from ..planning.trip import ORDERS, plan_trip
 from ..recordings.metadata import RecordedSlots
 from ..recordings.plan_file import saved_plan
@@ -112,9 +111,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                          rng=rng)
     day = None
     if slots:
-        mixture = mix_slots([plan.value] * len(slots), [plan.lower_bound] * len(slots),
-                            arguments.window)
-        day = RecordedSlots.of(slots, mixture, arguments.window)
+        day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')

@@ -13,7 +13,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ..errors import AmbushPlannerError
-from ..planning.slots import SlotMixture
 
 Position = tuple[float, float]
 
@@ -78,10 +77,17 @@ class RecordedSlots:
     lower_bound: float
 
     @classmethod
-    def of(cls, times: Sequence[str], mixture: SlotMixture, window: int = 1) -> RecordedSlots:
-        """Slots with the shares of a mixture."""
-        return cls(tuple(times), tuple(mixture.shares.tolist()), window, mixture.value,
-                   mixture.lower_bound)
+    def of(cls, times: Sequence[str], window: int, value: float,
+           lower_bound: float) -> RecordedSlots:
+        """The best shares for a plan of this value (docs/theory.md, section 14).
+
+        An ambush of ``window`` slots covers one of a set of slots that are as far apart: of the
+        sets that cannot have more slots, one is drawn, then one of its slots.
+        """
+        size = math.ceil(len(times) / window)
+        drawn = np.arange(len(times)) % window < len(times) - (size - 1) * window
+        return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window, value / size,
+                   lower_bound / size)
 
     def drawn(self, rng: np.random.Generator) -> str:
         """Draw the time of a departure."""
