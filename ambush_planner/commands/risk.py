@@ -6,12 +6,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..map_figures import as_png
-from ..maps import TerrainMap
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import risk_from_layers
@@ -19,7 +17,7 @@ from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
 from .positions import add_crs, crs_text
-from .risk_figure import layers_figure, terrain_figure
+from .risk_figure import layers_figure
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
@@ -89,14 +87,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.source.suffix.lower() != '.npz':
         cli.require(('pyproj', 'rasterio'))
-    ground = terrain_of(arguments, arguments.source, arguments.roads, console)
-    grid = ground.occupancy
+    grid = terrain_of(arguments, arguments.source, arguments.roads, console)
+    picture = as_png(layers_figure(grid.risk_map(), ()))
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
-    picture = as_png(terrain_figure(ground))
-    files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture,
-                     ground.heights)
-    console.line(_summary(ground))
+    files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
+    console.line(_summary(grid))
     unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
     return _told(files, LEAST, MOST, [] if grid.crs else [unknown], console)
 
@@ -115,14 +111,13 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     return _told(files, least, most, joined.remarks, console)
 
 
-def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes,
-             heights: Any = None) -> list[Path]:
+def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes) -> list[Path]:
     """Write the map for map_server, the picture and, in a known system, the GeoTIFF."""
     files = [output, write_map(output, grid, comment), output.with_suffix('.png')]
     files[2].write_bytes(picture)
     if grid.crs:
         files += [output.with_suffix('.tif'), output.with_suffix('.qml')]
-        write_geotiff(files[3], grid, heights)
+        write_geotiff(files[3], grid)
         files[4].write_text(cli.resource('risk_map.qml'), encoding='utf-8')
     return files
 
@@ -144,15 +139,15 @@ def occupancy_of(risk_map: RiskMap) -> tuple[OccupancyMap, float, float]:
     most = least + max((losses.max(initial=0.0) - least) / 0.99, MOST - least)
     values = np.minimum(np.rint((risk_map.alpha - least) / (most - least) * 100.0), 99.0)
     values = np.where(risk_map.obstacles, 100, values).astype(np.int8)
-    return (OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs), least,
-            float(most))
+    return (OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs,
+                         risk_map.heights), least, float(most))
 
 
-def _summary(ground: TerrainMap) -> str:
-    values = ground.values
+def _summary(grid: OccupancyMap) -> str:
+    values = grid.values
     risk = values[(values >= 0) & (values < 100)]
     low, middle, high = np.percentile(risk, [10, 50, 90]) if risk.size else (0.0, 0.0, 0.0)
-    return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
+    return (f'{values.shape[1]} x {values.shape[0]} cells of {grid.resolution:g} m: '
             f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
             f' % unknown; risk of drivable cells, 0 to 99: half are below {middle:.0f}, '
             f'a tenth below {low:.0f}, a tenth above {high:.0f}')

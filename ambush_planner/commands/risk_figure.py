@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of ``ambush risk``: each layer, and the risk map that they make."""
+"""The picture of ``ambush risk``: each layer, if there are any, and the risk map."""
 
 from __future__ import annotations
 
@@ -12,54 +12,34 @@ from matplotlib.colors import CenteredNorm
 from matplotlib.figure import Figure
 
 from .. import map_figures
-from ..arrays import BoolArray
 from ..colours import ROUTES
-from ..maps import TerrainMap
 from ..maps.risk_layers import Layer
 from ..maps.risk_map import RiskMap
 
 
-def terrain_figure(ground: TerrainMap) -> Figure:
-    """Height, slope, depth, exposure and approach, and the risk map with roads."""
-    layers = [Layer(title, np.asarray(values, dtype=np.float64)) for title, values in (
-        ('Height [m]', ground.heights),
-        ('Slope, rise over run', ground.slope),
-        ('Depth below the ground in range [m]', ground.depth),
-        ('Share of ground in range that sees you', ground.exposure),
-        ('Mean distance to hidden ground [m]', ground.approach),
-    )]
-    return layers_figure(ground.risk_map(), layers, ('cividis', *['magma_r'] * 3, 'magma'),
-                         ground.roads)
-
-
-def layers_figure(risk_map: RiskMap, layers: Sequence[Layer], colours: Sequence[str] | None = None,
-                  roads: BoolArray | None = None) -> Figure:
-    """A panel for each layer, in its colour map if there are ``colours``, then map and roads."""
+def layers_figure(risk_map: RiskMap, layers: Sequence[Layer]) -> Figure:
+    """A panel for each layer, then the map."""
     count = len(layers) + 1
     rows, columns = -(-count // 2), min(count, 2)
     width, height = risk_map.size
     size = (0.5 * map_figures.WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
     figure = Figure(size, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for k, (axes, layer) in enumerate(zip(panels, layers, strict=False)):
-        _draw(figure, axes, risk_map, layer, colours[k] if colours else None)
+    for axes, layer in zip(panels, layers, strict=False):
+        _draw(figure, axes, risk_map, layer)
     last = panels[count - 1]
     map_figures.risk_bar(figure, map_figures.draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
-    if roads is not None and roads.any():
-        map_figures.draw_cells(last, risk_map, np.ma.masked_equal(roads, False), cmap='winter',
-                           alpha=0.8)
     for axes in panels[count:]:
         axes.set_visible(False)
     map_figures.ground_legend(figure, risk_map)
     return figure
 
 
-def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer,
-          colours: str | None) -> None:
+def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     map_figures.frame(axes, risk_map, layer.title)
     values = np.ma.masked_invalid(layer.values.astype(float))
-    less = not colours and values.min() < 0.0
-    style: dict[str, Any] = {'cmap': colours or ('PuOr_r' if less else 'magma_r'),
+    less = values.min() < 0.0
+    style: dict[str, Any] = {'cmap': 'PuOr_r' if less else 'magma_r',
                              'norm': CenteredNorm() if less else None}
     image = map_figures.draw_cells(axes, risk_map, values, **style)
     if layer.values.dtype != bool:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from ..maps import TerrainMap, TerrainOptions, ViewOptions
+from ..maps import OccupancyMap, TerrainOptions, ViewOptions
 from ..maps.terrain_file import terrain_of_file
 from . import cli
 
@@ -41,8 +41,8 @@ def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any
 
 
 def terrain_of(arguments: argparse.Namespace, source: Path, roads: Path | None,
-               console: cli.Console) -> TerrainMap:
-    """The terrain map of an elevation model, with a raster of roads."""
+               console: cli.Console) -> OccupancyMap:
+    """The map of an elevation model, with a raster of roads."""
     views = ViewOptions(**_given(arguments, _VIEW))
     options = TerrainOptions(view=views, **_given(arguments, (*_GROUND, 'weights')))
     return terrain_of_file(source, options, arguments.resolution, roads, arguments.crs or None,

@@ -12,11 +12,11 @@ from .occupancy import OccupancyMap, OccupancyOptions
 from .relief import relative_depth, slope
 from .risk_map import RiskMap
 from .risk_map_file import read_risk_map
-from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
+from .terrain_risk import TerrainOptions, terrain_map
 from .visibility import ViewOptions, Views, viewshed
 
 __all__ = [
     'Elevation', 'InvalidTerrain', 'OccupancyMap', 'OccupancyOptions', 'Raster', 'RiskMap',
-    'TerrainMap', 'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster',
-    'mask_from_raster', 'read_risk_map', 'relative_depth', 'slope', 'terrain_map', 'viewshed',
+    'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster', 'mask_from_raster',
+    'read_risk_map', 'relative_depth', 'slope', 'terrain_map', 'viewshed',
 ]

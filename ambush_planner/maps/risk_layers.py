@@ -177,7 +177,7 @@ def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution:
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
     made = terrain_of_file(path, TerrainOptions(view=view, **options), resolution, crs=crs,
                            progress=progress)
-    ground = made.occupancy.risk_map(
+    ground = made.risk_map(
         OccupancyOptions(alpha_min=0.0, alpha_max=_number('loss', values['loss'])))
     shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.

@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import arrays_in
 from ..errors import InvalidRiskMap, warn
 from .coordinates import Coordinates, InvalidCoordinates
-from .elevation import HeightArray, InvalidTerrain, square_cells
+from .elevation import InvalidTerrain, square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, agreed_crs
@@ -53,16 +53,16 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
 
 def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
     is_yaml = path.suffix.lower() in ('.yaml', '.yml')
-    grid, heights = (read_map(path), None) if is_yaml else _read_raster(path)
+    grid = read_map(path) if is_yaml else _read_raster(path)
     try:
-        return replace(grid.risk_map(options), heights=heights)
+        return grid.risk_map(options)
     except InvalidRiskMap as error:
         hint = ('; is it an elevation model? Make a risk map of it with ambush risk'
                 if 'cell values' in str(error) else '')
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
 
 
-def _read_raster(path: Path) -> tuple[OccupancyMap, HeightArray | None]:
+def _read_raster(path: Path) -> OccupancyMap:
     try:
         raster = read_raster(path, 'risk')
     except InvalidTerrain as error:
@@ -72,9 +72,8 @@ def _read_raster(path: Path) -> tuple[OccupancyMap, HeightArray | None]:
         given, raster = raster, square_cells(raster)
         warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
              f'to {raster.row_step:.7g} m, by the nearest')
-    grid = OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
-                        (*raster.corner, 0.0), raster.crs)
-    return grid, raster.heights
+    return OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
+                        (*raster.corner, 0.0), raster.crs, raster.heights)
 
 
 def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
@@ -118,17 +117,17 @@ def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
     return replace(grid, origin=(x, y, yaw), crs=crs)
 
 
-def write_geotiff(path: Path, grid: OccupancyMap, heights: HeightArray | None = None) -> None:
+def write_geotiff(path: Path, grid: OccupancyMap) -> None:
     """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
 
-    With ``heights`` (H, W) [m], these are the second band, from which pictures have their relief.
+    Heights are the second band, from which pictures have their relief.
 
     Raises InvalidCoordinates if the map has no such system.
     """
     import rasterio
 
     system = Coordinates(grid.crs or '')
-    rows, columns = grid.values.shape
+    heights, (rows, columns) = grid.heights, grid.values.shape
     kind, unknown = (np.uint8, _UNKNOWN) if heights is None else (np.float32, np.nan)
     values = np.where(grid.values < 0, unknown, grid.values).astype(kind)[::-1]
     with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=kind,

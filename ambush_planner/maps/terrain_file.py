@@ -8,9 +8,9 @@ from pathlib import Path
 
 from .elevation import elevation_from_raster, mask_from_raster
 from .elevation_file import read_raster
-from .occupancy import OccupancyOptions
+from .occupancy import OccupancyMap, OccupancyOptions
 from .risk_map import RiskMap
-from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
+from .terrain_risk import TerrainOptions, terrain_map
 from .visibility import ViewOptions
 
 
@@ -55,8 +55,8 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
 
 def terrain_of_file(file: Path | str, options: TerrainOptions, resolution: float | None = None,
                     roads: Path | str | None = None, crs: str | None = None,
-                    progress: Callable[[float], None] | None = None) -> TerrainMap:
-    """Make the terrain map of an elevation model, whose system is ``crs`` if the file has none."""
+                    progress: Callable[[float], None] | None = None) -> OccupancyMap:
+    """Make the map of an elevation model, whose system is ``crs`` if the file has none."""
     elevation = elevation_from_raster(read_raster(Path(file), crs=crs), resolution or 0.0)
     mask = mask_from_raster(read_raster(Path(roads), 'roads'), elevation) if roads else None
     return terrain_map(elevation, options, mask, progress)

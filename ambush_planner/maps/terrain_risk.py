@@ -23,16 +23,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from ..arrays import BoolArray
-from .elevation import Elevation, HeightArray, InvalidTerrain
-from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions
+from ..arrays import BoolArray, frozen_array
+from .elevation import Elevation, InvalidTerrain
+from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap
 from .relief import relative_depth, slope
-from .risk_map import RiskMap
 from .visibility import ViewOptions, viewshed
 
 FULL_DEPTH = 0.4
@@ -74,54 +72,10 @@ class TerrainOptions:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class TerrainMap:
-    """A terrain risk map and the layers it was computed from; all (H, W), row 0 in the south.
-
-    Attributes
-    ----------
-    elevation : Elevation
-        The terrain, with its place and cell size.
-    values : int8
-        As in an occupancy grid: 0..99 risk, 100 obstacle, -1 unknown.
-    slope, depth, exposure, approach
-        Rise over run; [m]; share 0..1; [m].
-    roads : bool
-    """
-
-    elevation: Elevation
-    values: npt.NDArray[np.int8]
-    slope: HeightArray
-    depth: HeightArray
-    exposure: HeightArray
-    approach: HeightArray
-    roads: BoolArray
-
-    @property
-    def heights(self) -> HeightArray:
-        """Height of each cell [m]."""
-        return self.elevation.heights
-
-    @property
-    def resolution(self) -> float:
-        """Cell size [m]."""
-        return self.elevation.resolution
-
-    @property
-    def occupancy(self) -> OccupancyMap:
-        """The values, where the terrain is."""
-        place = self.elevation
-        return OccupancyMap(self.values, place.resolution, (*place.corner, 0.0), place.crs)
-
-    def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
-        """Return the losses of the values, with the terrain's heights."""
-        return replace(self.occupancy.risk_map(options), heights=self.heights)
-
-
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
                 roads: BoolArray | None = None,
-                progress: Callable[[float], None] | None = None) -> TerrainMap:
-    """Compute the risk map of terrain; ``roads`` (H, W) marks cells that contain a road.
+                progress: Callable[[float], None] | None = None) -> OccupancyMap:
+    """Compute the risk of terrain as values of a map; ``roads`` (H, W) marks cells with a road.
 
     ``progress`` is called with the completed share of the work.
 
@@ -134,25 +88,11 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     if roads.shape != shape:
         raise InvalidTerrain(f'roads must have the shape of the elevation, {shape}, '
                              f'got {roads.shape}')
-    steepness = slope(elevation)
-    depth = relative_depth(elevation, options.view.weapon_range)
-    views = viewshed(elevation, options.view, progress)
-    layers = (steepness, depth, views.exposure, views.approach, roads)
-    values = _values(elevation, layers, options)
-    for layer in (values, *layers):
-        layer.setflags(write=False)
-    return TerrainMap(elevation, values, *layers)
-
-
-def _values(elevation: Elevation,
-            layers: tuple[HeightArray, HeightArray, HeightArray, HeightArray, BoolArray],
-            options: TerrainOptions) -> npt.NDArray[np.int8]:
-    """Compute cell values by the formulas in the module docstring."""
-    steepness, depth, exposure, approach, roads = layers
-    reach = options.view.weapon_range
+    reach, steepness = options.view.weapon_range, slope(elevation)
+    depth, views = relative_depth(elevation, reach), viewshed(elevation, options.view, progress)
     shares = (
-        np.minimum(depth / (FULL_DEPTH * reach), 1.0), exposure, 1.0 - approach / reach,
-        np.minimum(steepness / options.slope_limit, 1.0),
+        np.minimum(depth / (FULL_DEPTH * reach), 1.0), views.exposure,
+        1.0 - views.approach / reach, np.minimum(steepness / options.slope_limit, 1.0),
     )
     total = sum(options.weights)
     weighed = zip(options.weights, shares, strict=True)
@@ -161,4 +101,6 @@ def _values(elevation: Elevation,
     unknown = np.isnan(elevation.heights)
     values = np.where(unknown, UNKNOWN, np.rint(99.0 * np.where(unknown, 0.0, risk)))
     blocked = (steepness > options.slope_limit) & ~roads & ~unknown
-    return np.where(blocked, OBSTACLE, values).astype(np.int8)
+    values = frozen_array(np.where(blocked, OBSTACLE, values), np.int8)
+    return OccupancyMap(values, elevation.resolution, (*elevation.corner, 0.0), elevation.crs,
+                        elevation.heights)

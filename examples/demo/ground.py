@@ -16,8 +16,8 @@ from matplotlib.cbook import get_sample_data
 
 from ambush_planner.maps import (
     Elevation,
+    OccupancyMap,
     Raster,
-    TerrainMap,
     TerrainOptions,
     ViewOptions,
     elevation_from_raster,
@@ -33,8 +33,8 @@ START = (2025.0, 12015.0)
 GOAL = (26055.0, 27945.0)
 
 
-def load_ground() -> TerrainMap:
-    """Make the risk map and its layers; raises OSError without matplotlib's sample data."""
+def load_ground() -> OccupancyMap:
+    """Make the map of the risk; raises OSError without matplotlib's sample data."""
     return terrain_map(load_elevation(), OPTIONS)
 
 
