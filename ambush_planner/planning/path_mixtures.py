@@ -27,7 +27,7 @@ from .plan import Plan
 
 # Maximum relative gap between the best shares' value and that of the linear program.
 MAX_GAP = 1e-3
-# Maximum distance of a path from a stop that it passes [m].
+# Radius of the secured area around a stop if there is none: nobody can wait at the stop [m].
 AT_STOP = 1e-6
 
 
@@ -61,9 +61,11 @@ class PathMixtures:
         options = solved.options
         check_judged(options)
         self._network, self._uses = _network_of(plan, paths)
+        stops = ((x, y, options.secured_distance or AT_STOP) for x, y in plan.stops_xy)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error,
-            secured_radius=options.secured_distance))
+            secured_radius=options.secured_distance,
+            held_places=(*options.held_places, *stops)))
         self._cells = CellLosses(risk_map, options.ambush_in_obstacles)
         self._exposed = self._game.exposed()
         self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
@@ -146,31 +148,14 @@ def side_by_side(inner: Sequence[int]) -> tuple[IndexArray, IndexArray]:
 def _network_of(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:
     """The network of the paths, and the edges (M, K) that each uses."""
     ends = plan.network.points[[plan.network.source, plan.network.target]]
-    lines, leg = [], [np.array([0, len(plan.stops_xy)])]
-    for k, path in enumerate(paths):
+    lines = []
+    for path in paths:
         line = np.vstack((ends[0], path[:, :2], ends[1]))
         line = line[np.append(True, (line[1:] != line[:-1]).any(axis=1))]
         if len(line) == 2:  # its one edge could be another path's, too
             line = np.insert(line, 1, line.mean(axis=0), axis=0)
         lines.append(line[1:-1])
-        leg.append(_legs(plan, line, k)[1:-1])
     edges, of = side_by_side(list(map(len, lines)))
     points = np.concatenate((ends, *lines))
-    network = Network(points, np.zeros(len(points)), edges, 0, 1, leg=np.concatenate(leg))
+    network = Network(points, np.zeros(len(points)), edges, 0, 1)
     return network, csr_matrix((np.ones(len(of)), (np.arange(len(of)), of)))
-
-
-def _legs(plan: Plan, line: FloatArray, k: int) -> IndexArray:
-    """The leg (L,) of the trip at each point of path ``k``; raises InvalidOption."""
-    leg, at, left = np.zeros(len(line), dtype=np.int64), 0, list(plan.stops_xy)
-    while left:
-        ahead = left if plan.order_found == 'random' else left[:1]
-        away = line[at + 1 : -1, None] - np.array(ahead)
-        near = np.argwhere(np.hypot(away[..., 0], away[..., 1]) <= AT_STOP)
-        if not len(near):
-            number = plan.stops_xy.index(left[0]) + 1
-            raise InvalidOption(f'path {k} does not pass stop {number} at {left[0]}')
-        at += 1 + int(near[0, 0])
-        left.remove(ahead[near[0, 1]])
-        leg[at:] += 1
-    return leg

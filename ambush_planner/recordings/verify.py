@@ -137,9 +137,8 @@ class Verifier:
         spacing = parameters.values['route.path_spacing'] or plan.spacing
         again: tuple[Route, FloatArray] | None = None
         if departure.few:
-            return self._few_problems(
-                departure.few, replace(plan, order_found=parameters.values['trip.order']),
-                departure.risk_map) + _few_draw_problems(departure, departure.few, rng)
+            return self._few_problems(departure.few, plan, departure.risk_map) + (
+                _few_draw_problems(departure, departure.few, rng))
         if said.diversion:
             again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
                                spacing)
