@@ -31,9 +31,9 @@ from ambush_planner.recordings.report_data import (
     OBSTACLE,
     map_cells,
     map_data,
-    outline,
     sections_of,
 )
+from ambush_planner.routes.legs import main_corners
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 
@@ -168,7 +168,7 @@ def off(points, line):
 def test_an_outline_is_as_accurate_as_asked_for_and_has_few_points(turns, tolerance):
     yaw = np.repeat(np.cumsum(turns), 9)
     line = np.cumsum(np.column_stack((np.cos(yaw), np.sin(yaw))), axis=0)
-    found = outline(line, tolerance)
+    found = line[main_corners(line, tolerance)]
     assert (found[[0, -1]] == line[[0, -1]]).all()
     assert off(line, found) <= tolerance + 0.01
     assert len(found) <= 2 * len(turns) + 2  # two points of a leg that is parallel to a chord

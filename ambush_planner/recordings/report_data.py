@@ -21,6 +21,7 @@ from ..game.informant import Informant, worst_informant
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
+from ..routes.legs import main_corners
 from ..routes.shared_roads import stripes
 from .metadata import RecordedSlots
 from .recorded_departure import RecordedDeparture
@@ -113,7 +114,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
     paths = [each.path_poses[:, :2] for each in section.departures]
     lines = [*([(path, 0)] for path in paths[: -len(ROUTES)]), *stripes(paths[-len(ROUTES) :])]
-    pieces = [(k, outline(piece, PATH_ACCURACY * cell) - corner, over)
+    pieces = [(k, piece[main_corners(piece, PATH_ACCURACY * cell)] - corner, over)
               for k, line in enumerate(lines) for piece, over in line]
     ends = [network.source, network.target, *network.stops]
     seen = section.informant
@@ -135,24 +136,6 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'routes': packed(np.concatenate([line for _, line, _ in pieces]), '<f4'),
         'pieces': [(k, len(line), over) for k, line, over in pieces],
     }
-
-
-def outline(line: FloatArray, tolerance: float) -> FloatArray:
-    """Simplify a line (L, 2): no point lies further than ``tolerance`` [m] from the result (K, 2).
-
-    By Douglas and Peucker (1973): the farthest point is kept, then that of each half.
-    """
-    kept, parts = {0, len(line) - 1}, [(0, len(line) - 1)]
-    while parts:
-        first, last = parts.pop()
-        inner, chord = line[first + 1:last] - line[first], line[last] - line[first]
-        share = np.clip(inner @ chord / (chord @ chord or 1.0), 0.0, 1.0)
-        off = np.hypot(*(inner - share[:, None] * chord).T)
-        if off.max(initial=0.0) > tolerance:
-            middle = first + 1 + int(off.argmax())
-            kept.add(middle)
-            parts += [(first, middle), (middle, last)]
-    return line[sorted(kept)]
 
 
 def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:

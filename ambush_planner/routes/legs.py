@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Legs of a path (L, 2) [m]: the straight lines between its way points, for a driver's sheet."""
+"""Legs of a path (L, 2) [m]: the straight lines between its way points; and simpler lines."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+from heapq import heapify, heappop, heappush
 from itertools import pairwise
 
 import numpy as np
@@ -18,23 +21,30 @@ _SAMPLES = 4000
 
 
 def way_points(path: FloatArray, stops: FloatArray) -> IndexArray:
-    """Return the indices (W,) of a path's ends, of its stops (S, 2), and of its main corners.
+    """Return the indices (W,) of a path's ends, of its stops (S, 2), and of its main corners."""
+    return main_corners(path, MAX_STRAY * float(distances_along(path)[-1]),
+                        [int(_away(path, stop).argmin()) for stop in stops], MAX_LEGS)
 
-    The point farthest from the legs becomes a way point, until none is farther than ``MAX_STRAY``
-    or there are ``MAX_LEGS``.
+
+def main_corners(line: FloatArray, tolerance: float, fixed: Iterable[int] = (),
+                 most: float = math.inf) -> IndexArray:
+    """Return the indices (K,) of the corners that simplify a line (L, 2).
+
+    The ends and the ``fixed`` points are corners. The point farthest from the straight parts
+    becomes a corner, too, until none is farther than ``tolerance`` [m] or there are ``most`` parts.
 
     Source: D. Douglas, T. Peucker, *Algorithms for the reduction of the number of points required
     to represent a digitized line*, Cartographica 10, 1973.
     """
-    chosen = {0, len(path) - 1, *(int(_away(path, stop).argmin()) for stop in stops)}
-    allowed = MAX_STRAY * distances_along(path)[-1]
-    while len(chosen) <= MAX_LEGS:
-        away = np.concatenate([_from_line(path[first:last], path[last])
-                               for first, last in pairwise(sorted(chosen))])
-        if away.max() <= allowed:
-            break
-        chosen.add(int(away.argmax()))
-    return np.array(sorted(chosen))
+    corners = sorted({0, len(line) - 1, *fixed})
+    parts = [_farthest(line, *part) for part in pairwise(corners)]
+    heapify(parts)
+    while parts and -parts[0][0] > tolerance and len(corners) <= most:
+        _, corner, first, last = heappop(parts)
+        corners.append(corner)
+        for part in ((first, corner), (corner, last)):
+            heappush(parts, _farthest(line, *part))
+    return np.array(sorted(corners))
 
 
 def distances_along(path: FloatArray) -> FloatArray:
@@ -61,8 +71,9 @@ def _away(points: FloatArray, place: FloatArray) -> FloatArray:
     return np.hypot(*(points - place).T)
 
 
-def _from_line(points: FloatArray, end: FloatArray) -> FloatArray:
-    """Distances (K,) of points (K, 2) from the line between the first one and ``end``."""
-    start, line = points[0], end - points[0]
-    share = (points - start) @ line / max(line @ line, np.finfo(np.float64).tiny)
-    return _away(points, start + np.clip(share, 0.0, 1.0)[:, None] * line)
+def _farthest(line: FloatArray, first: int, last: int) -> tuple[float, int, int, int]:
+    """Minus the largest distance from a chord, the index of the point, and the ends."""
+    start, chord = line[first], line[last] - line[first]
+    share = (line[first:last] - start) @ chord / max(chord @ chord, np.finfo(np.float64).tiny)
+    away = _away(line[first:last], start + np.clip(share, 0.0, 1.0)[:, None] * chord)
+    return -float(away.max()), first + int(away.argmax()), first, last
