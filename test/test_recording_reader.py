@@ -32,7 +32,7 @@ from ambush_planner.recordings import (
     recordings_in,
     source_findings,
 )
-from ambush_planner.recordings.recorded_departure import SharedParts
+from ambush_planner.recordings.recorded_departure import conditioned, ground_of
 from ambush_planner.recordings.recording_file import FORMAT, decode
 
 VERIFY = NO_ROS + """
@@ -180,26 +180,26 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(('spoil', 'words'), [
-    (lambda f: f.attachments.pop('strategy.npz'), 'strategy.npz: missing'),
-    (lambda f: f.attachments.update({'map_changes.npz': b'PK'}), 'map_changes.npz: .*malformed'),
-    (lambda f: f.set_arrays(edges=np.array([None])), 'strategy.npz'),
-    (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'strategy.npz'),
-    (lambda f: f.entries.update(route=[0, 10**6]), 'metadata: .*malformed'),
-    (lambda f: f.entries['parameters'].pop('seed'), 'parameters: seed is missing: '),
-    (lambda f: f.entries['parameters'].update(seed=True), 'parameters: seed is not of the type'),
-    (lambda f: f.entries.update(departure='x'), 'metadata: departure is not of the type int'),
-    (lambda f: f.entries.update(departure=[1]), 'metadata: departure is not of the type int'),
-    (lambda f: f.entries.update(departure=1.0), 'metadata: departure is not of the type int'),
-    (lambda f: f.entries.update(route_entropy_source=['1']), 'metadata: route_entropy_source is'),
-    (lambda f: f.entries.update(route_entropy_source=[0.5]), 'metadata: route_entropy_source is'),
-    (lambda f: f.entries.update(ends=[[1.0, 2.0]]), 'metadata: ends is not of the type tuple'),
-    (lambda f: f.entries['trip'].update(start=[float('nan'), 0.0]), 'metadata: start is not'),
-    (lambda f: f.entries.update(joined='no'), 'metadata: joined is not of the type bool'),
-    (lambda f: f.entries.update(diversion={'number': 1}), 'metadata: left is missing'),
-    (lambda f: f.entries.update(topics={'path': '/path'}), 'map: missing'),
-    (lambda f: f.entries.pop('call'), 'metadata: call is missing'),
-    (lambda f: f.entries.update(frame=None), 'metadata: frame is not of the type str'),
-    (lambda f: f.edit('map', lambda m: m.data.pop()), 'map: the map holds 399 cells'),
+    (lambda f: f.attachments.pop('strategy.npz'), 'departure: missing or malformed'),
+    (lambda f: f.attachments.update({'map_changes.npz': b'PK'}), 'departure: .*malformed'),
+    (lambda f: f.set_arrays(edges=np.array([None])), 'departure: '),
+    (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'departure: '),
+    (lambda f: f.entries.update(route=[0, 10**6]), 'departure: .*malformed'),
+    (lambda f: f.entries['parameters'].pop('seed'), 'departure: seed is missing: '),
+    (lambda f: f.entries['parameters'].update(seed=True), 'departure: seed is not of the type'),
+    (lambda f: f.entries.update(departure='x'), 'departure: departure is not of the type int'),
+    (lambda f: f.entries.update(departure=[1]), 'departure: departure is not of the type int'),
+    (lambda f: f.entries.update(departure=1.0), 'departure: departure is not of the type int'),
+    (lambda f: f.entries.update(route_entropy_source=['1']), 'departure: route_entropy_source is'),
+    (lambda f: f.entries.update(route_entropy_source=[0.5]), 'departure: route_entropy_source is'),
+    (lambda f: f.entries.update(ends=[[1.0, 2.0]]), 'departure: ends is not of the type tuple'),
+    (lambda f: f.entries['trip'].update(start=[float('nan'), 0.0]), 'departure: start is not'),
+    (lambda f: f.entries.update(joined='no'), 'departure: joined is not of the type bool'),
+    (lambda f: f.entries.update(diversion={'number': 1}), 'departure: left is missing'),
+    (lambda f: f.entries.update(topics={'path': '/path'}), 'departure: missing'),
+    (lambda f: f.entries.pop('call'), 'departure: call is missing'),
+    (lambda f: f.entries.update(frame=None), 'departure: frame is not of the type str'),
+    (lambda f: f.edit('map', lambda m: m.data.pop()), 'departure: the map holds 399 cells'),
 ])
 def test_a_part_that_cannot_be_read_is_named(files, tmp_path, spoil, words):
     forger = Forger(files[NEW_ROUTE])
@@ -222,10 +222,10 @@ def test_routes_that_are_still_clear_may_cost_less_than_the_bound_within_the_bud
     on, risk_map = OccupancyMap(values, 1.0), risk_from_occupancy(values, 1.0)
     plan = plan_trip(risk_map, (2.5, 10.0), (27.5, 10.0), PlanningOptions(
         network=plain_options(spacing=2.0), strategy=StrategyOptions(max_detour=1.05)))
-    newest, shared = replace(on, values=values.copy()), SharedParts()
+    newest = replace(on, values=values.copy())
     newest.values[9:11, 15] = 100
-    ground = shared.ground(plan.strategy, on, OccupancyOptions(), plan.options, risk_map)
-    clear = shared.conditioned(ground, newest)
+    ground = ground_of(plan.strategy, on, OccupancyOptions(), plan.options, risk_map)
+    clear = conditioned(ground, newest)
     assert clear.lower_bound <= clear.value < 0.5 * plan.lower_bound
 
 

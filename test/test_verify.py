@@ -90,7 +90,7 @@ FORGERIES = {
     'another map': (NEW_ROUTE, lambda f: f.edit(
         'map', lambda m: m.data.__setitem__(slice(180, 230), m.data[170:220])), 'network: '),
     'endless ends': (GET_PLAN, lambda f: f.entries.update(ends=[[math.inf, 0.0], [8.5, 6.5]]),
-                     'metadata: a position of trip or ends is not finite'),
+                     'departure: a position of trip or ends is not finite'),
     'no place to start': (NEW_ROUTE, lambda f: f.entries['trip'].update(start=[99.0, 0.0]),
                           'no plan follows from'),
 }

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -136,24 +136,10 @@ class RecordedDeparture:
 
 
 class SharedParts:
-    """Strategies and maps that departures have in common; the last ``most`` of each are kept."""
+    """What departures have in common is made ``once``; the last ``most`` results are kept."""
 
     def __init__(self, most: int | None = None) -> None:
-        self.strategy = lru_cache(most)(strategy_from_file)
-        self.risk_map = lru_cache(most)(_risk_map)
-        self.roads = lru_cache(most)(roads_from_file)
-        self.file_map = lru_cache(most)(map_from_bytes)
-        self.few = lru_cache(most)(_few)
-        self.newest = lru_cache(most)(_newest)
-        self.ground = lru_cache(most)(ground_of)
-        self.conditioned = lru_cache(most)(_conditioned)
-        self.joined = lru_cache(most)(_joined)
-        self._map = lru_cache(most)(_map)
-
-    def map_in(self, definition: str, kind: str, data: bytes) -> OccupancyMap:
-        """Read a serialised map. Maps that differ only in their header are one object."""
-        values, resolution, origin = occupancy_from_ros(decode(definition, kind, data))
-        return self._map(values.tobytes(), values.shape, resolution, origin)
+        self.once: Callable[..., Any] = lru_cache(most)(lambda make, *of: make(*of))
 
 
 def read_departure(path: Path | str, shared: SharedParts | None = None) -> RecordedDeparture:
@@ -162,48 +148,45 @@ def read_departure(path: Path | str, shared: SharedParts | None = None) -> Recor
 
 
 def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
-    """Return the departure in a file; UnreadableRecording names a part that is malformed."""
+    """Return the departure in a file; raises UnreadableRecording if it is malformed."""
     if 'departure' not in file.entries:
         raise UnreadableRecording(file.path, 'it is a plan: ambush draw makes a departure of it')
-    metadata = part(file.path, 'metadata', lambda: file.metadata)
-    roads = part(file.path, ROADS_FILE, lambda: shared.roads(file.attachments.get(ROADS_FILE)))
-    parameters = part(file.path, 'parameters', lambda: parameters_from(
-        typed_values(metadata.parameters), roads))
+    return part(file.path, 'departure', lambda: _departure_in(file, shared.once))
+
+
+def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDeparture:
+    metadata, files = file.metadata, file.attachments
+    parameters = parameters_from(typed_values(metadata.parameters),
+                                 once(roads_from_file, files.get(ROADS_FILE)))
     planning, occupancy = parameters.planning, parameters.occupancy
-    strategy, stated = part(file.path, STRATEGY_FILE, lambda: shared.strategy(
-        file.attachments[STRATEGY_FILE], planning.game))
-    planned_on = part(file.path, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
-    risk_map = part(file.path, 'map', lambda: shared.risk_map(planned_on, occupancy))
-    if MAP_FILE in file.attachments:
-        risk_map = part(file.path, MAP_FILE, lambda: shared.file_map(file.attachments[MAP_FILE]))
+    strategy, stated = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
+    values, resolution, origin = occupancy_from_ros(decode(*file.defined(file.in_role('map'))))
+    # Maps that differ only in their header are one object.
+    planned_on = once(_map, values.tobytes(), values.shape, resolution, origin)
+    risk_map = (once(map_from_bytes, files[MAP_FILE]) if MAP_FILE in files
+                else once(_risk_map, planned_on, occupancy))
     newest, drawn_from, joined = planned_on, strategy, None
-    diversion = metadata.diversion
 
     def ground() -> ChangedGround:
-        return shared.ground(strategy, planned_on, occupancy, planning, risk_map)
+        found: ChangedGround = once(ground_of, strategy, planned_on, occupancy, planning, risk_map)
+        return found
 
-    if changes := file.attachments.get(MAP_CHANGES_FILE, b''):
-        newest = part(file.path, MAP_CHANGES_FILE, lambda: shared.newest(planned_on, changes))
+    if changes := files.get(MAP_CHANGES_FILE, b''):
+        newest = once(_newest, planned_on, changes)
     if metadata.joined:
-        joined = part(file.path, 'metadata', lambda: shared.joined(
-            ground(), newest, metadata.ends))
+        joined = once(_joined, ground(), newest, metadata.ends)
         drawn_from = joined.plan.strategy
-    elif changes and not diversion:
-        drawn_from = part(file.path, MAP_CHANGES_FILE, lambda: shared.conditioned(
-            ground(), newest))
-    drawn = part(file.path, 'metadata', lambda: _nodes(metadata.route, strategy))
-    route = drawn
-    if diversion:
-        route = part(file.path, 'metadata', lambda: whole_route(
-            _nodes(diversion.left, strategy), drawn))
-        drawn_from = part(file.path, 'metadata', lambda: rest_strategy(
-            ground(), newest, route, drawn))
-    few, day = None, metadata.day
-    if FEW_FILE in file.attachments:
-        few, drawn_from, routes = part(file.path, FEW_FILE, lambda: shared.few(
-            strategy, file.attachments[FEW_FILE]))
-        route = part(file.path, 'metadata', lambda: routes[_few_route(day)])
-    message = part(file.path, 'path', lambda: file.in_role('path'))
+    elif changes and not metadata.diversion:
+        drawn_from = once(conditioned, ground(), newest)
+    drawn = route = _nodes(metadata.route, strategy)
+    if metadata.diversion:
+        route = whole_route(_nodes(metadata.diversion.left, strategy), drawn)
+        drawn_from = rest_strategy(ground(), newest, route, drawn)
+    few = None
+    if FEW_FILE in files:
+        few, drawn_from, routes = once(_few, strategy, files[FEW_FILE])
+        route = routes[_few_route(metadata.day)]
+    message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
                              strategy, stated, drawn_from, joined, planned_on, newest, risk_map,
                              file.defined(message), few=few)
@@ -263,7 +246,7 @@ def _newest(planned_on: OccupancyMap, changes: bytes) -> OccupancyMap:
     return replace(planned_on, values=changed_map(planned_on.values, changes))
 
 
-def _conditioned(ground: ChangedGround, newest: OccupancyMap) -> Strategy:
+def conditioned(ground: ChangedGround, newest: OccupancyMap) -> Strategy:
     """Return the strategy given that its routes are clear on the changed map.
 
     A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
 
@@ -39,7 +38,7 @@ from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from .attachments import misstated
 from .metadata import Metadata, RecordedTrip
-from .recorded_departure import RecordedDeparture, SharedParts, departure_in
+from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
 from .recording_errors import UnreadableRecording
 from .recording_file import read_recording
@@ -48,8 +47,8 @@ from .recording_file import read_recording
 _TOLERANCE = 1e-9
 # Rounding of path poses [m, rad].
 _POSE_TOLERANCE = 1e-6
-# Strategies and maps kept in memory, as the node keeps plans.
-_KEPT = 4
+# Number of results kept in memory: what belongs to the last four strategies and maps, or more.
+_KEPT = 48
 
 
 @dataclass(eq=False)
@@ -83,9 +82,6 @@ class Verifier:
     def __init__(self, replan: bool = False) -> None:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
-        self._network_problems = lru_cache(_KEPT)(network_problems)
-        self._few_problems = lru_cache(_KEPT)(few_problems)
-        self._replan_problems = lru_cache(_KEPT)(replan_problems)
 
     def verify(self, path: Path) -> Verdict:
         """Verify one file; problems are in the verdict and never raised."""
@@ -114,31 +110,30 @@ class Verifier:
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         strategy, planning = departure.strategy, departure.parameters.planning
         problems = [
-            *self._network_problems(strategy, departure.risk_map, planning,
-                                    departure.metadata.trip,
-                                    departure.parameters.values['trip.order']),
+            *self._shared.once(network_problems, strategy, departure.risk_map, planning,
+                               departure.metadata.trip,
+                               departure.parameters.values['trip.order']),
             *certificate_problems(strategy, departure.stated, planning),
             *source_problems(departure),
         ]
         if not problems:
             problems += self._draw_problems(departure)
         if not problems and self._replan:
-            problems += self._replan_problems(strategy, planning)
+            problems += self._shared.once(replan_problems, strategy, planning)
         return problems
 
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
-        ground = self._shared.ground(departure.strategy, departure.planned_on,
-                                     parameters.occupancy, parameters.planning,
-                                     departure.risk_map)
+        ground = self._shared.once(ground_of, departure.strategy, departure.planned_on,
+                                   parameters.occupancy, parameters.planning, departure.risk_map)
         plan = ground.plan
         rng = np.random.default_rng(said.route_entropy_source)
         spacing = parameters.values['route.path_spacing'] or plan.spacing
         again: tuple[Route, FloatArray] | None = None
         if departure.few:
-            return self._few_problems(departure.few, plan, departure.risk_map) + (
-                _few_draw_problems(departure, departure.few, rng))
+            return [*self._shared.once(few_problems, departure.few, plan, departure.risk_map),
+                    *_few_draw_problems(departure, departure.few, rng)]
         if said.diversion:
             again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
                                spacing)
