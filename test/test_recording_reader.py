@@ -160,7 +160,7 @@ def test_a_file_without_the_record_is_said_to_have_none(name, tmp_path):
 
 @pytest.mark.parametrize(('change', 'words'), [
     (lambda data: data.replace(b'ambush_planner', b'another_tool!!'), 'damaged'),
-    (lambda data: b'# a text\n' * 50, 'damaged or not an MCAP file; try `mcap recover`'),
+    (lambda data: b'# a text\n' * 50, 'damaged or not an MCAP file: .* try `mcap recover`'),
 ])
 def test_files_of_others(tmp_path, change, words):
     path = tmp_path / 'x.mcap'

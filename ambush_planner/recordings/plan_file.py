@@ -39,8 +39,8 @@ from .attachments import (
 from .metadata import MapSource, PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
-from .recording_errors import UnreadablePlan, UnreadableRecording, part
-from .recording_file import MAGIC, RecordingFile, encode, read_recording
+from .recording_errors import UnreadableRecording, part
+from .recording_file import RecordingFile, encode, read_recording
 from .versions import software_versions
 
 KIND = 'plan'
@@ -151,18 +151,7 @@ def read_plan(path: Path | str) -> SavedPlan:
     Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
     departure.
     """
-    try:
-        file = read_recording(path)
-    except UnreadableRecording as error:
-        if error.__cause__ is None:
-            raise
-        if isinstance(error.__cause__, OSError):
-            raise UnreadablePlan(error.path, f'cannot be read: {error.reason}') from error
-        raise UnreadablePlan(error.path, (
-            'was changed or damaged since it was saved; use your copy of it, or plan again'
-            if error.path.read_bytes().startswith(MAGIC) else
-            'is no plan: make one with ambush plan MAP ... -o FILE.plan'
-        )) from error
+    file = read_recording(path)
     if file.entries.get('kind') != KIND:
         raise UnreadableRecording(file.path, 'it is a recorded departure, not a plan')
     return part(file.path, 'plan', lambda: _plan_in(file))

@@ -31,15 +31,9 @@ class RecordingFailed(_AtPath):
 
 
 class UnreadableRecording(_AtPath):
-    """A file or folder is not a whole recording of a departure."""
+    """A file or folder is not a whole recording of a departure, or a plan."""
 
-    _sentence = '{} cannot be read as a recording: {}'
-
-
-class UnreadablePlan(UnreadableRecording):
-    """A file is not a plan, or not as it was saved."""
-
-    _sentence = '{} {}'
+    _sentence = '{} cannot be read as a recording or plan: {}'
 
 
 @contextmanager

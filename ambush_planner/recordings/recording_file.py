@@ -113,7 +113,8 @@ def read_recording(path: Path | str) -> RecordingFile:
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
-            'it is damaged or not an MCAP file; try `mcap recover` to salvage intact messages',
+            'it is damaged or not an MCAP file: use your copy of it, or try `mcap recover` to '
+            'salvage intact messages',
         ) from error
     texts: Mapping[str, str] | None = next(
         (each.metadata for each in found
