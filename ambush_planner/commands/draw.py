@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ..recordings import plan_departures
 from ..recordings.durable_files import write_all_durably
+from ..recordings.metadata import Metadata, RecordedDay
 from ..recordings.plan_file import SavedPlan, read_plan
 from ..route_files import Drawn, content_of
 from ..words import distance
@@ -84,21 +85,21 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.dry_run:
         return _finish(arguments, console, saved, folder, dates, {})
     with plan_departures.locked(folder):
-        replaced = _replaced(arguments, console, folder, dates)
+        replaced = _replaced(arguments, folder, dates)
         return _finish(arguments, console, saved, folder, dates, replaced)
 
 
-def _replaced(arguments: argparse.Namespace, console: cli.Console, folder: Path,
-              dates: list[str]) -> dict[str, plan_departures.Earlier]:
-    """The departures by date that were drawn before, but not driven; raises UsageError."""
+def _replaced(arguments: argparse.Namespace, folder: Path,
+              dates: list[str]) -> dict[str, str]:
+    """Dates and ids of the departures that were drawn before, but not driven; raises UsageError."""
     _check_clock(folder, arguments.date)
     slot = arguments.slot
-    again = [each for each in plan_departures.earlier_departures(folder, dates)
-             if not (slot and each.slot) or slot == each.slot]
+    again = [(day, said) for day, said in plan_departures.earlier_departures(folder, dates)
+             if not (slot and day.slot) or slot == day.slot]
     if not again:
         return {}
-    answer = arguments.earlier or _asked(again, console)
-    return {each.date: each for each in again} if answer == 'unused' else {}
+    answer = arguments.earlier or _asked(*again[-1])
+    return {day.date: said.departure_id for day, said in again} if answer == 'unused' else {}
 
 
 def _check_clock(folder: Path, named: date | None) -> None:
@@ -111,10 +112,9 @@ def _check_clock(folder: Path, named: date | None) -> None:
                                  'with --date')
 
 
-def _asked(again: list[plan_departures.Earlier], console: cli.Console) -> str:
-    first = again[-1]
-    question = (f'A departure for {first.date}{first.slot and f", {first.slot}"} was drawn at '
-                f'{when(first.stamp_ns)}. Was it driven?')
+def _asked(day: RecordedDay, said: Metadata) -> str:
+    question = (f'A departure for {day.date}{day.slot and f", {day.slot}"} was drawn at '
+                f'{when(said.call.request_ns)}. Was it driven?')
     if not sys.stdin.isatty():
         raise cli.UsageError(f'{question} Add --earlier driven, or --earlier unused')
     print(f'{question} [y/n] ', end='', file=sys.stderr, flush=True)
@@ -125,7 +125,7 @@ def _asked(again: list[plan_departures.Earlier], console: cli.Console) -> str:
 
 
 def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan, folder: Path,
-            dates: list[str], replaced: dict[str, plan_departures.Earlier]) -> cli.Exit:
+            dates: list[str], replaced: dict[str, str]) -> cli.Exit:
     """Draw, write everything or nothing, and tell."""
     names = [] if arguments.dry_run else plan_departures.names_in(folder)
     number = max((each for each, *_ in names), default=0)
@@ -140,9 +140,8 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
             files[path] = data
         if not arguments.dry_run:
             path = folder / plan_departures.file_name(number + k, day)
-            before = replaced.get(day)
             last, files[path] = plan_departures.departure_bytes(
-                saved, drawn, number + k, day, time.time_ns(), last, before.id if before else '')
+                saved, drawn, number + k, day, time.time_ns(), last, replaced.get(day, ''))
             row['recording'] = cli.place(path)
         rows.append(row)
     try:

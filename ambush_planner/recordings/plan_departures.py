@@ -53,18 +53,6 @@ class DrawnDeparture:
         return float(path_lengths([self.poses])[0])
 
 
-@dataclass(frozen=True)
-class Earlier:
-    """A recorded departure of the folder."""
-
-    path: Path
-    number: int
-    date: str
-    id: str
-    slot: str
-    stamp_ns: int
-
-
 def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) -> DrawnDeparture:
     """Draw a departure's route, then its slot unless one is given.
 
@@ -143,20 +131,16 @@ def _metadata_of(path: Path) -> Metadata:
     return part(path, 'metadata', lambda: read_recording(path).metadata)
 
 
-def earlier_departures(folder: Path, dates: Sequence[str]) -> list[Earlier]:
+def earlier_departures(folder: Path,
+                       dates: Sequence[str]) -> list[tuple[RecordedDay, Metadata]]:
     """The departures for some dates, without those that were replaced by a later one.
 
     Raises UnreadableRecording.
     """
-    found, replaced = [], set()
-    for number, date, path in names_in(folder):
-        if date in dates:
-            said = _metadata_of(path)
-            day = said.day or RecordedDay(date, '', False, None)
-            replaced.add(day.replaces)
-            found.append(Earlier(path, number, date, said.departure_id, day.slot,
-                                 said.call.request_ns))
-    return [each for each in found if each.id not in replaced]
+    said = [_metadata_of(path) for _, date, path in names_in(folder) if date in dates]
+    found = [(each.day, each) for each in said if each.day]
+    replaced = {day.replaces for day, _ in found}
+    return [(day, each) for day, each in found if each.departure_id not in replaced]
 
 
 def file_name(number: int, date: str) -> str:
