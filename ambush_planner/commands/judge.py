@@ -18,7 +18,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..maps.track_file import Track, read_tracks
-from ..planning.concerns import concerns, is_sound, main_assumption
+from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
@@ -120,7 +120,7 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
         console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')
     for name, text in (
         ('reweighted', ', '.join(f'{percent(each["share"])} {each["track"]}' for each in named)),
-        ('assumption', main_assumption(habits.plan)),
+        ('assumption', '; '.join(assumptions(habits.plan)[:2])),
     ):
         console.item(f'{name:<11}{text}', 0)
     console.result |= {**rows, 'max_detour': detour, 'interval': [low, high], 'shares': named}

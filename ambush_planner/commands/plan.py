@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..maps.risk_map_file import read_risk_map
-from ..planning.concerns import assumptions, concerns, is_sound, main_assumption
+from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
@@ -160,7 +160,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
         console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '
                      'that were tried, mixed at best')
     if not arguments.verbose:
-        console.fact('assumption', main_assumption(plan))
+        console.fact('assumption', '; '.join(assumptions(plan)[:2]))
     seen = plan.informant
     if arguments.verbose:
         console.fact('lower bound', f'{bound:.4g}: ' + (

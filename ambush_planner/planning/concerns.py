@@ -41,17 +41,6 @@ def concerns(plan: Plan) -> list[str]:
     return [text for text in found if text]
 
 
-def main_assumption(plan: Plan) -> str:
-    """Return what matters most of a plan's ``assumptions``, in one sentence."""
-    game = plan.strategy.game.options
-    nobody = f'nobody can wait {_secured(plan)} {_ends(plan)}'
-    if not game.reach:
-        return (f'{nobody}; elsewhere, an ambusher waits at a node of the network and hits only '
-                'routes through it: say how far he reaches (game.ambush_radius)')
-    return (f'{nobody}; an ambush anywhere else hits whatever passes within '
-            f'{distance(game.ambush_radius)}')
-
-
 def _secured(plan: Plan) -> str:
     radius = plan.strategy.game.options.secured_distance
     return f'within {distance(radius)} of' if radius else 'at'
@@ -62,23 +51,21 @@ def _ends(plan: Plan) -> str:
 
 
 def assumptions(plan: Plan) -> list[str]:
-    """Return what a plan's value takes for granted, one sentence each."""
+    """Return what a plan's value takes for granted, one sentence each, the main two first."""
     game = plan.strategy.game.options
     share = _secured_share(plan)
     much = f', which is {share:.0%} of the straight way' if share > MAX_SECURED else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and hits only routes through "
-                 'it; give how far he reaches (game.ambush_radius)')
+                 'it: say how far he reaches (game.ambush_radius)')
     else:
-        places = ('anywhere else in free ground' if holds_anywhere(plan.options)
-                  else "at the network's nodes only")
-        where = (f'ambushes are {places} and hit a convoy that passes within '
-                 f'{distance(game.ambush_radius)}')
-        if game.tube:
-            where += f'; it strays at most {distance(game.tube)} from its drawn route'
+        places = 'anywhere else' if holds_anywhere(plan.options) else 'at a node of the network'
+        where = f'an ambush {places} hits whatever passes within {distance(game.ambush_radius)}'
     more = [f'nobody can wait within {distance(radius)} of ({x:.1f}, {y:.1f})'
             for x, y, radius in game.held_places]
-    return [f'nobody can wait {_secured(plan)} {_ends(plan)}{much}', *more, where, *_coarse(plan)]
+    if game.tube:
+        more.append(f'paths stray at most {distance(game.tube)} from their drawn routes')
+    return [f'nobody can wait {_secured(plan)} {_ends(plan)}{much}', where, *more, *_coarse(plan)]
 
 
 def _secured_share(plan: Plan) -> float:
