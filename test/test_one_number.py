@@ -47,9 +47,7 @@ def test_python(numbers):
 
 
 def test_the_request_of_a_node(numbers):
-    grid = read_map(YARD)
-    request = PlanRequest(grid.values, grid.resolution, grid.origin, OccupancyOptions(), START,
-                          GOAL, 0.0, OPTIONS)
+    request = PlanRequest(read_map(YARD), OccupancyOptions(), START, GOAL, 0.0, OPTIONS)
     strategy = plan_from_request(request).strategy
     assert (strategy.value, strategy.lower_bound) == same(numbers)
 

@@ -18,7 +18,7 @@ from waiting import TIMEOUT, wait_until
 
 from ambush_planner.errors import TimeLimit
 from ambush_planner.game.strategy import StrategyOptions
-from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import PlanRequest
@@ -35,9 +35,8 @@ def request(goal=(18.5, 10.5), values=None, **strategy):
         values = np.random.default_rng(1).integers(0, 60, (20, 20), dtype=np.int8)
     options = PlanningOptions(network=NetworkOptions(spacing=1.0),
                               strategy=StrategyOptions(**strategy))
-    return PlanRequest(
-        values, 1.0, (0.0, 0.0, 0.0), OccupancyOptions(), (1.5, 10.5), goal, 0.0, options
-    )
+    return PlanRequest(OccupancyMap(values, 1.0), OccupancyOptions(), (1.5, 10.5), goal, 0.0,
+                       options)
 
 
 def slow_request(time_limit=600.0):

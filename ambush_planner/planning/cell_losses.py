@@ -21,7 +21,7 @@ from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges
 from ..game.game import Game
 from ..game.search import Drawn, FoundSites
-from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
 from .options import parts_of_cells
 
@@ -233,18 +233,14 @@ class LatestLosses:
                 if len(at):
                     rows, columns = np.divmod(at, grid.values.shape[1])
                     some = replace(grid, values=grid.values[rows, columns][None, :])
-                    risk = _risk(some, options)
+                    risk = some.risk_map(options)
                     losses.change(np.stack((rows, columns), axis=1),
                                   np.where(risk.obstacles, 0.0, risk.alpha)[0])
                 self._latest = grid, read, losses
                 return losses
-        losses = CellLosses(_risk(grid, options), in_obstacles)
+        losses = CellLosses(grid.risk_map(options), in_obstacles)
         self._latest = grid, read, losses
         return losses
-
-
-def _risk(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
-    return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
 
 
 def _changed(one: OccupancyMap, other: OccupancyMap) -> IndexArray | None:

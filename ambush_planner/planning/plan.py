@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
 from ..game.informant import Informant, worst_informant
 from ..game.strategy import Strategy
-from ..maps.occupancy import OccupancyOptions
+from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..notebook import Shown
@@ -45,8 +44,8 @@ class PlanRequest:
 
     Parameters
     ----------
-    values : (H, W) int8, resolution, origin
-        An occupancy grid, as ``risk_from_occupancy`` takes it.
+    grid
+        The map.
     occupancy
         The conversion of its values to losses.
     start_xy, goal_xy
@@ -61,9 +60,7 @@ class PlanRequest:
         A similar strategy to start the search from.
     """
 
-    values: npt.NDArray[np.int8]
-    resolution: float
-    origin: tuple[float, float, float]
+    grid: OccupancyMap
     occupancy: OccupancyOptions
     start_xy: tuple[float, float]
     goal_xy: tuple[float, float]

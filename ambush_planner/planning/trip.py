@@ -19,7 +19,6 @@ from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, TimeLimit, w
 from ..game.search import Search
 from ..game.value.routes import Progress, no_progress
 from ..maps.obstacles import nearest_free_cell
-from ..maps.occupancy import risk_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..network.construction import build_trip_graph
 from ..network.network import Network
@@ -224,9 +223,7 @@ def plan_from_request(request: PlanRequest) -> Plan:
 
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
-    risk_map = risk_from_occupancy(request.values, request.resolution, request.origin,
-                                   request.occupancy)
-    network = request.options.network
+    risk_map, network = request.grid.risk_map(request.occupancy), request.options.network
     goal_xy = nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,
                                 network.clearance, network.clear_of_edge)
     made = plan_quietly(risk_map, request.start_xy, goal_xy, request.options, request.stops_xy,

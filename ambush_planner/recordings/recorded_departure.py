@@ -16,7 +16,7 @@ from ..game.certificate.certificate import Certificate
 from ..game.distribution.acyclic import is_acyclic
 from ..game.hits import worst_loss
 from ..game.strategy import Strategy
-from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import map_from_bytes
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
@@ -164,7 +164,7 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
     # Maps that differ only in their header are one object.
     planned_on = once(_map, values.tobytes(), values.shape, resolution, origin)
     risk_map = (once(map_from_bytes, files[MAP_FILE]) if MAP_FILE in files
-                else once(_risk_map, planned_on, occupancy))
+                else once(OccupancyMap.risk_map, planned_on, occupancy))
     newest, drawn_from, joined = planned_on, strategy, None
 
     def ground() -> ChangedGround:
@@ -230,10 +230,6 @@ def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:
 def _map(cells: bytes, shape: tuple[int, int], resolution: float,
          origin: tuple[float, float, float]) -> OccupancyMap:
     return OccupancyMap(np.frombuffer(cells, np.int8).reshape(shape), resolution, origin)
-
-
-def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
-    return risk_from_occupancy(grid.values, grid.resolution, grid.origin, options)
 
 
 def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,

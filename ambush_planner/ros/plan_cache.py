@@ -13,6 +13,7 @@ import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..arrays import FloatArray
+from ..maps.occupancy import OccupancyMap
 from ..parameters.values import NodeParameters
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
@@ -63,8 +64,9 @@ class Task:
     def request(self, warm: WarmStart | None) -> PlanRequest:
         """Return what the worker is asked for."""
         trip, parameters = self.trip, self.parameters
-        return PlanRequest(trip.map.values, trip.map.resolution, trip.map.origin,
-                           parameters.occupancy, trip.start_xy, *trip.goal_and_tolerance,
+        # Without the message that the map came in.
+        grid = OccupancyMap(trip.map.values, trip.map.resolution, trip.map.origin)
+        return PlanRequest(grid, parameters.occupancy, trip.start_xy, *trip.goal_and_tolerance,
                            parameters.planning, trip.stops_xy, parameters.values['trip.order'],
                            warm)
 
