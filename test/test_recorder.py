@@ -19,6 +19,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from ament_index_python.packages import get_package_share_directory
+from geometry_msgs.msg import PoseArray
 from mcap.reader import make_reader
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
@@ -35,13 +37,13 @@ from recording_samples import (
     recorded,
     small_departure,
 )
-from std_msgs.msg import String
+from std_msgs.msg import Header
 from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.recordings import Recorder, RecordingFailed
 from ambush_planner.recordings.recorder import prepare
-from ambush_planner.recordings.schemas import load_definition
+from ambush_planner.recordings.schemas import definitions
 
 
 def mode(path):
@@ -173,10 +175,16 @@ def test_header_metadata_record_and_attachments(tmp_path):
     assert {found.name: found.data} == ATTACHMENTS and found.log_time == 0
 
 
-def test_a_definition_that_is_not_installed_is_named():
-    for name in ('no_such_msgs/msg/Thing', 'nav_msgs/msg/Thing'):
-        with pytest.raises(RecordingFailed, match=f'{name}.*install the package'):
-            load_definition(name)
+def test_definitions_are_those_installed():
+    for name, definition in definitions().items():
+        package, kind, short = name.split('/')
+        file = Path(sys.prefix, 'share', package, kind, f'{short}.json')
+        if not file.is_file():
+            file = Path(get_package_share_directory(package), kind, file.name)
+        hashes = json.loads(file.read_text())['type_hashes']
+        assert definition.type_hash in [each['hash_string'] for each in hashes
+                                        if each['type_name'] == name]
+        assert definition.text.startswith(file.with_suffix('.msg').read_text())
 
 
 def test_qos_profiles_are_complete(tmp_path):
@@ -202,7 +210,8 @@ def test_qos_profiles_are_complete(tmp_path):
 def record_until_killed(directory):
     """Never returns; a departure takes long enough to be interrupted half written."""
     try:
-        noise = recorded('/noise', String(data=random.Random(1).randbytes(150_000).hex()))
+        text = random.Random(1).randbytes(150_000).hex()
+        noise = recorded('/noise', PoseArray(header=Header(frame_id=text)))
         recorder = Recorder(directory, 'none')
         while True:
             record(recorder, [*small_departure(), noise])

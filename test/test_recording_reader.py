@@ -14,12 +14,12 @@ from audit_samples import departure, drawn, record, sample_plan
 from commands import NO_ROS
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger
 from games import plain_options
+from geometry_msgs.msg import PoseArray
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, recorded, small_departure
-from std_msgs.msg import Header
 
 from ambush_planner import PlanningOptions, StrategyOptions, plan_trip
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
@@ -44,7 +44,7 @@ sys.exit(cli.main())
 
 def test_messages_are_read_in_the_order_of_time(tmp_path):
     stamps = (0, 2**63 - 1, 1, 1)
-    sent = [recorded(f'/{k}', Header(), stamp_ns=stamp) for k, stamp in enumerate(stamps)]
+    sent = [recorded(f'/{k}', PoseArray(), stamp_ns=stamp) for k, stamp in enumerate(stamps)]
     path = tmp_path / 'x.mcap'
     path.write_bytes(file_of(sent))
     found = [(each.topic, each.stamp_ns) for each in read_recording(path).messages]

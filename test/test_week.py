@@ -22,7 +22,7 @@ from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.few_strategy import few_strategy
-from ambush_planner.recordings import read_departure, schemas
+from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
@@ -121,7 +121,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
     assert 'Verified: all 6 recordings' in page
 
 
-def test_other_readers_take_the_recordings_and_definitions_are_those_installed(plans, tmp_path):
+def test_other_readers_take_the_recordings(plans, tmp_path):
     file = copy_of(plans, 'routes', tmp_path)
     assert run_here(draw, file).code == 0
     (path,) = (tmp_path / 'week.departures').iterdir()
@@ -132,14 +132,6 @@ def test_other_readers_take_the_recordings_and_definitions_are_those_installed(p
         grid = np.frombuffer(bytes(messages['/alpha_map'].data), np.int8)
         assert np.array_equal(grid == 100, ground().obstacles.ravel())
         assert messages['/path'].poses[-1].pose.position.x == pytest.approx(GOAL[0])
-    shipped = dict(schemas._shipped())
-    for name, definition in shipped.items():
-        schemas._shipped.cache_clear()
-        schemas.load_definition.cache_clear()
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(schemas, '_shipped', dict)
-            assert schemas.load_definition(name) == definition
-    schemas.load_definition.cache_clear()
 
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):

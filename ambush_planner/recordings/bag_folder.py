@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from .messages import Channel, RecordedMessage, fields_from_yaml
-from .schemas import load_definition
+from .schemas import definitions
 
 FILE_NAME = 'metadata.yaml'
 
@@ -76,7 +76,7 @@ def _described(channel: Channel) -> dict[str, Any]:
     return {
         'name': channel.topic, 'type': channel.type, 'serialization_format': 'cdr',
         'offered_qos_profiles': [fields_from_yaml(channel.qos)],
-        'type_description_hash': load_definition(channel.type).type_hash,
+        'type_description_hash': definitions()[channel.type].type_hash,
     }
 
 

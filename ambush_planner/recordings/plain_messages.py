@@ -19,7 +19,7 @@ from ..arrays import FloatArray
 from ..maps.occupancy import OBSTACLE, UNKNOWN, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from .messages import DURATIONS, INFINITE_NS, RecordedMessage
-from .schemas import load_definition
+from .schemas import definitions
 
 MAP, POSE, PATH = 'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped', 'nav_msgs/msg/Path'
 _FOREVER = dict(zip(('sec', 'nsec'), divmod(INFINITE_NS, 1_000_000_000), strict=True))
@@ -72,7 +72,7 @@ def _message(topic: str, kind: str, fields: Mapping[str, Any], stamp_ns: int) ->
     stream = BytesIO()
     writer = Writer(stream, compression=CompressionType.NONE)
     # Bytes are written as one slice, other numbers one by one.
-    text = load_definition(kind).text.replace('int8[] data', 'uint8[] data')
+    text = definitions()[kind].text.replace('int8[] data', 'uint8[] data')
     writer.write_message(topic, writer.register_msgdef(kind, text), fields, stamp_ns)
     writer.finish()
     stream.seek(0)

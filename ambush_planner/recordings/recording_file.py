@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from .messages import Channel, RecordedMessage
 from .metadata import Metadata, typed
 from .recording_errors import UnreadableRecording, reading_from
-from .schemas import load_definition
+from .schemas import definitions
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
@@ -81,7 +81,7 @@ def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
     schemas: dict[str, int] = {}
     channels: dict[Channel, int] = {}
     for message in messages:
-        definition = load_definition(message.type)
+        definition = definitions()[message.type]
         if message.type not in schemas:
             schemas[message.type] = writer.register_schema(
                 message.type, SchemaEncoding.ROS2, definition.text.encode()
