@@ -97,12 +97,8 @@ class RouteSampler:
 
 
 def route_edges(network: Network, route: IndexArray) -> IndexArray:
-    """Indices (K - 1,) of the edges along a route (K,)."""
-    count = len(network.points)
-    keys = network.tails * count + network.heads
-    order = np.argsort(keys)
-    found: IndexArray = order[np.searchsorted(keys, route[:-1] * count + route[1:], sorter=order)]
-    return found
+    """The edges (K - 1,) along a route (K,), by their indices; -1: there is none."""
+    return network.edges_between(route[:-1], route[1:])
 
 
 def shortest_route(network: Network, edge: IndexArray,

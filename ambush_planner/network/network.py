@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
+from ..arrays import BoolArray, FloatArray, IndexArray, found_in, frozen_array
 from ..errors import InvalidNetwork
 from ..notebook import Shown
 
@@ -106,6 +106,11 @@ class Network(Shown):
         """Length of each edge (M,) [m]."""
         tail, head = self.edges.T
         return frozen_array(np.hypot(*(self.points[head] - self.points[tail]).T), np.float64)
+
+    def edges_between(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
+        """The edges from tails (K,) to heads (K,), by their indices; -1: there is none."""
+        count = len(self.points)
+        return found_in(self.edges @ (count, 1), tails * count + heads)
 
     @property
     def travel_costs(self) -> FloatArray:

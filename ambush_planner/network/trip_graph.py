@@ -131,8 +131,7 @@ def original_edges(network: Network, of: IndexArray, edges: IndexArray) -> Index
 
     -1 for an edge that stands for none.
     """
-    count = len(network.points)
-    return found_in(network.edges @ (count, 1), of[edges] @ (count, 1))
+    return network.edges_between(*of[edges].T)
 
 
 def original_nodes(network: Network, places: IndexArray, leg: IndexArray) -> IndexArray:

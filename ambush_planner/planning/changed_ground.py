@@ -16,6 +16,7 @@ from ..game.certificate.certificate import Certificate
 from ..game.distribution.chain import chain_of
 from ..game.game import Game
 from ..game.revaluation import revalue
+from ..game.route_sampler import route_edges
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
 from ..maps.risk_map import RiskMap, to_map_axes
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
@@ -131,8 +132,8 @@ class ChangedGround:
 
     def is_clear(self, nodes: IndexArray, newest: OccupancyMap) -> bool:
         """Whether a route is clear on the newest map."""
-        pairs = self.compare(newest).lost_pairs
-        return not pairs or pairs.isdisjoint(pairwise(nodes.tolist()))
+        lost = self.compare(newest).lost
+        return not (lost.any() and lost[route_edges(self.plan.network, nodes)].any())
 
     def connects(self, newest: OccupancyMap, ends: Ends) -> bool:
         """Whether all first and last edges in use can be driven from the start and to the goal.

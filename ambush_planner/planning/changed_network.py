@@ -26,15 +26,14 @@ class ChangedNetwork:
 
     ``changed`` (K,) are the flat indices of cells with another value, ``new_obstacles`` (L, 2) the
     centres of those that have become obstacles [m], in map axes. The ``lost`` edges meet one of
-    these or lead to a node over the threshold; they are a mask (M,) and pairs (tail, head).
-    ``alpha`` (N,) are the nodes' losses now.
+    these or lead to a node over the threshold: a mask (M,). ``alpha`` (N,) are the nodes' losses
+    now.
     """
 
     newest: OccupancyMap
     changed: IndexArray
     new_obstacles: FloatArray
     lost: BoolArray
-    lost_pairs: frozenset[tuple[int, ...]]
     alpha: FloatArray
 
 
@@ -70,8 +69,7 @@ class PlannedNetwork:
             lost[:] = True
         else:
             lost[self._near(new_obstacles, newest.resolution)] = True
-        pairs = frozenset(map(tuple, network.edges[lost].tolist()))
-        return ChangedNetwork(newest, changed, new_obstacles, lost, pairs, alpha)
+        return ChangedNetwork(newest, changed, new_obstacles, lost, alpha)
 
     def _losses_on(self, newest: OccupancyMap) -> FloatArray:
         """Return alpha (N,) of the nodes."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from ..game.certificate.certificate import Certificate, lower_bound
 from ..game.distribution.chain import NO_FLOW
 from ..game.game import make_game
 from ..game.hits import worst_loss
+from ..game.route_sampler import route_edges
 from ..game.strategy import Strategy, make_budgets
 from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
@@ -147,14 +147,13 @@ def rest_strategy(ground: ChangedGround, newest: OccupancyMap, route: IndexArray
     begins = np.zeros(len(network.points))
     begins[drawn[1]] = 1.0
     p = ground.conditioned.onwards(begins, lost)
-    number = {step: edge for edge, step in enumerate(map(tuple, network.edges.tolist()))}
-    steps = list(pairwise(route[:len(route) - len(drawn) + 2].tolist()))
-    if new := [step for step in steps if step not in number]:  # a departure that joined its plan
+    driven = route[:len(route) - len(drawn) + 2]
+    steps = np.column_stack((driven[:-1], driven[1:]))
+    if len(new := steps[route_edges(network, driven) < 0]):  # a departure that joined its plan
         network = replace(network, edges=np.concatenate((network.edges, new)))
-        number |= {step: len(p) + k for k, step in enumerate(new)}
         p = np.concatenate((p, np.zeros(len(new))))
         strategy = replace(strategy, game=make_game(network, strategy.game.options))
-    p[[number[step] for step in steps]] = 1.0
+    p[route_edges(network, driven)] = 1.0
     return replace(strategy, edge_probability=frozen_array(p, np.float64))
 
 

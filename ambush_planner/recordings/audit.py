@@ -172,13 +172,10 @@ class _Group:
 
         Steps along no edge, or along an edge of probability 0, are impossible and left out.
         """
-        network, count = self.network, len(self.network.points)
-        numbers = np.arange(1, len(network.edges) + 1)
-        edge_between = csr_matrix((numbers, network.edges.T), (count, count))
-        tails = np.concatenate([route[:-1] for route in self.routes])
-        heads = np.concatenate([route[1:] for route in self.routes])
+        network = self.network
         owner = np.repeat(np.arange(len(self.members)), [len(route) - 1 for route in self.routes])
-        edge = np.asarray(edge_between[tails, heads]).ravel() - 1
+        steps = np.concatenate([np.column_stack((route[:-1], route[1:])) for route in self.routes])
+        edge = network.edges_between(*steps.T)
         possible = (edge >= 0) & (self.p[edge] > 0.0)
         ends = np.array([(route[0], route[-1]) for route in self.routes])
         wrong_ends = ends != (network.source, network.target)
