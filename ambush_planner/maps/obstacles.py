@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray, members
 from .risk_map import TOUCH, RiskMap
 
 # Number of (segment, cell) pairs tested at once; bounds the memory.
@@ -87,7 +87,7 @@ class ObstacleField:
         step = max(CHUNK // int(sizes.max(initial=1)), 1)
         for start in range(0, len(a), step):
             part = slice(start, start + step)
-            segment, place = _repeated(sizes[part])
+            segment, place = members(sizes[part])
             width = (high - low + 1)[part, 0][segment]
             column = low[part, 0][segment] + place % width
             row = low[part, 1][segment] + place // width
@@ -97,17 +97,11 @@ class ObstacleField:
         return hit
 
 
-def _repeated(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Each index as often as its count says, and how often it has come before."""
-    index = np.repeat(np.arange(len(counts)), counts)
-    return index, np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
-
-
 def _pieces(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Cut segments into pieces of at most ``PIECE`` cells: (segment, from, to) of each."""
     length = np.hypot(*(b - a).T)
     count = np.maximum(np.ceil(length / PIECE), 1.0).astype(np.int64)
-    segment, place = _repeated(count)
+    segment, place = members(count)
     step = ((b - a) / count[:, None])[segment]
     start = a[segment] + step * place[:, None]
     return segment, start, start + step
