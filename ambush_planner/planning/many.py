@@ -4,12 +4,9 @@
 from __future__ import annotations
 
 import os
-import pickle
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -19,9 +16,6 @@ from .concerns import concerns
 from .options import PlanningOptions
 from .plan import Plan
 from .trip import plan_quietly
-
-# Number of maps that a process keeps: problems often share them.
-_KEPT_MAPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +51,7 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
     Parameters
     ----------
     problems
-        Consumed as capacity becomes free. Share ``RiskMap`` objects, so that each is packed once.
+        Consumed as capacity becomes free.
     answer
         Applied to each plan where it was made, so that only the answer is sent back (by default
         the plan). It must be picklable: a function of a module, not a lambda.
@@ -90,16 +84,11 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
     capacity = in_flight or 2 * (os.cpu_count() or 1)
     results: dict[int, Solved] = {}
     pending: dict[Future[Any], tuple[int, Problem]] = {}
-    packed: dict[RiskMap, bytes] = {}
     waiting = iter(enumerate(problems))
 
     def send(index: int, problem: Problem) -> None:
-        if problem.risk_map not in packed:
-            packed[problem.risk_map] = zlib.compress(pickle.dumps(problem.risk_map), 1)
-        rest = (problem.start_xy, problem.goal_xy, problem.options, list(problem.stops),
-                problem.order)
         try:
-            future = executor.submit(_solve, packed[problem.risk_map], rest, answer)
+            future = executor.submit(_solve, problem, answer)
         except Exception as error:  # the pool broke or was shut down
             future = Future()
             future.set_exception(error)
@@ -136,13 +125,8 @@ def _error_of(future: Future[Any]) -> BaseException | None:
         return error
 
 
-@lru_cache(_KEPT_MAPS)
-def _unpacked(content: bytes) -> RiskMap:
-    risk_map: RiskMap = pickle.loads(zlib.decompress(content))
-    return risk_map
-
-
-def _solve(content: bytes, rest: tuple[Any, ...], answer: Callable[[Plan], Any] | None) -> Any:
-    """Solve one problem, given by its packed map and the rest, in the executor's process."""
-    plan = plan_quietly(_unpacked(content), *rest)
+def _solve(problem: Problem, answer: Callable[[Plan], Any] | None) -> Any:
+    """Solve one problem in the executor's process."""
+    plan = plan_quietly(problem.risk_map, problem.start_xy, problem.goal_xy, problem.options,
+                        list(problem.stops), problem.order)
     return replace(plan, risk_map=None) if answer is None else answer(plan)
