@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from ambush_planner import GameOptions, RiskMap, StrategyOptions
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
-from ambush_planner.planning.plan import depart, departure_paths
+from ambush_planner.planning.plan import departure_paths
 from ambush_planner.planning.trip import plan_trip
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
@@ -120,7 +120,7 @@ def test_without_a_reach_no_ambush_costs_more_than_the_value(ground):
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     # The routes as they are drawn come as close to the value as sampling allows.
     rng = np.random.default_rng(1)
-    routes = [depart(a_plan, rng).points for _ in range(DRAWS)]
+    routes = [a_plan.network.points[a_plan.strategy.sample_route(rng)] for _ in range(DRAWS)]
     mean, error = losses(a_plan, routes, near)
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     assert (mean + 4 * error).max() >= 0.95 * a_plan.strategy.value

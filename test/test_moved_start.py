@@ -25,7 +25,7 @@ from ambush_planner.planning.moved_start import (
     whole_route,
 )
 from ambush_planner.planning.options import PlanningOptions
-from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.plan import departure_path
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.planning.trip_under_way import Destination, trip_on
 
@@ -143,7 +143,7 @@ def test_paths_begin_at_the_convoy_and_keep_clear(radius, stops):
     place, rng = (2.1, 2.6), np.random.default_rng(2)
     joined = joined_plan(ground, newest, (place, GOAL))
     for _ in range(10):
-        route = depart(joined.plan, rng)
+        route = joined.plan.strategy.sample_route(rng)
         path = departure_path(joined.plan, route, 0.1, (place, GOAL))
         assert tuple(path[0, :2]) == place
         assert tuple(path[-1, :2]) == GOAL
@@ -168,7 +168,7 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     rng = np.random.default_rng(seed)
     ground, grid = ground_on(rng.integers(0, 60, (24, 40), dtype=np.int8), radius, spacing=1.9)
     plan, network = ground.plan, ground.plan.network
-    route = depart(plan, rng)
+    route = plan.strategy.sample_route(rng)
     rows = departure_path(plan, route, 0.1)
     trip = trip_on(plan, route, rows, Destination(('map', 'robot'), GOAL, 0.25))
     at = int(share * len(rows))
@@ -181,18 +181,18 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     found = other_rest(ground, newest, (place, GOAL), ahead, rng, 0.1)
     assume(found is not None)
     rest, path = found
-    assert rest.nodes[0] == network.source and rest.nodes[1] in ahead
-    assert rest.nodes[-1] == network.target
+    assert rest[0] == network.source and rest[1] in ahead
+    assert rest[-1] == network.target
     used = {(tail, head) for tail, head, p in zip(
         network.tails.tolist(), network.heads.tolist(), plan.strategy.edge_probability,
         strict=True) if p > 0.0}
-    assert set(zip(rest.nodes[1:-1].tolist(), rest.nodes[2:].tolist(), strict=True)) <= used
+    assert set(zip(rest[1:-1].tolist(), rest[2:].tolist(), strict=True)) <= used
     assert tuple(path[0, :2]) == place and tuple(path[-1, :2]) == GOAL
     field = ObstacleField(risk_from_occupancy(newest.values, 0.25))
     assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
     clear = ClearGround(newest, OccupancyOptions(), plan.options.network)
     assert clear.drivable_steps(path[:, :2]).all()
-    assert_distribution_of_rests(ground, newest, route.nodes, rest.nodes)
+    assert_distribution_of_rests(ground, newest, route, rest)
 
 
 def assert_distribution_of_rests(ground, newest, left, drawn):
@@ -217,11 +217,11 @@ def test_a_departure_that_joined_its_plan_and_was_diverted_has_a_strategy():
     ground, grid = ground_on(values, 1.2)
     place, known = (START[0] + 2.1, START[1] + 0.7), ground.plan.network.edges.tolist()
     joined = joined_plan(ground, grid, (place, GOAL)).plan
-    left = next(nodes for nodes in (depart(joined, rng).nodes for _ in range(100))
+    left = next(nodes for nodes in (joined.strategy.sample_route(rng) for _ in range(100))
                 if nodes[:2].tolist() not in known)
     rest, _ = other_rest(ground, grid, (place, GOAL), left[2:3], rng, 0.1)
-    whole = whole_route(left, rest.nodes)
-    strategy = rest_strategy(ground, grid, whole, rest.nodes)
+    whole = whole_route(left, rest)
+    strategy = rest_strategy(ground, grid, whole, rest)
     network, steps = strategy.network, set(pairwise(whole.tolist()))
     chances = zip(map(tuple, network.edges.tolist()), strategy.edge_probability, strict=True)
     assert {step for step, chance in chances if chance > 0.0} >= steps

@@ -181,7 +181,7 @@ def test_an_unexpected_error_is_answered_without_its_message(client, monkeypatch
         raise RuntimeError(f'went through ({math.pi}, {math.e})')
 
     with monkeypatch.context() as patch:
-        patch.setattr(ground, 'depart', broken)
+        patch.setattr(ground.ChangedGround, 'draw', broken)
         answer = client.call('new_route')
     assert not answer.success
     assert answer.message == 'internal error (RuntimeError); the log says where'

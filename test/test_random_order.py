@@ -25,7 +25,7 @@ from ambush_planner import (
 from ambush_planner.game.game import make_game
 from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.few_routes import few_routes
-from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.plan import departure_path
 from ambush_planner.planning.trip_under_way import Destination, trip_on
 
 
@@ -156,7 +156,7 @@ def test_orders_are_drawn_as_often_as_published(plan):
 def test_the_trip_under_way_knows_the_order_of_its_route(plan):
     orders = set()
     for seed in range(12):
-        route = depart(plan, np.random.default_rng(seed))
+        route = plan.strategy.sample_route(np.random.default_rng(seed))
         path = departure_path(plan, route, 5.0)
         at = [int(np.flatnonzero((path[:, :2] == stop).all(axis=1))[0]) for stop in CORNERS]
         trip = trip_on(plan, route, path, Destination(('map', 'robot'), plan.goal_xy, 1.0, CORNERS))

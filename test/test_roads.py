@@ -30,7 +30,7 @@ from ambush_planner import (
     plan_trip,
 )
 from ambush_planner.planning.options import ROAD_TUBE
-from ambush_planner.planning.plan import depart, departure_paths
+from ambush_planner.planning.plan import departure_paths
 
 CRS = 'EPSG:32633'
 CORNER = (455000.0, 5410000.0)
@@ -162,7 +162,7 @@ def test_paths_keep_to_the_roads(streets, game, tube):
         off.append(shapely.distance(shapely.points(path[:, :2] - CORNER), near).max())
     assert 0.5 * (tube or ROAD_TUBE) < max(off) <= (tube or ROAD_TUBE) + 1e-6
     edges = set(map(tuple, plan.network.edges.tolist()))
-    route = depart(plan, np.random.default_rng(2)).nodes.tolist()
+    route = plan.strategy.sample_route(np.random.default_rng(2)).tolist()
     assert edges.issuperset(pairwise(route))
 
 

@@ -37,7 +37,7 @@ from ambush_planner import (
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.options import DriveOptions
-from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.plan import departure_path
 from ambush_planner.planning.solving import solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
@@ -204,8 +204,8 @@ def test_many_stops_get_a_short_order(risk_map, as_given):
 def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(as_given, turning_radius):
     drive = DriveOptions(turning_radius=turning_radius)
     plan = replace(as_given, options=replace(as_given.options, drive=drive))
-    routes = [depart(plan, np.random.default_rng(seed)) for seed in range(5)]
-    paths = driven_paths(plan.corridors, [each.nodes for each in routes], 5.0, turning_radius)
+    routes = [plan.strategy.sample_route(np.random.default_rng(seed)) for seed in range(5)]
+    paths = driven_paths(plan.corridors, routes, 5.0, turning_radius)
     for route, path in zip(routes, paths, strict=True):
         assert np.array_equal(path, departure_path(plan, route, 5.0))
         at = [np.flatnonzero((path[:, :2] == stop).all(axis=1)).tolist() for stop in STOPS]

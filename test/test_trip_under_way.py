@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, PlanningOptions, RiskMap, plan_trip
 from ambush_planner.planning import trip_under_way
-from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.plan import departure_path
 from ambush_planner.planning.trip_under_way import Destination, TripUnderWay
 
 FRAMES = ('map', 'base_link')
@@ -94,7 +94,7 @@ def test_a_stop_that_has_been_passed_does_not_lie_ahead_on_a_path_that_leads_bac
     ends, stop = ((1.5, 1.5), (18.5, 1.5)), (10.5, 15.5)
     plan = plan_trip(RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0), *ends,
                      PlanningOptions(game=GameOptions(secured_radius=1.0)), stops=[stop])
-    route = depart(plan, 1)
+    route = plan.strategy.sample_route(1)
     path, wanted = departure_path(plan, route, 0.25), Destination(FRAMES, ends[1], 1.0, (stop,))
     for passed, continues in (frozenset(), False), (frozenset([0]), True):
         trip = trip_under_way.trip_on(plan, route, path, wanted, passed)

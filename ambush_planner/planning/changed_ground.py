@@ -27,7 +27,7 @@ from .changed_network import ChangedNetwork, PlannedNetwork
 from .clear_ground import ClearGround
 from .conditioning import ConditionedStrategy
 from .options import holds_anywhere
-from .plan import Plan, Route, depart
+from .plan import Plan
 
 # Maximum number of draws until a route is clear. If a tenth of the routes is clear, one departure
 # in 10^13 needs more.
@@ -157,14 +157,14 @@ class ChangedGround:
                 return False
         return True
 
-    def draw(self, rng: np.random.Generator, newest: OccupancyMap) -> Route | None:
-        """Draw routes until one is clear on the newest map; None after too many draws.
+    def draw(self, rng: np.random.Generator, newest: OccupancyMap) -> IndexArray | None:
+        """Draw routes (K,) until one is clear on the newest map; None after too many draws.
 
         A route then has its conditional probability, given that it is clear.
         """
         for _ in range(_MAX_DRAWS):
-            route = depart(self.plan, rng)
-            if self.is_clear(route.nodes, newest):
+            route = self.plan.strategy.sample_route(rng)
+            if self.is_clear(route, newest):
                 return route
         return None
 

@@ -34,7 +34,7 @@ from ..routes.corridors import secured_in_map_axes
 from ..routes.driven_path import Ends
 from .changed_ground import MIN_CLEAR, Assessment, ChangedGround
 from .joins import best_first_steps
-from .plan import Plan, Route, departure_path
+from .plan import Plan, departure_path
 
 # Radius of the region around a plan's start in which a convoy may be that joins its routes, and
 # maximum length of the straight line to them [node spacings].
@@ -98,14 +98,14 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
 
 
 def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: IndexArray,
-               rng: np.random.Generator, spacing: float) -> tuple[Route, FloatArray] | None:
+               rng: np.random.Generator, spacing: float) -> tuple[IndexArray, FloatArray] | None:
     """Draw another rest of a route that the convoy at ``ends[0]`` [m] is on.
 
     The strategy is a Markov chain, so the rest is drawn from it on condition that it begins at the
     first of the nodes ``ahead`` (K,) from which it can be driven on the newest map; the convoy
     drives straight there.
 
-    Returns the route, with the source in place of the convoy, and its path (L, 3), at most
+    Returns the route (K,), with the source in place of the convoy, and its path (L, 3), at most
     ``spacing`` [m] apart; None if no rest is clear.
     """
     network = ground.plan.network
@@ -117,10 +117,8 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: I
             continue
         rest = ground.conditioned.draw_from(node, lost, rng)
         if rest is not None:
-            nodes = np.concatenate(([network.source], rest))
-            points = np.concatenate((place, network.points[rest]))
+            route = np.concatenate(([network.source], rest))
             fitted = ground.fitted(newest, ends, network.places[[node]])
-            route = Route(frozen_array(nodes, np.int64), frozen_array(points, np.float64))
             return route, departure_path(fitted, route, spacing, ends)
     return None
 

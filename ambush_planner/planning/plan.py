@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
 from ..game.informant import Informant, worst_informant
@@ -297,14 +297,6 @@ def path_lengths(paths: Sequence[FloatArray]) -> FloatArray:
     return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
 
 
-@dataclass(frozen=True, eq=False)
-class Route:
-    """One departure's drawn route: node indices (K,) and their world positions (K, 2) [m]."""
-
-    nodes: IndexArray
-    points: FloatArray
-
-
 def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions) -> Plan:
     """The plan that follows from a strategy."""
     return Plan(strategy, plan_corridors(strategy, risk_map, options), options,
@@ -325,21 +317,15 @@ def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptio
                           game.secured.shrunk(game.options.tube))
 
 
-def depart(a_plan: Plan, rng: np.random.Generator) -> Route:
-    """Draw the route of one departure."""
-    nodes = a_plan.strategy.sample_route(rng)
-    return Route(frozen_array(nodes, np.int64), frozen_array(a_plan.network.points[nodes], float))
-
-
-def departure_path(a_plan: Plan, route: Route, spacing: float,
+def departure_path(a_plan: Plan, route: IndexArray, spacing: float,
                    ends: Ends | None = None) -> FloatArray:
-    """Poses (L, 3) = (x, y, yaw) of the driven path, at most ``spacing`` [m] apart.
+    """Poses (L, 3) = (x, y, yaw) of the path along a route (K,), at most ``spacing`` [m] apart.
 
     ``ends`` are start and goal [m] if they differ from the route's. Raises InvalidOption if there
     would be more than ``MAX_POSES``.
     """
     radius = a_plan.options.drive.turning_radius
-    return driven_path(a_plan.corridors, route.nodes, spacing, radius, ends)
+    return driven_path(a_plan.corridors, route, spacing, radius, ends)
 
 
 def departure_paths(a_plan: Plan, n: int, spacing: float,

@@ -30,7 +30,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from .options import strays
-from .plan import Plan, Route
+from .plan import Plan
 
 Position = tuple[float, float]
 
@@ -221,18 +221,19 @@ class TripUnderWay:
         return np.array(found)
 
 
-def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination,
+def trip_on(plan: Plan, route: IndexArray, path: FloatArray, destination: Destination,
             passed: Set[int] = frozenset()) -> TripUnderWay:
-    """Return the trip on a path (L, 3) along a route of a plan.
+    """Return the trip on a path (L, 3) along a route (K,) of a plan.
 
     A robot is on the path within the tube, its tracking error and a cell. Stops that it has
     ``passed`` before do not lie ahead again, even if the path leads back to them.
     """
-    passes, which = plan.network.visited(route.nodes)
+    passes, which = plan.network.visited(route)
     visits = np.array(plan.order, np.int64)[which]
     ahead = ~np.isin(visits, list(passed))
+    places = np.vstack((path[:1, :2], plan.network.points[route[1:]]))
     return TripUnderWay(
-        destination, path, route.nodes, route.points, passes[ahead], visits[ahead],
+        destination, path, route, places, passes[ahead], visits[ahead],
         strays(plan.options, plan.spacing) + plan.options.drive.tracking_error + destination.cell,
         2.0 * plan.spacing,
     )

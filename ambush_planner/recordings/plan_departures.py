@@ -19,7 +19,7 @@ from uuid import uuid4
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from ..planning.plan import depart, departure_path, path_lengths
+from ..planning.plan import departure_path, path_lengths
 from .durable_files import make_private_folders
 from .metadata import Metadata, RecordedCall, RecordedDay
 from .plain_messages import map_message, path_message, pose_message
@@ -61,8 +61,8 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
     source = secrets.randbits(256) if source is None else source
     rng, plan, few_route = np.random.default_rng([source]), saved.plan, None
     if plan.few is None:
-        route = depart(plan, rng)
-        nodes, poses = route.nodes, departure_path(plan, route, plan.spacing)
+        nodes = plan.strategy.sample_route(rng)
+        poses = departure_path(plan, nodes, plan.spacing)
     else:
         few_route = plan.few.draw(rng)
         nodes, poses = plan.few.routes[few_route], plan.few.paths[few_route]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IndexArray
 from ..errors import AmbushPlannerError, TimeLimit
 from ..game.distribution.acyclic import is_acyclic
 from ..game.distribution.chain import chain_of
@@ -33,7 +33,7 @@ from ..planning.few_routes import FewRoutes
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.path_mixtures import PathMixtures
-from ..planning.plan import Plan, Route, depart, departure_path
+from ..planning.plan import Plan, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from .attachments import misstated
@@ -130,7 +130,7 @@ class Verifier:
         plan = ground.plan
         rng = np.random.default_rng(said.route_entropy_source)
         spacing = parameters.values['route.path_spacing'] or plan.spacing
-        again: tuple[Route, FloatArray] | None = None
+        again: tuple[IndexArray, FloatArray] | None = None
         if departure.few:
             return [*self._shared.once(few_problems, departure.few, plan, departure.risk_map),
                     *_few_draw_problems(departure, departure.few, rng)]
@@ -140,10 +140,11 @@ class Verifier:
         else:
             fitted = departure.joined.plan if departure.joined else (
                 ground.fitted(newest, said.ends))
-            drawn = depart(fitted, rng) if departure.joined else ground.draw(rng, newest)
-            if drawn is not None and np.array_equal(drawn.nodes, departure.drawn):
+            drawn = (fitted.strategy.sample_route(rng) if departure.joined
+                     else ground.draw(rng, newest))
+            if drawn is not None and np.array_equal(drawn, departure.drawn):
                 again = drawn, departure_path(fitted, drawn, spacing, said.ends)
-        if again is None or not np.array_equal(again[0].nodes, departure.drawn):
+        if again is None or not np.array_equal(again[0], departure.drawn):
             return ['route: the recorded entropy draws another one']
         rows, poses = again[1], departure.recorded_poses
         if len(poses) == len(rows) + 1:

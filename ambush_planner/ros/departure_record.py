@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from nav_msgs.msg import Path
 
+from ..arrays import IndexArray
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
-from ..planning.plan import Route
 from ..recordings import RecordedMessage
 from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
@@ -49,7 +49,7 @@ class Departure:
     joined: bool
     ends: Ends
     entropy_source: list[int]
-    route: Route
+    route: IndexArray
     published: RecordedMessage
     markers: tuple[RecordedMessage, ...]
     assessment: Assessment
@@ -87,7 +87,7 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
          **{name: departure.held.task.parameters.values[name] for name in OF_PLAIN_NETWORK}},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
-        departure.joined, tuple(departure.route.nodes.tolist()), tuple(departure.entropy_source),
+        departure.joined, tuple(departure.route.tolist()), tuple(departure.entropy_source),
         replace(departure.call, remarks=departure.remarks), departure.diversion, previous,
     )
 

@@ -22,7 +22,6 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import AmbushPlannerError
 from ..maps.ros_messages import pose_from_ros
 from ..planning.moved_start import other_rest, whole_route
-from ..planning.plan import Route
 from ..planning.trip_under_way import Sighting, TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall
 from ..routes.driven_path import Ends, tight_turns
@@ -170,7 +169,7 @@ class Departures:
             id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
             markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
         track = trip_on(fit.cached.plan, route, rows, fit.trip.destination)
-        self._set_out(track, departure, path, route.nodes, pending)
+        self._set_out(track, departure, path, route, pending)
         return True
 
     def divert(self, under_way: RobotTrip, trip: Trip, pending: Pending) -> bool:
@@ -197,11 +196,11 @@ class Departures:
             remarks=f'departure {before.number} diverted: its path is no longer clear, and another '
                     'route of its plan is', **driven)
         self._set_out(trip_on(held.plan, *drawn, track.destination, track.passed), departure, path,
-                      whole_route(under_way.route, drawn[0].nodes), pending, under_way)
+                      whole_route(under_way.route, drawn[0]), pending, under_way)
         return True
 
     def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],
-                route: Route, rows: FloatArray, ends: Ends) -> tuple[Path, dict[str, Any]]:
+                route: IndexArray, rows: FloatArray, ends: Ends) -> tuple[Path, dict[str, Any]]:
         """Return a path, and the fields of its departure that say what is driven, for whom."""
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
