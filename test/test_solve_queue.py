@@ -88,7 +88,7 @@ def test_the_worker_finds_the_same_plan_as_this_process(queue):
 
 
 def test_an_internal_error_has_frames_but_no_values(queue):
-    odd = replace(request(), resolution='nowhere near')
+    odd = replace(request(), grid=OccupancyMap(np.zeros((2, 2), np.int8), 'nowhere near'))
     with pytest.raises(Unexpected) as caught:
         submit(queue, 'key', odd).result(TIMEOUT)
     assert str(caught.value).startswith('internal error (')
