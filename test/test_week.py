@@ -246,7 +246,8 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
     assert done.code == 2 and 'is a plan, not a departure: draw one with' in done.err
     done = run_here(card, file, '-o', tmp_path / 'c.html', '--route', 1)
     assert done.code == 2 and 'is not a plan of few routes' in done.err
-    for content in (whole[:5000] + b'x' + whole[5001:], b'not a plan'):
+    flipped = bytes([whole[5000] ^ 1])
+    for content in (whole[:5000] + flipped + whole[5001:], b'not a plan'):
         file.write_bytes(content)
         done = run_here(draw, file)
         assert done.code == 3 and 'it is damaged or not an MCAP file: use your copy' in done.err
