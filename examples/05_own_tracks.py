@@ -19,10 +19,10 @@ sites, loss = game.network.points[game.sites], game.loss[game.sites]
 
 
 def worst_site(tracks):
-    """Return where an ambush costs most on average, the share of tracks it meets, and the cost."""
+    """Say where an ambush costs most on average, how many tracks pass there, and the cost."""
     met = np.mean([cKDTree(dense(each)).query(sites)[0] <= REACH for each in tracks], axis=0)
     k = np.argmax(met * loss)
-    return sites[k].round(1), f'{met[k]:.0%}', round(met[k] * loss[k], 2)
+    return f'{met[k]:.0%} pass {sites[k].round(1)}; mean loss {met[k] * loss[k]:.2f}'
 
 
 def dense(corners):
@@ -33,6 +33,6 @@ def dense(corners):
     return np.stack([np.interp(at, along, each) for each in corners.T], axis=1)
 
 
-print('own tracks:', *worst_site(OWN))
+print('own tracks:', worst_site(OWN))
 # In a sample, the worst of many sites comes out a little above the value.
-print('300 drawn:', *worst_site(plan.paths(300)), f'(value {plan.strategy.value:.2f})')
+print('300 drawn:', worst_site(plan.paths(300)), f'(value {plan.strategy.value:.2f})')

@@ -282,6 +282,11 @@ def test_invalid_stops_are_refused(risk_map, stops, order, error, words):
         plan_trip(risk_map, START, GOAL, OPTIONS, stops=stops, order=order)
 
 
+def test_options_of_the_game_alone_are_refused(risk_map):
+    with pytest.raises(InvalidOption, match='must be PlanningOptions, got GameOptions'):
+        plan_trip(risk_map, START, GOAL, GameOptions())
+
+
 def value_of_all_routes(game, network, budget):
     """The least value of any mixture of routes, whose legs may depend on each other."""
     return value_by_routes(game.loss[game.sites], game.entering.toarray(), routes_of(network),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
+from ..game.strategy import StrategyOptions
 from ..map_figures import as_png
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
@@ -59,8 +60,9 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     (of_map, planning), output = options_from(arguments), arguments.output
-    if arguments.detour is not None:
-        raise cli.UsageError('argument --detour: the tracks set the length budget; leave it out')
+    if arguments.detour is not None or planning.strategy.max_detour != StrategyOptions.max_detour:
+        raise cli.UsageError('the tracks set the length budget: leave out --detour and '
+                             'strategy.max_detour')
     if not planning.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
     risk_map = read_risk_map(arguments.map, of_map)
@@ -110,12 +112,15 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
             'reweighted': _numbers(habits.best, habits, risk_map),
             'optimal': {'value': strategy.value, 'mean_length': habits.plan.driven_length,
                         'lower_bound': strategy.lower_bound}}
-    worst = ['worst at ' + ' '.join(map(str, row.get('worst_lat_lon', row['worst_xy'])))
-             for row in (rows['driven'], rows['reweighted'])]
+    separator = ',' if risk_map.crs else ' '  # as in a POSITION
+    places = [separator.join(map(str, row.get('worst_lat_lon', row['worst_xy'])))
+              for row in (rows['driven'], rows['reweighted'])]
     console.line(f'{"mean loss":>21}{"mean length":>13}')
     for (name, row), text in zip(rows.items(), (
-        f'{worst[0]}: {hit.sum()} of {len(hit)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
-        f'no strategy is below {strategy.lower_bound:.4g}; budget {detour:.3g} times the shortest',
+        f'worst at {places[0]}: {hit.sum()} of {len(hit)} trips; 95 %: {low:.4g} to {high:.4g}',
+        f'worst at {places[1]}',
+        f'on its network, none of {detour:.3g} times the shortest is below '
+        f'{strategy.lower_bound:.4g}',
     ), strict=True):
         console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')
     for name, text in (

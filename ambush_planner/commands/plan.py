@@ -56,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser('plan', DESCRIPTION, EPILOG, DETAILS,
                           '--start POSITION --goal POSITION [options] -o FILE ...',
-                          ('-n', '--routes', '--roads', '--slots', '-v'))
+                          ('-n', '--routes', '--roads', '--slots', '--window', '-v'))
     add_outputs(made, 'files to write', (PLAN, *SUFFIXES))
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,

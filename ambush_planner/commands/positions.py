@@ -44,7 +44,7 @@ class Position:
         return f'{lat:.5f},{lon:.5f}'
 
     def __str__(self) -> str:
-        return ('{:g},{:g}' if self.in_degrees else '{:g} {:g}').format(*self.numbers)
+        return ('{:.10g},{:.10g}' if self.in_degrees else '{:.10g} {:.10g}').format(*self.numbers)
 
     def xy(self, risk_map: RiskMap) -> FloatArray:
         """World position [m]; raises InvalidCoordinates."""

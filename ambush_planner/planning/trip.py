@@ -119,6 +119,9 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     ([2.0, 6.0], [22.0, 6.0])
     """
     options = options or PlanningOptions()
+    if not isinstance(options, PlanningOptions):
+        raise InvalidOption(f'options must be PlanningOptions, got {type(options).__name__}; write '
+                            'PlanningOptions(game=GameOptions(...))')
     if routes is not None:
         check_judged(options.game)
     begin, limit, quick = time.monotonic(), options.strategy.time_limit, options
