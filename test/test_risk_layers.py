@@ -22,7 +22,7 @@ from ambush_planner.commands.risk import occupancy_of
 from ambush_planner.maps import Elevation, TerrainOptions, ViewOptions, terrain_map
 from ambush_planner.maps.incidents import cross_validated_bandwidth
 from ambush_planner.maps.map_file import read_map
-from ambush_planner.maps.occupancy import risk_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
 from ambush_planner.maps.risk_layers import InvalidLayers, risk_from_layers
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.maps.risk_map_file import read_risk_map
@@ -86,8 +86,8 @@ def test_terrain_alone_is_the_terrain_map(folder):
     assert free.any() and np.array_equal(risk_map.obstacles, expected.obstacles)
     assert np.allclose(risk_map.alpha[free], expected.alpha[free], rtol=1e-12)
     assert (risk_map.crs, risk_map.origin) == (CRS, (WEST, SOUTH, 0.0))
-    grid, least, most = occupancy_of(risk_map)
-    assert np.array_equal(grid.values, made.values) and (least, most) == (1.0, 10.0)
+    grid = occupancy_of(risk_map)
+    assert np.array_equal(grid.values, made.values) and grid.losses == (1.0, 10.0)
 
 
 def test_polygons_and_roads_in_their_order(folder):
@@ -221,7 +221,8 @@ def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_pa
 
 def test_the_files_that_the_command_writes(folder, tmp_path, capsys):
     layers = [{'terrain': 'dem.tif'}, {'polygons': 'zones.geojson', 'loss': 6},
-              {'incidents': 'incidents.gpkg', 'bandwidth': 'auto'}, {'roads': 'roads.gpkg'}]
+              {'incidents': 'incidents.gpkg', 'bandwidth': 'auto'}, {'roads': 'roads.gpkg'},
+              {'polygons': 'zones.geojson', 'held': True}]
     (folder / 'layers.yaml').write_text(yaml.safe_dump({'layers': layers}))
     output = tmp_path / 'map.yaml'
     assert cli.main(['risk', str(folder / 'layers.yaml'), '-o', str(output), '--json']) == 0
@@ -236,7 +237,12 @@ def test_the_files_that_the_command_writes(folder, tmp_path, capsys):
     assert np.array_equal(grid.values == 100, ~free)
     read = result['alpha_min'] + scale * grid.values[free] / 100.0
     assert np.abs(read - expected.alpha[free]).max() <= scale / 200.0 * (1.0 + 1e-9)
-    assert f'map.alpha_max={result["alpha_max"]:.6g}' in output.read_text()
+    # The map and the GeoTIFF name their losses, which options of one's own replace.
+    for name in ('map.yaml', 'map.tif'):
+        losses = read_risk_map(tmp_path / name).alpha[free]
+        assert np.abs(losses - exact.alpha[free]).max() <= 0.01 * scale
+        other = read_risk_map(tmp_path / name, OccupancyOptions(alpha_max=20.0))
+        assert other.alpha[free].min() == 1.0
     assert np.array_equal(read_map(output).values, read_risk_map_values(output.with_suffix('.tif')))
     assert 'bandwidth' in result['remarks'][0]
     assert output.with_suffix('.png').stat().st_size > 20_000

@@ -13,7 +13,7 @@ from ..map_figures import as_png
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import risk_from_layers
-from ..maps.risk_map import RiskMap
+from ..maps.risk_map import LOSSES, RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
 from . import cli
 from .positions import add_crs, crs_text
@@ -54,8 +54,6 @@ MAP.png has a picture of each layer and of the result. The second band of a GeoT
 elevation model has the heights: pictures show the relief then.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """
-# Losses of the values 0 and 100 in MAP.yaml unless the map exceeds them: the node's defaults.
-LEAST, MOST = 1.0, 10.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -94,21 +92,22 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
     console.line(_summary(grid))
     unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
-    return _told(files, LEAST, MOST, [] if grid.crs else [unknown], console)
+    return _told(files, grid.losses, [] if grid.crs else [unknown], console)
 
 
 def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     joined = risk_from_layers(arguments.source, progress=console.bar('lines of sight'))
-    grid, least, most = occupancy_of(joined.risk_map)
-    scale = f'map.alpha_min={least:.6g} map.alpha_max={most:.6g}'
+    grid = occupancy_of(joined.risk_map)
     output = arguments.output
-    files = _written(output, grid, f'Risk map from layers; its losses: {scale}',
+    files = _written(output, grid, 'Risk map from layers.',
                      as_png(layers_figure(joined.risk_map, joined.layers)))
     files.insert(2, output.with_suffix('.npz'))
     files[2].write_bytes(npz_bytes(joined.risk_map))
-    if (least, most) != (LEAST, MOST):
-        console.line(f'losses go beyond {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
-    return _told(files, least, most, joined.remarks, console)
+    if grid.losses != LOSSES:
+        least, most = grid.losses
+        console.line('losses go beyond {:g} to {:g}: '.format(*LOSSES)
+                     + f'for the node, set map.alpha_min={least:.6g} map.alpha_max={most:.6g}')
+    return _told(files, grid.losses, joined.remarks, console)
 
 
 def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes) -> list[Path]:
@@ -122,25 +121,25 @@ def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes) -> 
     return files
 
 
-def _told(files: list[Path], least: float, most: float, remarks: Sequence[str],
+def _told(files: list[Path], losses: tuple[float, float], remarks: Sequence[str],
           console: cli.Console) -> cli.Exit:
     for remark in remarks:
         console.item(remark, indent=0)
-    console.result = {'files': [cli.place(path) for path in files], 'alpha_min': least,
-                      'alpha_max': most, 'remarks': list(remarks)}
+    console.result = {'files': [cli.place(path) for path in files], 'alpha_min': losses[0],
+                      'alpha_max': losses[1], 'remarks': list(remarks)}
     console.line(', '.join(console.result['files']))
     return cli.Exit.HOLDS
 
 
-def occupancy_of(risk_map: RiskMap) -> tuple[OccupancyMap, float, float]:
-    """Values 0..99 for the losses, 100 for obstacles, and the losses of the values 0 and 100."""
+def occupancy_of(risk_map: RiskMap) -> OccupancyMap:
+    """Values 0..99 for the losses, which may go beyond the usual ones, and 100 for obstacles."""
     losses = risk_map.alpha[~risk_map.obstacles]
-    least = float(min(losses.min(initial=LEAST), LEAST))
-    most = least + max((losses.max(initial=0.0) - least) / 0.99, MOST - least)
+    least = float(losses.min(initial=LOSSES[0]))
+    most = least + max((losses.max(initial=0.0) - least) / 0.99, LOSSES[1] - least)
     values = np.minimum(np.rint((risk_map.alpha - least) / (most - least) * 100.0), 99.0)
     values = np.where(risk_map.obstacles, 100, values).astype(np.int8)
-    return (OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs,
-                         risk_map.heights), least, float(most))
+    return OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs,
+                        risk_map.heights, (least, float(most)))
 
 
 def _summary(grid: OccupancyMap) -> str:

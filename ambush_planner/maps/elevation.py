@@ -13,6 +13,7 @@ from scipy.ndimage import map_coordinates
 
 from ..arrays import BoolArray, FloatArray, frozen_array
 from ..errors import AmbushPlannerError
+from .risk_map import LOSSES
 
 HeightArray = npt.NDArray[np.float32]
 
@@ -72,7 +73,7 @@ class Raster:
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east. ``corner`` is the world position of the lower left
     corner [m], in the coordinate system ``crs``. ``heights`` (H, W) are those of a risk map whose
-    file has them, too.
+    file has them, too, and ``losses`` those of its values 0 and 100.
     """
 
     values: FloatArray
@@ -81,6 +82,7 @@ class Raster:
     corner: tuple[float, float] = (0.0, 0.0)
     crs: str | None = None
     heights: HeightArray | None = None
+    losses: tuple[float, float] = LOSSES
 
 
 def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import re
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from ..arrays import FloatArray, arrays_in
 from ..errors import InvalidRiskMap, import_extra, warn
 from .coordinates import InvalidCoordinates, horizontal, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
+from .risk_map import LOSSES
 
 HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
 # GDAL's drivers of rasters that can be heights or risk.
@@ -92,7 +94,10 @@ def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
                 _refuse_heights(path, dataset, bands[0])
             if dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic):
                 crs = dataset.crs.to_wkt()
-            return _in_metres(path, np.stack(bands), dataset.transform, crs, name != 'elevation')
+            raster = _in_metres(path, np.stack(bands), dataset.transform, crs, name != 'elevation')
+            least, most = (float(dataset.tags().get(tag, loss))
+                           for tag, loss in zip(('alpha_min', 'alpha_max'), LOSSES, strict=True))
+            return replace(raster, losses=(least, most))
     except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
         hint = ('; it looks like a map for map_server, not like an elevation model'
                 if path.suffix.lower() in ('.yaml', '.yml') else '')

@@ -2,8 +2,9 @@
 """Map files of Nav2's map_server: a YAML file that names an image.
 
 Maps are written in mode ``raw``, which preserves all values: a pixel of 0..100 is the cell value,
-any other is unknown. The image is PGM (P5), top row first. The key ``crs``, which map_server
-ignores, names the coordinate system of the map's origin. ``trinary`` and ``scale`` are read as
+any other is unknown. The image is PGM (P5), top row first. Keys that map_server ignores: ``crs``,
+the coordinate system of the map's origin; ``alpha_min`` and ``alpha_max``, the losses of the
+values 0 and 100. ``trinary`` and ``scale`` are read as
 map_server reads them. Source: navigation2 (jazzy), nav2_map_server/src/map_io.cpp.
 """
 
@@ -21,6 +22,7 @@ from ..arrays import BoolArray, FloatArray
 from ..errors import AmbushPlannerError, InvalidOption, InvalidRiskMap, import_extra
 from .elevation import MAX_CELLS
 from .occupancy import OccupancyMap
+from .risk_map import LOSSES
 
 _MODES = ('trinary', 'scale', 'raw')
 # PGM header: width, height and largest value, separated by white space or comments.
@@ -46,6 +48,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
         'image': picture.name, 'mode': 'raw', 'resolution': float(occupancy.resolution),
         'origin': [float(value) for value in occupancy.origin], 'negate': 0,
         'occupied_thresh': 0.65, 'free_thresh': 0.196,
+        'alpha_min': occupancy.losses[0], 'alpha_max': occupancy.losses[1],
         **({'crs': occupancy.crs} if occupancy.crs else {}),
     }
     import yaml
@@ -73,9 +76,11 @@ def read_map(path: Path) -> OccupancyMap:
     resolution = _numbers(path, fields, 'resolution', 1)[0]
     if resolution <= 0.0:
         raise InvalidRiskMap(f'{path}: resolution must be positive [m], got {resolution}')
+    least, most = (_numbers(path, {name: loss} | fields, name, 1)[0]
+                   for name, loss in zip(('alpha_min', 'alpha_max'), LOSSES, strict=True))
     crs = fields.get('crs')
     return OccupancyMap(values[::-1], resolution, (origin[0], origin[1], origin[2]),
-                        str(crs) if crs else None)
+                        str(crs) if crs else None, losses=(least, most))
 
 
 def read_yaml(path: Path, error: type[AmbushPlannerError]) -> dict[str, Any]:

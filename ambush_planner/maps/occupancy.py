@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..arrays import BoolArray
 from ..errors import InvalidOption, InvalidRiskMap
 from ..option_checks import none_for
-from .risk_map import MAX_LOSS, MIN_LOSS, RiskMap, check_place
+from .risk_map import LOSSES, MAX_LOSS, MIN_LOSS, RiskMap, check_place
 
 # Values of an obstacle's cells and of unknown ones.
 OBSTACLE, UNKNOWN = 100, -1
@@ -27,7 +27,7 @@ class OccupancyMap:
     """Values (H, W) with row 0 the lowest, cell size [m] and origin (x, y, yaw) [m, m, rad].
 
     ``crs`` is the coordinate system of world positions, ``heights`` (H, W) those of the terrain
-    [m]; None if unknown.
+    [m]; None if unknown. ``losses`` are those of the values 0 and 100.
     """
 
     values: npt.NDArray[np.int8]
@@ -35,10 +35,17 @@ class OccupancyMap:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crs: str | None = None
     heights: npt.NDArray[np.float32] | None = None
+    losses: tuple[float, float] = LOSSES
 
     def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
-        """Convert the values to losses; raises InvalidRiskMap, also if ``crs`` is another one."""
+        """Convert the values to losses; raises InvalidRiskMap, also if ``crs`` is another one.
+
+        The losses of the options hold if they are not the default ones.
+        """
         options = options or OccupancyOptions()
+        if (options.alpha_min, options.alpha_max) == LOSSES:
+            least, most = self.losses
+            options = replace(options, alpha_min=least, alpha_max=most)
         options = replace(options, crs=agreed_crs(self.crs, options.crs))
         made = risk_from_occupancy(self.values, self.resolution, self.origin, options)
         return made if self.heights is None else replace(made, heights=self.heights)
@@ -66,8 +73,8 @@ class OccupancyOptions:
     Raises InvalidOption if a number is not finite or out of range.
     """
 
-    alpha_min: float = 1.0
-    alpha_max: float = 10.0
+    alpha_min: float = LOSSES[0]
+    alpha_max: float = LOSSES[1]
     obstacle_threshold: int = 100
     unknown_alpha: float | None = None
     crs: str | None = None

@@ -25,6 +25,8 @@ from ..notebook import Shown
 TOUCH = 1e-6
 # Range of the losses over 0 for which the solvers are tested.
 MIN_LOSS, MAX_LOSS = 1e-9, 1e9
+# Losses of an occupancy grid's values 0 and 100 by default.
+LOSSES = (1.0, 10.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

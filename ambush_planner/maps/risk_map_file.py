@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..arrays import arrays_in
-from ..errors import InvalidRiskMap, warn
+from ..errors import InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates, InvalidCoordinates
 from .elevation import InvalidTerrain, square_cells
 from .elevation_file import HEIGHTS, read_raster
@@ -28,8 +28,9 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
     """Read a map of map_server, a GeoTIFF of its values (nodata: unknown), or an npz file.
 
     The npz file has the fields of ``RiskMap``, as ``npz_bytes`` writes it. A file without a
-    coordinate system gets ``options.crs``. Warns of what was converted, and if a map carries no
-    risk.
+    coordinate system gets ``options.crs``. The losses that a file of ``ambush risk`` names for the
+    values 0 and 100 hold, unless the options have others than the default ones. Warns of what was
+    converted, and if a map carries no risk.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
     grid = read_map(path) if is_yaml else _read_raster(path)
     try:
         return grid.risk_map(options)
-    except InvalidRiskMap as error:
+    except (InvalidOption, InvalidRiskMap) as error:  # of the file's losses, or its values
         hint = ('; is it an elevation model? Make a risk map of it with ambush risk'
                 if 'cell values' in str(error) else '')
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
@@ -73,7 +74,7 @@ def _read_raster(path: Path) -> OccupancyMap:
         warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
              f'to {raster.row_step:.7g} m, by the nearest')
     return OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
-                        (*raster.corner, 0.0), raster.crs, raster.heights)
+                        (*raster.corner, 0.0), raster.crs, raster.heights, raster.losses)
 
 
 def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
@@ -120,7 +121,8 @@ def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
 def write_geotiff(path: Path, grid: OccupancyMap) -> None:
     """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
 
-    Heights are the second band, from which pictures have their relief.
+    Heights are the second band, from which pictures have their relief; the losses of the values 0
+    and 100 are tags.
 
     Raises InvalidCoordinates if the map has no such system.
     """
@@ -134,6 +136,7 @@ def write_geotiff(path: Path, grid: OccupancyMap) -> None:
                        count=1 if heights is None else 2, crs=system.crs.to_wkt(),
                        transform=cell_transform(grid), nodata=unknown, compress='deflate') as file:
         file.write(values, 1)
+        file.update_tags(alpha_min=grid.losses[0], alpha_max=grid.losses[1])
         if heights is not None:
             file.write(heights[::-1], 2)
             file.set_band_description(2, HEIGHTS)
