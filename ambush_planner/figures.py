@@ -64,7 +64,7 @@ def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
         axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
         image = draw_risk_map(axes, risk_map)
     else:
-        image = draw_map(axes, risk_map, title)
+        image = draw_map(axes, risk_map, title, avoid=places_of(strategy))
     draw_ends(axes, strategy, named=not small, size=0.5 if small else 1.0)
     return image
 

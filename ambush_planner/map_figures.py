@@ -43,11 +43,14 @@ OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
 UNKNOWN = Patch(facecolor='#f2f2f2', edgecolor='#a8a8a8', hatch='////', label='unknown')
 
 
-def draw_map(axes: Axes, risk_map: RiskMap, title: str = '',
-             box: npt.ArrayLike | None = None) -> AxesImage:
-    """Draw the map, or the part in a box ((left, bottom), (right, top)), with scale and north."""
+def draw_map(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None,
+             avoid: FloatArray | None = None) -> AxesImage:
+    """Draw the map, or the part in a box ((left, bottom), (right, top)), with scale and north.
+
+    The scale bar keeps away from the places (K, 2) to ``avoid``.
+    """
     frame(axes, risk_map, title, box)
-    scale_bar(axes)
+    scale_bar(axes, avoid)
     north_arrow(axes, risk_map.crs)
     return draw_risk_map(axes, risk_map)
 
@@ -159,17 +162,27 @@ def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.NDArray[Any], **style:
     return image
 
 
-def scale_bar(axes: Axes) -> None:
-    """Draw a bar of a round length in the lower left corner."""
+def scale_bar(axes: Axes, avoid: FloatArray | None = None) -> None:
+    """Draw a bar of a round length in the corner farthest from the places (K, 2) to ``avoid``.
+
+    Without places, that is the lower left one.
+    """
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     ticks = MaxNLocator(nbins=1, steps=[1, 2, 5, 10]).tick_values(0.0, 0.3 * (right - left))
     length = float(ticks[ticks <= 0.3 * (right - left)][-1])
-    x, y = left + 0.04 * (right - left), bottom + 0.04 * (top - bottom)
+    aside, up = 0.04 * (right - left), 0.04 * (top - bottom)
+    corners = np.array([(x, y) for y in (bottom + up, top - up)
+                        for x in (left + aside, right - aside - length)])
+    best = 0
+    if avoid is not None:
+        gaps = corners[:, None] + (0.5 * length, 0.0) - avoid
+        best = int(np.hypot(*gaps.T).min(axis=0).argmax())
+    x, y = corners[best]
     axes.plot((x, x + length), (y, y), color='black', linewidth=3.0, solid_capstyle='butt',
               path_effects=HALO, zorder=8)
     text = f'{length / 1000:g} km' if length >= 1000.0 else f'{length:g} m'
-    axes.annotate(text, (x, y), xytext=(0, 4), textcoords='offset points', path_effects=HALO,
-                  zorder=8)
+    axes.annotate(text, (x, y), xytext=(0, 4 if best < 2 else -4), textcoords='offset points',
+                  va='baseline' if best < 2 else 'top', path_effects=HALO, zorder=8)
 
 
 def north_arrow(axes: Axes, crs: str | None) -> None:

@@ -77,6 +77,14 @@ def test_ticks_are_round_degrees_at_their_places(axes, crs):
             assert found == pytest.approx(degrees, abs=2e-5)
 
 
+@pytest.mark.parametrize('start', [(1.0, 1.0), (9.0, 1.0), (1.0, 9.0), (9.0, 9.0)])
+def test_the_scale_bar_is_far_from_start_and_goal(axes, start):
+    risk_map = RiskMap(np.ones((10, 10)), np.zeros((10, 10), bool), 1.0)
+    map_figures.draw_map(axes, risk_map, avoid=np.array([start, (5.0, 5.0)]))
+    (bar,) = (line for line in axes.lines if line.get_linewidth() == 3.0)
+    assert np.hypot(*(bar.get_xydata() - start).T).min() > 5.0
+
+
 def test_few_routes_are_numbered_and_many_are_not(axes):
     routes = [np.array([(0.0, 0.0), (5.0, k), (10.0, 0.0)]) for k in range(9)]
     figures.draw_routes(axes, routes[:3])

@@ -189,7 +189,7 @@ def _picture(card: Card) -> bytes:
     width, height = box[1] - box[0]
     figure = Figure((map_figures.WIDTH, map_figures.WIDTH * height / width), layout='compressed')
     axes = figure.subplots()
-    map_figures.draw_map(axes, card.risk_map, box=box)
+    map_figures.draw_map(axes, card.risk_map, box=box, avoid=card.places)
     axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=map_figures.HALO, zorder=4)
     figures.draw_places(axes, card.places, card.secured_distance)
     numbered = sorted(set(range(len(card.points))) - set(card.names))

@@ -43,7 +43,6 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
     half = np.maximum(half, 0.5 * half.max())
     low, high = middle - MARGIN * half, middle + MARGIN * half
-    low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # the scale bar
     low, high = np.maximum(low, risk_map.bounds[0]), np.minimum(high, risk_map.bounds[1])
     height = map_figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
     figure = Figure((map_figures.WIDTH, height + 3.8), layout='compressed')
@@ -63,7 +62,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
         map_figures.frame(axes, risk_map, name, (low, high), ticks=2)
         risk = map_figures.draw_risk_map(axes, risk_map)
         figures.draw_ends(axes, strategy, named=False, size=MARKS)
-        map_figures.scale_bar(axes)
+        map_figures.scale_bar(axes, figures.places_of(strategy))
         axes.label_outer()
         axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),
