@@ -186,6 +186,33 @@ def test_a_second_draw_asks_and_one_that_was_not_driven_does_not_count(plans, tm
         assert done.code == code and 'Was it driven? [y/n]' in done.err
     counted = json.loads(run_here(export, folder, '-o', tmp_path / 'x.csv', '--json').out)
     assert counted['departures'] == 4
+    struck = '0001_2030-03-04, 0005_2030-03-04 (2 of 6)'
+    said = [run_here(verify, folder).out, run_here(audit, folder).out]
+    assert run_here(report, folder, '-o', tmp_path / 'out').code == 0
+    for text in (*said, (tmp_path / 'out' / 'report.html').read_text()):
+        assert f'Struck as unused: {struck}. A planner who draws until' in ' '.join(text.split())
+    for command, more in ((verify, ()), (audit, ()), (report, ('-o', tmp_path / 'json'))):
+        result = json.loads(run_here(command, folder, *more, '--json').out)
+        assert [name[-20:] for name in result['struck']] == [
+            '0001_2030-03-04.mcap', '0005_2030-03-04.mcap']
+
+
+def test_verify_says_which_plan_each_departure_is_of(plans, tmp_path):
+    folder = tmp_path / 'week.departures'
+    assert run_here(draw, copy_of(plans, 'routes', tmp_path), '--days', 2).code == 0
+    lines = run_here(verify, folder).out
+    value = plans['routes'][0].value
+    assert lines.count(f'value {value / 2:.4g} ({value:.4g} if he knows the time)') == 2
+    assert 'plans' not in lines
+    assert run_here(draw, copy_of(plans, 'few', tmp_path), '--date', '2040-01-01').code == 0
+    others = run_here(verify, folder, '--json')
+    result = json.loads(others.out)
+    assert set(result) == documented_keys(verify)
+    few = plans['few'][0].value
+    assert [(each['departures'], each['value']) for each in result['plans']] == [
+        (2, pytest.approx(value / 2)), (1, pytest.approx(few / 2))]
+    said = ' '.join(run_here(verify, folder).out.split())
+    assert '3 departures of 2 plans: 2 of ' in said and f'UTC (value {few / 2:.3g})' in said
 
 
 def test_a_dry_run_records_nothing(plans, tmp_path):

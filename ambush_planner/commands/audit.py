@@ -30,7 +30,7 @@ You need at least five departures from strategies without cycles. -o DIR writes 
 the convoy should have driven, where it did, and the loss that the observer would have caused. The
 picture shows secret routes, so it has mode 0600 and a new folder 0700.
 --json: {"verdict", "departures", "left_out", "findings", "p_value", "impossible", "value",
-"observer_loss", "observer_range", "unreadable"}
+"observer_loss", "observer_range", "unreadable", "struck": [FILE]}
 """
 
 
@@ -84,12 +84,14 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if options.output:
         readers.refuse_existing(options.output / PICTURE, options.replace)
-    departures, unreadable = readers.read_all(options.recordings, console)
+    departures, unreadable, struck = readers.read_all(options.recordings, console)
     result, findings, notes = audited(departures)
     if departures:
         times = [leaving(each) for each in departures]
         ends = dict.fromkeys((min(times), max(times)))
         console.line(f'{cli.count(len(departures), "departure")}, {" to ".join(ends)}')
+    if struck:
+        notes.append(readers.struck_note(struck, len(departures) + len(struck)))
     for line in [*(f'FINDING: {each}.' for each in findings), *notes,
                  *(f'UNREADABLE and not audited: {each}' for each in unreadable)]:
         console.item(line, 0)
@@ -97,6 +99,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         'departures': len(departures), 'findings': findings,
         **{name: getattr(result, name, None) for name in NUMBERS},
         'unreadable': [str(error) for error in unreadable],
+        'struck': [*map(cli.place, struck)],
     }
     if options.output and result:
         _draw(options.output, departures, result, console)

@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     check_outputs(options.output, console)
-    departures, unreadable = readers.read_all(options.recordings, console)
+    departures, unreadable, _ = readers.read_all(options.recordings, console)
     for error in unreadable:
         console.error(error)
     if not departures:

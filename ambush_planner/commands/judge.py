@@ -95,7 +95,7 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
     if not path.is_dir() and path.suffix.lower() != '.mcap':
         yield from read_tracks(source, risk_map.crs)
         return
-    departures, unreadable = readers.read_all(path, console)
+    departures, unreadable, _ = readers.read_all(path, console)
     if unreadable:
         raise unreadable[0]
     for each in departures:

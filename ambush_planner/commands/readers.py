@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..recordings import RecordedDeparture, UnreadableRecording, read_departures, recordings_in
@@ -19,11 +20,20 @@ def reader_parser(command: str, description: str, epilog: str) -> argparse.Argum
     return parser
 
 
-def read_all(place: Path,
-             console: Console) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
-    """Return the departures below ``place`` in order of time, and errors of unreadable files."""
+def read_all(place: Path, console: Console) -> tuple[
+        list[RecordedDeparture], list[UnreadableRecording], list[Path]]:
+    """Return the departures below ``place`` in order of time, errors, and the files struck."""
     errors: list[UnreadableRecording] = []
-    return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
+    struck: list[Path] = []
+    departures = read_departures(console.progress(recordings_in(place), 'read'), errors.append,
+                                 lambda each: struck.append(each.path))
+    return departures, errors, sorted(struck)
+
+
+def struck_note(struck: Sequence[Path], total: int) -> str:
+    """Say which of all departures were struck."""
+    return (f'Struck as unused: {", ".join(each.stem for each in struck)} ({len(struck)} of '
+            f'{total}). A planner who draws until he likes the route does this: ask why.')
 
 
 def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:

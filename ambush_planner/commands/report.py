@@ -23,7 +23,7 @@ shown at the pointer. The list of departures links their recordings. The page ne
 only script is inline. It shows secret routes: its mode is 0600, that of a new folder 0700. With
 --verify it also says what ambush verify and ambush audit find; the exit code is 1 if a recording
 fails verification.
---json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
+--json: {"verdict", "page", "departures", "sections", "unreadable", "verified", "struck": [FILE]}
 """
 
 
@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
 def write_report(place: Path, output: Path, verify: bool,
                  console: cli.Console) -> tuple[cli.Exit, list[Section]]:
     """Write the page of the recordings in a file or folder; return the exit code and sections."""
-    departures, unreadable = readers.read_all(place, console)
+    departures, unreadable, struck = readers.read_all(place, console)
     for error in unreadable:
         console.error(error)
     sections, checks = sections_of(departures), None
@@ -54,7 +54,11 @@ def write_report(place: Path, output: Path, verify: bool,
         checks = Checks(len(departures), problems, *audited(departures)[1:])
         code = cli.Exit.FINDING if problems else code
     if departures:
-        text = page(sections, output, len(unreadable), checks)
+        warnings = [f'Not shown, because unreadable: {cli.count(len(unreadable), "recording")}.'
+                    ] * bool(unreadable)
+        if struck:
+            warnings.append(readers.struck_note(struck, len(departures) + len(struck)))
+        text = page(sections, output, warnings, checks)
         write_all_durably({output / PAGE: text.encode()})
         console.secret([output / PAGE])
     else:
@@ -63,6 +67,7 @@ def write_report(place: Path, output: Path, verify: bool,
         'page': cli.place(output / PAGE) if departures else None, 'departures': len(departures),
         'sections': len(sections), 'unreadable': len(unreadable),
         'verified': code == cli.Exit.HOLDS if verify else None,
+        'struck': [*map(cli.place, struck)],
     }
     return code, sections
 

@@ -56,16 +56,16 @@ class Checks:
     notes: Sequence[str]
 
 
-def page(sections: Sequence[Section], folder: Path, unreadable: int, checks: Checks | None) -> str:
+def page(sections: Sequence[Section], folder: Path, warnings: Sequence[str],
+         checks: Checks | None) -> str:
     """Return the page for a folder; ``checks`` is None if the recordings were not verified."""
-    warnings = _problems(checks) if checks else []
-    if unreadable:
-        warnings.append(f'Not shown, because unreadable: {count(unreadable, "recording")}.')
+    problems = _problems(checks) if checks else []
     script = resource('report_map.js')
     return Template(resource('report_page.html')).substitute(
         digest=b64encode(hashlib.sha256(script.encode()).digest()).decode(), script=script,
         colours=' '.join(f'--{name}: {", ".join(each)};' for name, each in COLOURS.items()),
-        style=resource('report.css'), warnings=_warnings(warnings), status=_status(checks),
+        style=resource('report.css'), warnings=_warnings([*problems, *warnings]),
+        status=_status(checks),
         audit=_audit(checks, sum(len(section.departures) for section in sections)),
         sections='\n'.join(
             _section(section, folder, f'Trip {k} of {len(sections)}: ' * (len(sections) > 1))

@@ -5,14 +5,18 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from ..errors import shown
 from ..recordings import recordings_in
+from ..recordings.metadata import Metadata
 from ..recordings.recorded_departures import together
 from ..recordings.verify import Verdict, Verifier
+from ..words import rounded
 from . import cli, readers
+from .console import when
 
 EPILOG = """\
 For each departure, checks the file's checksums, rebuilds the network from the recorded map and
@@ -22,13 +26,15 @@ from the recorded entropy. Also finds random sources that are too short or repea
 copies of a recording, and recordings that others, or the folder's list, say are missing.
 --replan also solves each game again, without a warm start, and compares the values.
 
-Not checked: markers, diagnostics, request and response, times, and the poses of start and goal.
-Anyone who can edit the files can forge a consistent departure: docs/recordings.md shows how to
-sign a folder.
+Not checked: whether the newest recordings were deleted, whether the plan is yours, and whether the
+drawn route was driven; markers, diagnostics, request and response, times, and the poses of start
+and goal. Anyone who can edit the files can forge a consistent departure: docs/recordings.md shows
+how to sign a folder.
 
-Output: one line per departure with its problems below it; progress on standard error.
+Output: one line per departure with its problems below it, then the plans if there are several, and
+departures that were struck as unused; progress on standard error.
 --json: {"verdict", "departures": [{"file", "number", "holds", "value", "problems", "notes"}],
-"findings", "notes"}
+"findings", "notes", "plans": [{"made", "value", "departures"}], "struck": [FILE]}
 """
 
 
@@ -51,9 +57,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         line = f'{"holds" if verdict.holds else "FAILS"}  {shown(verdict.path.name)}'
         if said := verdict.metadata:
             diverted = f' diverted ({said.diversion.number})' if said.diversion else ''
-            known = ' at a known time' * bool(said.plan and said.plan.slots)
             line += (f': departure {said.departure}{diverted}, {verdict.nodes} nodes, '
-                     f'value {verdict.value:.6g}{known}')
+                     f'value {_value(verdict, said)}')
         console.line(line)
         _print_below(console, verdict.problems, verdict.notes)
     findings, notes = together(verdicts)
@@ -66,11 +71,35 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.line(f'{len(failing)} of {departures}: not consistent')
     else:
         console.line(f'{departures}: {"each holds, but not together" if findings else "all hold"}')
-    console.result = {'departures': [*map(_as_json, verdicts)], 'findings': findings,
-                      'notes': notes}
+    known = [(each, each.metadata) for each in verdicts if each.metadata]
+    plans = Counter((said.plan.made_ns, said.plan.id, each.plan_value)
+                    for each, said in known if said.plan)
+    if len(plans) > 1:
+        each_plan = ', '.join(f'{number} of {when(made)} (value {rounded(value)})'
+                              for (made, _, value), number in sorted(plans.items()))
+        console.item(f'{cli.count(plans.total(), "departure")} of {len(plans)} plans: {each_plan}',
+                     0)
+    replaced = {said.day.replaces for _, said in known if said.day}
+    struck = [each.path for each, said in known if said.departure_id in replaced]
+    if struck:
+        console.item(readers.struck_note(struck, len(verdicts)), 0)
+    console.result = {
+        'departures': [*map(_as_json, verdicts)], 'findings': findings, 'notes': notes,
+        'plans': [{'made': when(made), 'value': value, 'departures': number}
+                  for (made, _, value), number in sorted(plans.items())],
+        'struck': [*map(cli.place, struck)],
+    }
     if findings or any(verdict.readable for verdict in failing):
         return cli.Exit.FINDING
     return cli.Exit.UNREADABLE if failing else cli.Exit.HOLDS
+
+
+def _value(verdict: Verdict, said: Metadata) -> str:
+    if not (said.plan and said.plan.slots and said.day):
+        return f'{verdict.value:.6g}'
+    if not said.day.slot_drawn:
+        return f'{verdict.value:.4g} at a known time'
+    return f'{verdict.plan_value:.4g} ({verdict.value:.4g} if he knows the time)'
 
 
 def _print_below(console: cli.Console, problems: Sequence[str], notes: Sequence[str]) -> None:

@@ -89,6 +89,11 @@ class RecordedSlots:
         return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window, value / size,
                    lower_bound / size)
 
+    @property
+    def covered(self) -> float:
+        """The largest share of departures that one ambush covers."""
+        return max(sum(self.shares[k:k + self.window]) for k in range(len(self.shares)))
+
     def drawn(self, rng: np.random.Generator) -> str:
         """Draw the time of a departure."""
         return self.times[int(rng.choice(len(self.shares), p=self.shares))]

@@ -43,13 +43,15 @@ def recordings_in(path: Path | str) -> list[Path]:
     return found
 
 
-def read_departures(paths: Iterable[Path],
-                    unreadable: Callable[[UnreadableRecording], None]) -> list[RecordedDeparture]:
+def read_departures(
+    paths: Iterable[Path], unreadable: Callable[[UnreadableRecording], None],
+    struck: Callable[[RecordedDeparture], None] = lambda each: None,
+) -> list[RecordedDeparture]:
     """Read recordings, the earliest departure first; copies count once.
 
-    A departure that was diverted is its last diversion, with what was recorded before it. One that
-    a later one replaces, because it was not driven, is left out.
-    ``unreadable`` is called with the error of each file that cannot be read.
+    A departure that was diverted is its last diversion, with what was recorded before it.
+    ``unreadable`` is called with the error of each file that cannot be read, ``struck`` with each
+    departure that is left out because a later one replaces it: it was not driven.
     """
     known: dict[tuple[str, int], RecordedDeparture] = {}
     shared = SharedParts()
@@ -67,8 +69,8 @@ def read_departures(paths: Iterable[Path],
         before = driven.get(departure_id)
         driven[departure_id] = replace(each, before=before) if before else each
     for each in known.values():
-        if each.metadata.day:
-            driven.pop(each.metadata.day.replaces, None)
+        if each.metadata.day and each.metadata.day.replaces in driven:
+            struck(driven.pop(each.metadata.day.replaces))
     return sorted(driven.values(), key=lambda each: (each.stamp_ns, each.metadata.departure))
 
 

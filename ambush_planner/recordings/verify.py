@@ -57,7 +57,8 @@ class Verdict:
 
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
     ``notes`` are other remarks. ``route`` (K,) and ``drawn`` (L,) are nodes as in
-    ``RecordedDeparture``; the strategy is not kept, since a folder may hold thousands.
+    ``RecordedDeparture``; the strategy is not kept, since a folder may hold thousands. ``value`` is
+    that of the strategy, or of few routes, if the time of departure is known.
     """
 
     path: Path
@@ -74,6 +75,12 @@ class Verdict:
     def holds(self) -> bool:
         """Whether everything that was checked holds."""
         return not self.problems
+
+    @property
+    def plan_value(self) -> float:
+        """The value of the plan, whose ambusher must choose one of its times, too."""
+        slots = self.metadata and self.metadata.plan and self.metadata.plan.slots
+        return self.value * (slots.covered if slots else 1.0)
 
 
 class Verifier:
@@ -94,7 +101,7 @@ class Verifier:
             verdict.route, verdict.drawn = map(tuple, (departure.route.tolist(),
                                                        departure.drawn.tolist()))
             verdict.nodes = len(departure.strategy.network.points)
-            verdict.value = departure.strategy.value
+            verdict.value = departure.shown.value
             if departure.parameters.values['seed'] >= 0:
                 verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
             verdict.problems += self._problems(departure)
