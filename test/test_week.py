@@ -167,7 +167,10 @@ def test_a_second_draw_asks_and_one_that_was_not_driven_does_not_count(plans, tm
     file = copy_of(plans, 'routes', tmp_path)
     folder = tmp_path / 'week.departures'
     day = ('--date', '2030-03-04')
-    assert 'time of departure is not drawn' in run_here(draw, file, *day, '--slot', '8:00').err
+    said = run_here(draw, file, *day, '--slot', '8:00').err
+    assert 'time of departure is not drawn' in said and 'is not one of' not in said
+    other = run_here(draw, file, '--dry-run', '--slot', '8:10').err
+    assert "08:10 is not one of the plan's slots 08:00, 09:30, 11:00" in other
     assert run_here(draw, file, *day, '--slot', '11:00').code == 0  # another slot is another trip
     again = run_here(draw, file, *day, '--slot', '08:00')
     assert again.code == 2

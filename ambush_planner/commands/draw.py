@@ -76,6 +76,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     today = date.today()
     first = arguments.date or today
     if arguments.slot and saved.slots:
+        if arguments.slot not in saved.slots.times:
+            console.warn(f"{arguments.slot} is not one of the plan's slots "
+                         f'{", ".join(saved.slots.times)}')
         console.warn(f'the time of departure is not drawn, so the value is {saved.plan.value:.4g}, '
                      f'that of a known time, instead of {saved.value:.4g}')
     if first < today:
