@@ -26,8 +26,9 @@ from ambush_planner import (
     solve_many,
 )
 from ambush_planner.commands import plan
+from ambush_planner.commands.inputs import as_typed
 from ambush_planner.maps.risk_map_file import npz_bytes
-from ambush_planner.planning.concerns import concerns
+from ambush_planner.planning.concerns import concerns, wide_gap
 from ambush_planner.planning.options import DriveOptions
 
 START, GOAL = (10.0, 50.0), (190.0, 50.0)
@@ -44,6 +45,16 @@ def test_a_length_budget_that_seems_to_be_a_percentage_is_named():
         strategy = replace(made.options.strategy, max_detour=detour)
         asked = replace(made, options=replace(made.options, strategy=strategy))
         assert any('is a ratio' in text for text in concerns(asked)) == named
+
+
+def test_a_wide_gap_says_what_the_plan_is_worth_and_how_to_allow_more_time():
+    made = plan_trip(ground(), START, GOAL, PlanningOptions(
+        network=replace(plain_options(spacing=20.0), refine=None)))
+    certificate = replace(made.strategy.certificate, bound=0.8 * made.lower_bound)
+    late = replace(made, strategy=replace(made.strategy, certificate=certificate, reason='time'))
+    text = as_typed(wide_gap(late))
+    assert 'the plan can be used' in text and 'above the best on this network' in text
+    assert text.endswith('allow more time (--set strategy.time_limit=SECONDS)')
 
 
 @pytest.mark.parametrize(('reach', 'spacing', 'words'), [

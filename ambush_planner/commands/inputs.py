@@ -67,7 +67,8 @@ _TYPED = {name.partition('.')[2]: f'--set {name}' for name in _TYPES} | {
     name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()}
 _PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
             ' (game.secured_radius -1)': ' (leave out --held)',
-            ' (strategy.time_limit, or max_planning_time of the node)': ' (strategy.time_limit)',
+            ' (strategy.time_limit, or max_planning_time of the node)':
+            ' (--set strategy.time_limit=SECONDS)',
             'max_planning_time': 'strategy.time_limit', 'game.loads': '--load'}
 # Qualified names, and those that are no ordinary words.
 _NAMED = re.compile(rf"(?<!--set )(?<!')(?<![.\w])((?:{'|'.join(DEFAULTS)})\.)?"

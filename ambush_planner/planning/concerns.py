@@ -21,8 +21,8 @@ from .refinement import LEAST_FALL
 # What a gap over the slack says about the search.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
-    'time': 'the time limit (strategy.time_limit, or max_planning_time of the node) ended the '
-            'search: allow more time',
+    'time': 'the time limit ended the search: to come closer, allow more time '
+            '(strategy.time_limit, or max_planning_time of the node)',
     'solver': 'a numerical solver failed, so the value may be far from the best: another '
               'max_detour may help',
     'stalled': 'no closer strategy or bound was found, and more time would not help',
@@ -101,11 +101,10 @@ def wide_gap(plan: Plan) -> str:
         return ''
     wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
     if strategy.lower_bound > 0.0:
-        wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the value is '
-                f'{strategy.value:.4g}, the lower bound {strategy.lower_bound:.4g}')
-    simpler = [*['network.refine=0'] * (plan.options.network.refine != 0),
-               *['fewer stops'] * bool(len(plan.network.stops))]
-    may_help = f'; {" or ".join(simpler)} may help' if simpler else ''
+        wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the plan can be used, and '
+                f'its value, {strategy.value:.4g}, is at most that much above the best on this '
+                f'network (lower bound {strategy.lower_bound:.4g})')
+    may_help = '; fewer stops may help' if len(plan.network.stops) else ''
     return f'{wide}; {_WHY[strategy.reason]}{may_help}'
 
 
