@@ -87,6 +87,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     # One metre a second: legs add up to the length, and times pass midnight.
     length = round(np.hypot(*np.diff(routes[1], axis=0).T).sum())
     assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
+    assert '23:59 to 00:0' in page and 'local time' in page
     assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{round(length / 60) - 1}'
     assert 'Secured area (circles), 40 m around start and goal: 0 m to 4' in page
 

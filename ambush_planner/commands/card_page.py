@@ -116,10 +116,10 @@ def card_page(card: Card, console: Console) -> str:
     columns, end = _columns(card, console), card.distances[-1]
     times = ''
     if card.speed:
-        hours = f', {card.time(0.0)} to {card.time(end)}' if card.start else ''
+        hours = f', {card.time(0.0)} to {card.time(end)} local time' if card.start else ''
         times = f' at {rounded(card.speed)} km/h: {duration(3.6 * end / card.speed)}{hours}'
     elif card.start:
-        times = f', departure {card.time(0.0)}'
+        times = f', departure {card.time(0.0)} local time'
     return Template(resource('card_page.html')).substitute(
         summary=f'{card.day}{card.day and ": "}{distance(end)}{times}',
         map=b64encode(_picture(card)).decode(),

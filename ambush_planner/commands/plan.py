@@ -68,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
     add_terrain(made.add_argument_group('with --terrain'))
     made.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
     made.add_argument('--slots', nargs='+', type=cli.time_of_day, default=(), metavar='HH:MM',
-                      help='also draw the time of departure, one of these')
+                      help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
                       help='number of consecutive slots that an ambush lasts (default: 1)')
     made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
