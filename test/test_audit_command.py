@@ -47,8 +47,9 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
     code, text = run(capsys, good, '-o', out)
     assert code == 0 and 'Nothing suspicious' in text and 'FINDING' not in text
     assert '12 departures, 2023-11-15 22:13:20 UTC to 2023-11-26 22:13:20 UTC' in text
-    assert re.search(r'a mean loss of [\d.]+\. With honest draws, 12 departures .* \(0\.373\)',
-                     text)
+    assert re.search(r'caused [\d.]+ per departure\. Honest draws of 12 departures give .* in nine '
+                     r'cases of ten, so this is normal\. .* the value, 0\.373, on', text)
+    assert 'the times' not in text
     assert [path.name for path in out.iterdir()] == ['audit.png'] and set(good.iterdir()) == before
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
     assert stat.S_IMODE((out / 'audit.png').stat().st_mode) == 0o600
@@ -58,6 +59,9 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
         audit.main([str(good), '-o', str(out)])
     assert stop.value.code == 2 and '--replace' in capsys.readouterr().err
     assert (out / 'audit.png').read_text() == 'mine'
+    with pytest.raises(SystemExit):
+        audit.main([str(good), '-o', str(tmp_path / 'audit.png')])
+    assert '-o/--output: must be a folder, such as audit' in capsys.readouterr().err
     assert audit.main([str(good), '-o', str(out), '--replace', '--quiet']) == 0
     assert capsys.readouterr() == ('', '')
 

@@ -216,7 +216,7 @@ def test_failed_verification_and_the_audit_are_on_the_page(tmp_path):
     assert 'VERIFICATION FAILED for 5 of 5 recordings' in text and 'Verified:' not in text
     assert 'The audit found: the convoy used some stretches far more' in text
     assert '1 of 5 departures took different routes' in text
-    assert 'What 5 departures can show' in text and 'nine times out of ten' in text
+    assert 'What 5 departures can show' in text and 'in nine cases of ten' in text
 
 
 def test_unreadable_files_are_named_and_counted(tmp_path, capsys):

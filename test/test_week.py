@@ -115,6 +115,8 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         done = run_here(command, folder, *more)
         assert done.code == 0, (command, done.out, done.err)
     assert '2030-01-06 ' in (tmp_path / 'all.csv').read_text(), 'the day that it is for'
+    said = ' '.join(run_here(audit, folder).out.split())
+    assert f"the plan's value, {plan.value / 2:.3g}, is for one who does not" in said
     page = (tmp_path / 'out' / 'report.html').read_text()
     assert f'<b>{SLOTS.value:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page

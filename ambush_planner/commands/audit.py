@@ -54,7 +54,8 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         result = audit(departures)
     except NotAuditable as error:
         return None, findings, [f'Not enough data: {error}.']
-    timed = any(each.drawn_slot for each in departures)
+    values = [each.value for each in departures if each.drawn_slot]
+    timed = bool(values)
     if result.impossible:
         findings.append(f'{result.impossible} steps or ends of routes cannot have been drawn: '
                         'the recorded routes are not those that were planned')
@@ -63,14 +64,18 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         findings.append(f'the convoy {used} far more or less often than published '
                         f'(p = {result.p_value:.3g})')
     low, high = result.observer_range
+    usual = ('low' if result.observer_loss < low else
+             'high' if result.observer_loss > high else 'normal')
     notes = [
         SENSITIVITY,
-        'An observer who always waits at the place that was worst for the earlier departures would '
-        f'have caused a mean loss of {result.observer_loss:.3g}. With honest draws, '
-        f'{result.departures} departures give {low:.3g} to {high:.3g} nine times out of ten: the '
-        'narrower that range, the more it says about the guarantee, which is a mean over many '
-        f'departures ({result.value:.3g}).' + ' He is taken to know the times.' * timed,
+        'Had an observer waited each time where earlier routes would have cost most, he would have '
+        f'caused {result.observer_loss:.3g} per departure. Honest draws of {result.departures} '
+        f'departures give {low:.3g} to {high:.3g} in nine cases of ten, so this is {usual}. Over '
+        f'many departures, he can cause at most the value, {result.value:.3g}, on average.',
     ]
+    if timed:
+        notes[-1] += (" He is taken to know the times: the plan's value, "
+                      f'{sum(values) / len(values):.3g}, is for one who does not.')
     if not findings:
         used = 'the stretches' + ' and times of departure' * timed
         notes.insert(0, f'Nothing suspicious: the convoy used {used} as often as published '

@@ -35,7 +35,7 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,
                   label='observer who learns as he goes')
     observer.axhspan(*result.observer_range, color=AMBUSHER, alpha=0.15, linewidth=0.0,
-                     label='where honest draws end, nine times out of ten')
+                     label='where honest draws end in nine cases of ten')
     observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
     observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
     observer.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -38,7 +38,12 @@ def struck_note(struck: Sequence[Path], total: int) -> str:
 
 def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:
     """Add the options of a command that writes a file into a folder."""
-    parser.add_argument('-o', '--output', type=Path, metavar='DIR', required=required,
+    def folder(text: str) -> Path:
+        if Path(text).suffix.lower() == Path(what).suffix:
+            raise argparse.ArgumentTypeError(f'must be a folder, such as {Path(what).stem}')
+        return Path(text)
+
+    parser.add_argument('-o', '--output', type=folder, metavar='DIR', required=required,
                         help=f'folder for {what}; made if missing')
     parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
 

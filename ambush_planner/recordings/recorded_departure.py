@@ -110,6 +110,11 @@ class RecordedDeparture:
         return (day.slot, slots) if day and slots else None
 
     @property
+    def value(self) -> float:
+        """The value for an ambusher who must choose a time, too, if that was drawn."""
+        return self.shown.value * (self.drawn_slot[1].covered if self.drawn_slot else 1.0)
+
+    @property
     def stamp_ns(self) -> int:
         """When the convoy departed [ns]."""
         return self.before.stamp_ns if self.before else self.recorded_ns
