@@ -170,6 +170,21 @@ def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
     assert json.loads(done.out)['value'] == pytest.approx(float(row['value']), rel=1e-6)
 
 
+def test_the_legend_of_a_square_map_ends_above_the_curve():
+    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+    blocked = np.zeros((30, 30), bool)
+    blocked[13:17, 13:17] = blocked[-2:, :3] = True
+    unknown = blocked & (np.mgrid[:30, :30][0] > 20)
+    risk_map = RiskMap(np.ones((30, 30)), blocked, 1.0, unknown=unknown)
+    found = places_to_hold(risk_map, (3.0, 4.0), (27.0, 26.0), RADIUS, 1, OPTIONS)
+    figure = hold.hold_figure(found, RADIUS, risk_map)
+    figure.draw_without_rendering()
+    legend = figure.axes[0].get_legend().get_texts()
+    (curve,) = (axes for axes in figure.axes if 'places held' in axes.get_xlabel())
+    assert len(legend) == 4
+    assert legend[-1].get_window_extent().y0 > curve.get_window_extent().y1
+
+
 @pytest.mark.parametrize(('text', 'reason'), [
     ('name,x\na,1\n', 'the columns x and y'),
     ('name,x,y\n', 'no Point in it'),

@@ -110,8 +110,11 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    figure = Figure(figsize=(map_figures.WIDTH, 8.4), layout='compressed')
-    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=(3, 1)))
+    # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
+    lines = 2 + len(map_figures.ground_key(risk_map))
+    heights = 6.1 + 0.3 * lines, 2.1
+    figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
+    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=heights))
     figures.draw_strategy(overview, found.strategies[-1], risk_map)
     held = f'{cli.count(len(found.steps), "place")} held (green)'
     overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
