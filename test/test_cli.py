@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all commands share: one entry, options, exit codes, output for terminals and pipes."""
 
+import importlib
 import json
 import re
 import subprocess
@@ -101,7 +102,7 @@ def test_json_is_the_object_documented_in_the_help(name, inputs, monkeypatch, ca
     monkeypatch.chdir(inputs)
     # Replay does not wait for listeners.
     monkeypatch.setattr('ambush_planner.commands.replay._DISCOVERY', 0.0)
-    command = cli._module(name)
+    command = importlib.import_module(f'ambush_planner.commands.{name}')
     code = cli.main([name, *LINES[name].split(), '--json'])
     result = json.loads(capsys.readouterr().out)
     assert set(result) == documented_keys(command)

@@ -7,6 +7,7 @@
 import re
 import shutil
 import subprocess
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -35,7 +36,8 @@ def test_shell_blocks_parse_and_name_what_exists():
 def test_options_of_commands_exist():
     """Those in the text, too."""
     code = [*SCRIPTS, *re.findall(r'(?s)`([^`]+)`', TEXT)]
-    known = {name: set(cli._module(name).parser()._option_string_actions) for name in cli.COMMANDS}
+    known = {name: set(import_module(f'ambush_planner.commands.{name}').parser()
+                       ._option_string_actions) for name in cli.COMMANDS}
     for line in '\n'.join(code).replace('\\\n', ' ').splitlines():
         if found := re.search(r'\bambush[ _](\w+)\b(.*)', line):
             name, rest = found.groups()

@@ -263,8 +263,7 @@ def _parser(program: str, description: str, epilog: str) -> _Parser:
 def _entry_parser() -> argparse.ArgumentParser:
     parser = _parser('ambush', 'Random routes that an ambusher cannot predict.',
                      'A week: ambush plan MAP ... -o week.plan, then ambush draw week.plan '
-                     'each morning.\nambush COMMAND --help explains a command.\n'
-                     + EXIT_CODES)
+                     'each morning.\nambush COMMAND --help explains a command.\n' + EXIT_CODES)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, summary in COMMANDS.items():
         commands.add_parser(name, help=summary)
@@ -273,7 +272,8 @@ def _entry_parser() -> argparse.ArgumentParser:
 
 def _run_command(name: str, arguments: Sequence[str]) -> int:
     try:
-        return _module(name).main(arguments)
+        command = importlib.import_module(f'{__package__}.{name}')
+        return int(command.main(arguments))
     except ModuleNotFoundError as error:
         package = str(error.name).partition('.')[0]
         print(f'ambush {name}: {_missing([package])}', file=sys.stderr)
@@ -295,10 +295,6 @@ def _missing(packages: Sequence[str]) -> str:
     verb = 'are' if len(packages) > 1 else 'is'
     return (f'{", ".join(packages)} {verb} not installed: in a checkout of ambush_planner, run '
             f"pip install '.[{','.join(sorted(extras))}]'")
-
-
-def _module(name: str) -> Any:
-    return importlib.import_module(f'{__package__}.{name}')
 
 
 if __name__ == '__main__':
