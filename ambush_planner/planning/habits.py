@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.spatial.distance import directed_hausdorff
 from scipy.stats import binom
 
@@ -30,6 +31,9 @@ NEAR = 0.05
 MIN_STEP = 0.05
 # Quantile of a track's steps that is a usual step.
 USUAL = 0.75
+# Maximum number of positions that are an outlier together, and the minimum distance of an outlier
+# from the median of the positions around it [usual steps].
+MAX_SPIKE, MIN_SPIKE = 3, 5.0
 # Maximum step that does not break a track [usual steps].
 MAX_STEP = 5.0
 # Maximum step that does not break a track, as a share of the distance from start to goal.
@@ -103,7 +107,7 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
     """The trips from start to goal, which are their ends, and a sentence for each left out.
 
     A trip leads from the last approach to the start, within ``near`` [m], to the first approach to
-    the goal after it; a track can have several. Short jumps are bridged.
+    the goal after it; a track can have several. Outliers are removed, short jumps are bridged.
     Trips driven at the same time, within ``reach`` [m] of each other, and copies count once.
     """
     trips: list[Track] = []
@@ -127,7 +131,7 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
     if len(late := np.flatnonzero(np.diff(times) < 0.0)):
         yield f'in {track.name}, time goes backwards after position {late[0] + 1}'
         return
-    kept = _apart(track.xy, min_step)
+    kept = _without_spikes(track.xy, _apart(track.xy, min_step))
     xy, times = track.xy[kept], times[kept]
     away = np.stack([np.hypot(*(xy - end).T) for end in (start, goal)])
     end = np.where(away.min(axis=0) <= near, away.argmin(axis=0), -1)
@@ -172,6 +176,15 @@ def _apart(xy: FloatArray, step: float) -> list[int]:
         if math.dist(points[kept[-1]], point) >= step:
             kept.append(k)
     return kept
+
+
+def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
+    """The indices ``kept`` of positions without those of outliers."""
+    points = xy[kept]
+    usual = float(np.quantile(_steps(points), USUAL)) if len(kept) > 1 else 0.0
+    around = median_filter(points, (2 * MAX_SPIKE + 1, 1), mode='nearest')
+    near = np.hypot(*(points - around).T) <= MIN_SPIKE * usual
+    return [k for k, is_near in zip(kept, near.tolist(), strict=True) if is_near]
 
 
 def _is_one(one: Track, other: Track, reach: float) -> bool:
