@@ -99,7 +99,7 @@ def test_network_draws_each_pair_once(strategy):
 
 @pytest.fixture(scope='module')
 def plan():
-    """The plan of a way there and back, with an ambusher who waits for both legs everywhere."""
+    """A round trip whose ambusher waits at each of his sites equally often on both legs."""
     options = PlanningOptions(network=NetworkOptions(spacing=1.6 * SPACING),
                               game=GameOptions(secured_radius=SECURED, ambushers=2))
     risk_map = risk_from_occupancy(occupancy(), 5.0)
