@@ -4,7 +4,8 @@
 One of three linear programs (LPs) finds the least value (``value``): a cut without a reach if its
 flow keeps the budgets, or nearly; face potentials on a planar network whose links cost the same
 both ways; whole routes otherwise. A search makes a strategy of it: a chain (``chain_search``), or
-on a trip one on a layered graph (``trip_search``). The paper's linear programs are another choice.
+one on a layered graph (``trip_search``) on a trip, or if a chain costs more than whole routes. The
+paper's linear programs are another choice.
 """
 
 from __future__ import annotations
@@ -138,7 +139,7 @@ def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
     """
     slack = max(problem.slack, MIN_SLACK)
     if problem.game.network.legs > 1:
-        routes = _routes(problem, slack)
+        routes = _routes(problem, slack, _potential(problem, slack))
         search = Search(problem, routes, slack)
         (find_legs if routes.planar else find_mixture)(search, routes)
         return search
@@ -146,7 +147,8 @@ def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
     if cut and cut.overrun <= overrun:
         return Search(problem, cut, slack)
     first = FIRST_CAP * cut.bound if cut else np.inf
-    search = Search(problem, _potential(problem, slack, first) or _routes(problem, slack), slack)
+    search = Search(problem, _potential(problem, slack, first)
+                    or _routes(problem, slack, None), slack)
     find_flow(search)
     return search
 
@@ -170,15 +172,26 @@ def _most_unpredictable(problem: SearchProblem) -> Strategy:
 
 
 def _find_distribution(search: Search) -> Strategy:
-    """Find the route distribution of a search whose value has been found."""
+    """Find the route distribution of a search whose value has been found.
+
+    It is one chain if that is within the slack of the bound: always without a reach, mostly with
+    one, but seldom on a trip. Whole routes may cost less, as they remember which sites they met.
+    """
     best, lp = None, search.lp
-    if isinstance(lp, Routes) and search.game.network.legs > 1:
-        if lp.planar:
-            find_mixture(search, lp)
-        best = find_trip(search, lp)
-        if best is None:
-            find_flow(search)
-    return search.strategy(best or find_chain(search))
+    if search.game.network.legs == 1:
+        best = find_chain(search)
+        if search.game.entries_are_hits or lp.bound == 0.0 or (best and best.good):
+            return search.strategy(best)
+    if isinstance(lp, Potential):
+        search.lp = lp = _routes(search.problem, search.slack, lp)
+    assert isinstance(lp, Routes)  # a cut's entries are hits
+    if lp.planar:
+        find_mixture(search, lp)
+    best = find_trip(search, lp, best)
+    if best is None:
+        find_flow(search)
+        best = find_chain(search)
+    return search.strategy(best)
 
 
 def _search_ends(end: float, options: StrategyOptions, network: Network) -> tuple[float, float]:
@@ -209,9 +222,8 @@ def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> P
     return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)
 
 
-def _routes(problem: SearchProblem, slack: float) -> Routes:
-    """The LP over whole routes; on a trip, its bound comes from potentials if there can be any."""
-    planar = _potential(problem, slack) if problem.game.network.legs > 1 else None
+def _routes(problem: SearchProblem, slack: float, planar: Potential | None) -> Routes:
+    """The LP over whole routes; its bound comes from potentials if there are any."""
     return Routes(problem.game, problem.binding, ROUTES_GAP * slack, problem.deadline,
                   problem.progress, planar)
 

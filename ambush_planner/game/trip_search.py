@@ -80,15 +80,14 @@ def find_mixture(search: Search, lp: Routes) -> None:
     lp.deadline = end
 
 
-def find_trip(search: Search, lp: Routes) -> Incumbent | None:
-    """The distribution of least value on a layered graph; None if there is none.
+def find_trip(search: Search, lp: Routes, best: Incumbent | None = None) -> Incumbent | None:
+    """The distribution of least value on a layered graph, or the best so far; None without any.
 
     It is found around few routes of a solved LP, or more if it costs too much. Its value is at most
     (1 + slack) times the bound if possible, or (1 + slack / 2) times that of the mixture. None
     after the deadline, or if the bound is 0: one chain on the edges that no site hits needs no
     labels.
     """
-    best: Incumbent | None = None
     count, most = TRIP.fewest, 2 * len(lp.routes)
     while lp.bound > 0.0 and count < max(most, 2 * TRIP.fewest) and not search.problem.late:
         around = _around(search, lp, count)

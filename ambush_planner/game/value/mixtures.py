@@ -8,7 +8,7 @@
 each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
 also from stop to stop. The duals are the ambusher's strategy and the prices of the budgets. HiGHS'
 interior point method without crossover gives *central* duals, which price many routes at once; a
-vertex would jump from one extreme ambusher to another.
+vertex jumps from one extreme ambusher to another, but he waits at few sites.
 """
 
 from __future__ import annotations
@@ -147,11 +147,13 @@ class Mixtures:
         return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
                        np.zeros((self._groups, len(self.loss))), weights)
 
-    def solve(self, precision: float, deadline: float = math.inf) -> Mixture:
-        """The mixture of least value, to a relative gap of ``precision``.
+    def solve(self, precision: float, deadline: float = math.inf,
+              vertex: bool = False) -> Mixture:
+        """The mixture of least value, to a relative gap of ``precision``, with central duals.
 
-        A site has a row in the LP once its losses have come near the value. Raises TimeLimit
-        at ``deadline`` (``time.monotonic``), or SolverFailed.
+        Or a ``vertex`` of the LP, which has few routes and few sites. A site has a row in the LP
+        once its losses have come near the value. Raises TimeLimit at ``deadline``
+        (``time.monotonic``), or SolverFailed.
         """
         group = np.array([each.group for each in self._columns])
         near, cap, costs = self._near.ravel(), math.inf, csr_matrix(self._reduced_costs)
@@ -164,7 +166,7 @@ class Mixtures:
             largest = np.sort(losses)[-self.ambushers :]
             if cap < math.inf or not near.any():
                 near = near | (losses > min(NEAR * largest.min(initial=math.inf), cap))
-            result = self._solve_on(hit[near], self.ambushers, costs, precision, deadline)
+            result = self._solve_on(hit[near], self.ambushers, costs, precision, deadline, vertex)
             shares, cap = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
             shares /= np.bincount(group, shares)[group]
             losses = hit @ shares
@@ -190,7 +192,7 @@ class Mixtures:
                           (self._groups * count, len(met)))
 
     def _solve_on(self, hit: csr_matrix, ambushers: int, reduced_costs: csr_matrix,
-                  precision: float, deadline: float) -> OptimizeResult:
+                  precision: float, deadline: float, vertex: bool = False) -> OptimizeResult:
         """Solve the LP with the rows (R, C) of some sites, and those of the budgets (B, C)."""
         (rows, count), extra = hit.shape, hit.shape[0] * (ambushers > 1)
         limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
@@ -205,14 +207,15 @@ class Mixtures:
         objective = np.repeat([0.0, ambushers, 1.0], [count, 1, extra])
         bounds = np.repeat([0.0, self.limit], [rows, costs.shape[0]])
         return _solved(highs.LP(objective, csr_matrix(vstack([limits, costs])), bounds, flow,
-                                np.eye(1, stops)[0]), precision, deadline)
+                                np.eye(1, stops)[0]), precision, deadline, vertex)
 
 
-def _solved(lp: highs.LP, precision: float, deadline: float) -> OptimizeResult:
+def _solved(lp: highs.LP, precision: float, deadline: float, vertex: bool) -> OptimizeResult:
+    first, second = ('simplex', 'interior_point')[:: 1 if vertex else -1]
     try:
-        result = highs.run(lp, 'interior_point', deadline, False, precision)
+        result = highs.run(lp, first, deadline, False, precision)
     except SolverFailed:
-        result = highs.run(lp, 'simplex', deadline)
+        result = highs.run(lp, second, deadline)
     if result.x is None:
         raise SolverFailed('no mixture of the known routes is within the budgets')
     return result

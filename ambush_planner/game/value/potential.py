@@ -122,6 +122,11 @@ class Potential:
                 return
 
     @property
+    def sites(self) -> tuple[csr_matrix, FloatArray]:
+        """The edges (S, M) that enter its sites' discs, and their losses (S,)."""
+        return self._entering, self._loss
+
+    @property
     def provers(self) -> list[Potential]:
         """Itself."""
         return [self]

@@ -5,8 +5,9 @@ Column generation: the mixture of least value of the known routes gives an ambus
 prices of the budgets (``mixtures``); routes that cost less against these than the mixture's value
 join. They are found leg by leg by Dijkstra's method with every entry counted, except where another
 leg meets the site; later also from routes of the mixture; last by label searches, which also prove
-bounds (``best_response``). A trip's bound usually comes from its legs, each with its own share of
-every site: an LP of its own, over the legs' ways, finds the shares.
+bounds (``best_response``), against ambushers who wait at few sites. A trip's bound usually comes
+from its legs, each with its own share of every site: an LP of its own, over the legs' ways, finds
+the shares.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ class ColumnGeneration(NamedTuple):
     loose: float = 5e-2  # relative gap of the LPs while routes join
     tight: float = 1e-4  # the same once none does
     gain: float = 0.25  # share of the wanted gap by which a route must cost less to join
-    # Where sites can be met twice, it is at least this share of the open gap, and the LP ends after
-    # ``ROUNDS`` rounds in which the value falls by less than ``gain`` of the wanted gap.
+    # Where sites can be met twice, it is at least this share of the open gap. After ``ROUNDS``
+    # rounds in which that falls by less than ``gain`` of the wanted gap, loose LPs become tight,
+    # and tight ones end.
     open_gain: float = 0.5
     starts: int = 4  # trips that are improved leg by leg in a round, of the mixture twice as many
     comparisons: int = 1_000_000  # of labels in a search
@@ -106,7 +108,7 @@ class Routes:
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
-        self._add_sites(game.entering, game.loss[game.sites])
+        self._add_sites(*(planar.sites if planar else (game.entering, game.loss[game.sites])))
         self._begin()
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -199,14 +201,26 @@ class Routes:
             mixture = self.mixtures.solve(precision, self.deadline)
             self.shares = mixture.shares
             self.value = self.mixtures.value(self.shares)
-            if self._ended() or stalled == ROUNDS and not self._whole.exact:
+            if self._ended():
                 return
+            if stalled == ROUNDS and not self._whole.exact:
+                if precision == tight:
+                    return
+                precision, stalled = tight, 0
+                continue
             added, rounds, stalled = 0, rounds + 1, stalled + 1
-            if self.value < least * (1.0 - ROUTES.gain * self.gap):
-                least, stalled = self.value, 0
+            if self.value - self.bound < least - ROUTES.gain * self.gap * self.value:
+                least, stalled = self.value - self.bound, 0
             if precision == ROUTES.loose:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = self._add_responses(centre, precision, prove)
+            elif not self._whole.exact:  # label searches are faster for a vertex, but jump
+                vertex = self.mixtures.solve(precision, self.deadline, vertex=True)
+                if not vertex.q.any():  # it meets no site
+                    self.shares, self.value = vertex.shares, self.mixtures.value(vertex.shares)
+                    return
+                mixture, other = (mixture, vertex) if rounds % 2 else (vertex, mixture)
+                added = self._add_responses(other, precision, prove)
             added = added or self._add_responses(mixture, precision, prove)
             if prove and len(self._legs) > 1 and (not added or _proved(rounds)):
                 self.prove_by_legs()
@@ -251,32 +265,39 @@ class Routes:
         """Add routes that cost less than the value, by the fastest way that finds any."""
         q, prices = self._ambusher(mixture, 0.0)
         base, dual_weights = prices @ self.reduced_cost, q[0] * self.loss
-        gain = ROUTES.gain * self.gap
-        if self.bound > 0.0 and not self._whole.exact:
-            gain = max(gain, ROUTES.open_gain * (1.0 - self.bound / self.value))
-        most = self.value * (1.0 - gain) + float(prices.sum())
         for routes in self._responses(mixture, base, dual_weights, precision, prove):
+            most = self.value * (1.0 - self._least_gain) + float(prices.sum())
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, dual_weights) < most)
             if added or self._ended():
                 return added
         return 0
 
+    @property
+    def _least_gain(self) -> float:
+        """By which a route must cost less than the value to join, as a share of the value."""
+        gain = ROUTES.gain * self.gap
+        if self.bound > 0.0 and not self._whole.exact:
+            gain = max(gain, ROUTES.open_gain * (1.0 - self.bound / self.value))
+        return gain
+
     def _responses(self, mixture: Mixture, base: FloatArray, dual_weights: FloatArray,
                    precision: float, prove: bool) -> Iterator[list[IndexArray]]:
         """Routes that cost little, the fastest way to find them first."""
-        legs = len(self.by_leg)
+        legs, rough = len(self.by_leg), precision == ROUTES.loose or self._whole.exact
+        searches = ROUTE_SEARCHES if prove and not rough else ()
         if self._whole.exact:
             self._search(mixture, SEARCHES[:1], 0.0)
+        for search in searches if legs == 1 else ():
+            yield self._search(mixture, (search,), ROUTES.small)
         starts = self._rng.permutation(legs)[:ROUTES.starts].tolist()
         yield [self._descend(base, dual_weights, start, self._random_trip()) for start in starts]
-        if precision == ROUTES.loose or self._whole.exact:
+        if legs == 1 or rough:
             return
-        if legs > 1:
-            near = self._rng.choice(len(self.shares), 2 * ROUTES.starts, p=self.shares)
-            yield [self._descend(base, dual_weights, int(self._rng.integers(legs)),
-                                 *self._legs_of(self.routes[k])) for k in near]
-        for search in ROUTE_SEARCHES if prove else ():
+        near = self._rng.choice(len(self.shares), 2 * ROUTES.starts, p=self.shares)
+        yield [self._descend(base, dual_weights, int(self._rng.integers(legs)),
+                             *self._legs_of(self.routes[k])) for k in near]
+        for search in searches:
             yield self._search(mixture, (search,), ROUTES.small)
 
     def _search(self, mixture: Mixture, searches: Searches, negligible: float) -> list[IndexArray]:
