@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trip's layered graph: a label is drawn at the start, and each has a chain on its own layer.
+"""A layered graph: a label is drawn at the start, and each has a chain on its own layer.
 
-One Markov chain draws the legs of a trip independently of each other, which can cost more than the
-slack. A label remembers what the legs have to agree on: the chain runs on layers, each a copy of a
-part of the network, one around all routes of a mixture, and one within a few edges of each of its
-best routes. The layers are joined at the source and the target, so together they are one acyclic
-network, with one route distribution of greatest entropy (``distribution.route_distribution``).
+One Markov chain draws the legs of a trip, or the ways before and after a pass, independently of
+each other, which can cost more than the slack. A label remembers what they have to agree on: the
+chain runs on layers, each a copy of a part of the network, one around all routes of a mixture, and
+one within a few edges of each of its best routes. The layers are joined at the source and the
+target, so together they are one acyclic network, with one route distribution of greatest entropy
+(``distribution.route_distribution``).
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from .game import Game
 
 
 class LayeredGraph:
-    """Layers around some routes of a trip's game, as one acyclic network.
+    """Layers around some routes of a game, as one acyclic network.
 
     Attributes
     ----------
     network : AcyclicNetwork
-        The layers' edges; ``network.edge`` are the trip's edges that they stand for.
+        The layers' edges; ``network.edge`` are the game's edges that they stand for.
     node : (n,)
-        The trip's node that each layer's node stands for, without source and target.
+        The game's node that each layer's node stands for, without source and target.
     p : (m,)
         The mixture of the routes, each on its own layer.
     """
@@ -66,7 +67,7 @@ class LayeredGraph:
         self.node, self.p = np.concatenate(nodes), np.concatenate(mixture)[order]
 
     def unrolled(self, chain: MarkovChain) -> tuple[Game, FloatArray]:
-        """The trip's game with the layers' nodes and edges after its own, and a chain's p (M',)."""
+        """The game with the layers' nodes and edges after its own, and a chain's p (M',)."""
         p = np.append(np.zeros(len(self._game.playable)), chain.p)
         return _on_layers(self._game, self.network, self.node), frozen_array(p, np.float64)
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search on a trip: a mixture of routes and its proof, then a distribution on layers."""
+"""The search on a trip: a mixture of routes and its proof, then a distribution on layers.
+
+One leg goes the same way if a chain costs more than the slack.
+"""
 
 from __future__ import annotations
 

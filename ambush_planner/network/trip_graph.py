@@ -113,7 +113,7 @@ def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPla
 
 
 def with_layers(network: Network, node: IndexArray, edges: IndexArray) -> Network:
-    """A trip's network as a layered graph: ``node`` (K,) once more, edges (L, 2) between these.
+    """A network as a layered graph: ``node`` (K,) once more, edges (L, 2) between these.
 
     The layers come after the network's own nodes and edges; the edges have the new numbers.
     """
