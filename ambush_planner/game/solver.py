@@ -180,7 +180,8 @@ def _find_distribution(search: Search) -> Strategy:
     best, lp = None, search.lp
     if search.game.network.legs == 1:
         best = find_chain(search)
-        if search.game.entries_are_hits or lp.bound == 0.0 or (best and best.good):
+        good = search.game.entries_are_hits or lp.bound == 0.0 or (best and best.good)
+        if good or search.problem.late:
             return search.strategy(best)
     if isinstance(lp, Potential):
         search.lp = lp = _routes(search.problem, search.slack, lp)
