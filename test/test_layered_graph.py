@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from matplotlib.collections import LineCollection
 from test_routes import games
 
-from ambush_planner import GameOptions, Network
+from ambush_planner import GameOptions, Network, StrategyOptions
 from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Search, SearchProblem
@@ -39,11 +39,6 @@ def solved(seed, reach, detour, ambushers=1):
     return game, budgets, routes, found
 
 
-def edges_of(game, found):
-    """The trip's edges that the edges of the unrolled game stand for."""
-    return np.append(np.arange(len(game.playable)), found.chain.network.edge)
-
-
 def hit_loss(game, p, row):
     """Mean loss by the site in a row."""
     return game.loss[game.sites[row]] * hit_probabilities(game, p, np.array([row]))[0]
@@ -56,7 +51,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
                                                                       ambushers):
     game, budgets, routes, found = solved(seed, reach, detour, ambushers)
     unrolled, p = found.layers.unrolled(found.chain)
-    network, base, edge = unrolled.network, game.network, edges_of(game, found)
+    network, base, edge = unrolled.network, game.network, found.layers.edge
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
     count = len(base.points)
     assert np.array_equal(network.points[:count], base.points)
@@ -86,7 +81,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
 def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     game, _, routes, found = solved(seed, reach, 1.3)
     unrolled, p = found.layers.unrolled(found.chain)
-    network, edge = unrolled.network, edges_of(game, found)
+    network, edge = unrolled.network, found.layers.edge
     chance: dict[bytes, float] = {}
     labelled = 0.0
     for route, one in drawn_routes(network, p).items():
@@ -108,6 +103,20 @@ def _bridges():
     edges = [(0, 1), (0, 2), (1, 8), (2, 8), (8, 6), (8, 7), (6, 9), (7, 9)]
     return Network(np.tile(at, (2, 1)), np.tile(alpha, 2), edges, 0, 9,
                    np.tile(np.arange(5), 2), np.repeat([0, 1], 5))
+
+
+def test_layers_share_an_edge_from_the_source_to_the_target():
+    """Two ways part before and after a bridge, and a road leads past it."""
+    points = [(-10, 0), (1.5, 4), (1.5, -4), (2, 0), (2.5, 4), (2.5, -4), (14, 0), (8, 0)]
+    edges = [(0, 1), (0, 2), (1, 3), (2, 3), (3, 4), (3, 5), (4, 6), (5, 6), (0, 6)]
+    network = Network(points, [0, 1, 1, 0, 1, 1, 0, 1], edges, 0, 6)
+    strategy = solve(network, GameOptions(ambush_radius=1.2, secured_radius=0.0),
+                     StrategyOptions(max_detour=3.0))
+    assert strategy.reason == 'complete' and len(strategy.edge_probability) > len(edges)
+    assert strategy.lower_bound == pytest.approx(1.0 / 3.0)
+    assert len(np.unique(strategy.network.edges, axis=0)) == len(strategy.network.edges)
+    assert unbalanced(strategy.network, strategy.edge_probability) < 1e-9
+    assert strategy.network.stretches == len(edges)
 
 
 def test_pictures_show_a_stretch_once_with_the_probability_of_all_its_layers():

@@ -14,10 +14,13 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_harness import header, pose, risk_grid, stage
 from waiting import TIMEOUT
 
+from ambush_planner import GameOptions, PlanningOptions, RiskMap, StrategyOptions, plan_trip
 from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
+from ambush_planner.planning.solving import WarmStart
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
-from ambush_planner.recordings.verify import replan_problems
+from ambush_planner.recordings.metadata import RecordedTrip
+from ambush_planner.recordings.verify import network_problems, replan_problems
 from ambush_planner.worker.process import WorkerProcess
 
 
@@ -246,3 +249,29 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
     other_route(forger)
     code, out = verified(forger.save(tmp_path / 'forged.mcap'), capsys)
     assert code == 1 and 'route: the recorded entropy draws another' in out
+
+
+def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
+    """Two pairs of gates with one pass between them: routes remember by which gate they came."""
+    alpha, obstacles = np.full((40, 60), 0.5), np.zeros((40, 60), bool)
+    alpha[:, 26:34] = 0.05
+    for column, gates in ((25, (8, 31)), (30, (20,)), (35, (8, 31))):
+        obstacles[:, column] = True
+        obstacles[gates, column] = False
+        alpha[gates, column] = 4.0 if len(gates) > 1 else 0.05
+    risk_map, start, goal = RiskMap(alpha, obstacles, 1.0), (5.0, 20.0), (55.0, 20.0)
+    options = PlanningOptions(
+        game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
+        strategy=StrategyOptions(max_detour=1.5))
+    warm = WarmStart(np.array([(25.3, 31.1)]), np.zeros((0, 3)))
+    bounds: list[float] = []
+    plan = plan_trip(risk_map, start, goal, options, warm=warm,
+                     progress=lambda value, bound: bounds.append(bound))
+    assert min(bounds) > 0.0, 'what is proved stays proved'
+    assert plan.strategy.reason == 'complete' and plan.value < 2.1
+    assert len(plan.network.points) > plan.network.place_count
+    trip = RecordedTrip(start, goal)
+    assert network_problems(plan.strategy, risk_map, options, trip, 'given') == []
+    moved = replace(plan.network, alpha=plan.network.alpha * 2.0)
+    other = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
+    assert network_problems(other, risk_map, options, trip, 'given')

@@ -166,7 +166,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
             'no planner can guarantee less on this network of '
-            f'{len(strategy.network.points)} nodes'))
+            f'{strategy.network.place_count} nodes'))
         if len(plan.refinement) > 1:
             values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
             known = ', at a known time' * bool(day)

@@ -149,7 +149,7 @@ def quantities(section: Section) -> list[tuple[str, str]]:
         ('shortest route along it', travel(strategy.shortest_length, unit)),
         ('limit of that mean', travel(budget, unit) if math.isfinite(budget) else 'none'),
         ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
-        ('network', f'{len(network.points):,} nodes, {len(network.edges):,} edges'),
+        ('network', f'{network.place_count:,} nodes, {network.stretches:,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
     ]
 

@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import csr_matrix, hstack
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..network.trip_graph import with_layers
 from .distribution.acyclic import order_potential, topological_order
 from .distribution.chain import MarkovChain
@@ -34,6 +33,8 @@ class LayeredGraph:
         The layers' edges; ``network.edge`` are the game's edges that they stand for.
     node : (n,)
         The game's node that each layer's node stands for, without source and target.
+    copies : (m,)
+        Which of these edges are new to the game: all but one from the source to the target.
     p : (m,)
         The mixture of the routes, each on its own layer.
     """
@@ -62,14 +63,40 @@ class LayeredGraph:
             mixture.append(share * np.isin(edge, used))
         tail, head, edge = np.concatenate(parts).T
         head = np.where(head < 0, count, head)
-        order = np.lexsort((head, tail))
+        order, p = np.lexsort((head, tail)), np.concatenate(mixture)
+        direct = order[(tail[order] == 0) & (head[order] == count)]
+        p[direct[:1]] = p[direct].sum()  # layers share the edge from the source to the target
+        order = order[~np.isin(order, direct[1:])]
         self.network = AcyclicNetwork(tail[order], head[order], edge[order])
-        self.node, self.p = np.concatenate(nodes), np.concatenate(mixture)[order]
+        self.node, self.p = np.concatenate(nodes), p[order]
+        self.copies = (self.network.tail > 0) | (self.network.head < count)
+
+    @property
+    def edge(self) -> IndexArray:
+        """The game's edges (M',) that those of the unrolled game stand for."""
+        own = np.arange(len(self._game.playable))
+        return np.append(own, self.network.edge[self.copies])
 
     def unrolled(self, chain: MarkovChain) -> tuple[Game, FloatArray]:
         """The game with the layers' nodes and edges after its own, and a chain's p (M',)."""
-        p = np.append(np.zeros(len(self._game.playable)), chain.p)
-        return _on_layers(self._game, self.network, self.node), frozen_array(p, np.float64)
+        own = sums(self.network.edge[~self.copies], chain.p[~self.copies],
+                   len(self._game.playable))
+        p = frozen_array(np.append(own, chain.p[self.copies]), np.float64)
+        return self._on_layers(), p
+
+    def _on_layers(self) -> Game:
+        """The game with the layers' nodes and edges after its own."""
+        game, layers, copies = self._game, self.network, self.copies
+        network, count = game.network, game.node_count
+        of = np.append(np.arange(count), self.node)
+        at = np.concatenate(([network.source], count + np.arange(len(self.node)),
+                             [network.target]))
+        edges = np.column_stack((at[layers.tail[copies]], at[layers.head[copies]]))
+        playable = np.append(game.playable, np.ones(len(edges), dtype=bool))
+        return replace(game, network=with_layers(network, self.node, edges),
+                       playable=frozen_array(playable, np.bool_),
+                       loss=frozen_array(game.loss[of], np.float64),
+                       known_rows=game.entering[:, self.edge])
 
 
 def _part(game: Game, used: IndexArray, potential: FloatArray,
@@ -90,16 +117,3 @@ def _part(game: Game, used: IndexArray, potential: FloatArray,
     part = game.restricted_to(inside[tails] & inside[heads] & (position[tails] < position[heads]))
     assert part is not None  # it contains the flow
     return np.flatnonzero(part.playable), position
-
-
-def _on_layers(game: Game, layers: AcyclicNetwork, node: IndexArray) -> Game:
-    """The game with the layers' nodes and edges after its own; theirs stand for ``node``."""
-    network, count = game.network, game.node_count
-    of = np.append(np.arange(count), node)
-    at = np.concatenate(([network.source], count + np.arange(len(node)), [network.target]))
-    edges = np.column_stack((at[layers.tail], at[layers.head]))
-    playable = np.append(game.playable, np.ones(len(edges), dtype=bool))
-    return replace(game, network=with_layers(network, node, edges),
-                   playable=frozen_array(playable, np.bool_),
-                   loss=frozen_array(game.loss[of], np.float64),
-                   known_rows=csr_matrix(hstack((game.entering, game.entering[:, layers.edge]))))

@@ -146,7 +146,7 @@ class Incumbent:
 
     ``value`` is what it costs at the sites so far, ``worst`` the row of the one that costs most
     (-1: none). ``entropy_bound`` [nats] is the most entropy that a distribution within the same
-    limits can have; NaN if that is not known. On a trip, its chain may be on ``layers``. Of two
+    limits can have; NaN if that is not known. Its chain may be on ``layers``. Of two
     distributions the one of greater ``rating`` is better: whether it is within the slack, then its
     entropy, or else minus its value.
     """
@@ -242,13 +242,13 @@ class Search:
     def strategy(self, best: Incumbent | None) -> Strategy:
         """The best strategy, by default the LP's, with its value at any place.
 
-        In a game with the sites that matter for it or its bound; on a trip its network can have a
-        layered graph's nodes and edges, after the trip's.
+        In a game with the sites that matter for it or its bound; its network can have a layered
+        graph's nodes and edges, after its own.
         """
         if best is None:
             p = self.lp.flow
             best = Incumbent(chain_of(self.game.network, p), worst_loss(self.game, p))
-        best = self._worst_of(best)
+        best = self.worst_of(best)
         own = np.arange(len(self.loss)) < len(self.game.sites)
         kept = own | np.any([padded(each.q, len(own)) for each in self.lp.provers], axis=0)
         if best.worst >= 0:
@@ -257,7 +257,7 @@ class Search:
         game, p, budgets = self.game, best.chain.uses(len(self.game.playable)), self.problem.budgets
         entering = self.entering[added]
         if best.layers:
-            edge = np.append(np.arange(len(p)), best.layers.network.edge)
+            edge = best.layers.edge
             game, p = best.layers.unrolled(best.chain)
             entering = entering[:, edge]
             length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in budgets)
@@ -286,7 +286,7 @@ class Search:
                 break
         return max(found, key=lambda proved: proved[0])
 
-    def _worst_of(self, best: Incumbent) -> Incumbent:
+    def worst_of(self, best: Incumbent) -> Incumbent:
         """The incumbent with its value at any site, also at those that joined for others."""
         if self.problem.site_search is None:
             return best

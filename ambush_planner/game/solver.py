@@ -188,7 +188,7 @@ def _find_distribution(search: Search) -> Strategy:
     assert isinstance(lp, Routes)  # a cut's entries are hits
     if lp.planar:
         find_mixture(search, lp)
-    best = find_trip(search, lp, best)
+    best = find_trip(search, lp, best and search.worst_of(best))
     if best is None:
         find_flow(search)
         best = find_chain(search)

@@ -146,7 +146,7 @@ class Strategy(Shown):
 
     @cached_property
     def shown_probability(self) -> FloatArray:
-        """p (M,) with all edges for one stretch, as in layers of a trip, added up at the first."""
+        """p (M,) with all edges for one stretch, as in layers, added up at the first."""
         p, first = self.edge_probability, self.network.first_edge
         return frozen_array(sums(first, p, len(p)), np.float64)
 
@@ -231,7 +231,7 @@ class Strategy(Shown):
             'mean length': f'{self.expected_length:.0f} {self.network.travel_unit}',
             'shortest route': f'{self.shortest_length:.0f} {self.network.travel_unit}',
             'effective number of routes': f'{math.exp(min(self.route_entropy, 700.0)):.3g}',
-            'network': f'{len(self.network.points)} nodes, {len(self.network.edges)} edges',
+            'network': f'{self.network.place_count} nodes, {self.network.stretches} edges',
         }
 
     def plot(self, risk_map: RiskMap | None = None, axes: Any = None) -> Any:
@@ -242,7 +242,11 @@ class Strategy(Shown):
 
     @property
     def network(self) -> Network:
-        """The network that the strategy is for."""
+        """The network that the strategy is for; layers come after its own nodes and edges.
+
+        A strategy that has to remember its route has layers: on most trips, and if passes near each
+        other are one ambush.
+        """
         return self.game.network
 
     @cached_property

@@ -87,13 +87,15 @@ def find_trip(search: Search, lp: Routes, best: Incumbent | None = None) -> Incu
     """The distribution of least value on a layered graph, or the best so far; None without any.
 
     It is found around few routes of a solved LP, or more if it costs too much. Its value is at most
-    (1 + slack) times the bound if possible, or (1 + slack / 2) times that of the mixture. None
-    after the deadline, or if the bound is 0: one chain on the edges that no site hits needs no
-    labels.
+    (1 + slack) times the bound if possible, or (1 + slack / 2) times that of the mixture. No
+    labels are needed if the bound is 0: one chain on the edges that no site hits will do.
     """
-    count, most = TRIP.fewest, 2 * len(lp.routes)
-    while lp.bound > 0.0 and count < max(most, 2 * TRIP.fewest) and not search.problem.late:
+    count, most, next_takes = TRIP.fewest, 2 * len(lp.routes), 0.0
+    while (lp.bound > 0.0 and count < max(most, 2 * TRIP.fewest)
+           and time.monotonic() + next_takes < search.problem.deadline):
+        begin = time.monotonic()
         around = _around(search, lp, count)
+        next_takes = 2.0 * (time.monotonic() - begin)
         count *= 2
         if around is None:
             continue

@@ -39,7 +39,7 @@ class Network(Shown):
         First and last node of every route.
     places : (N,) int
         The place that each node stands for, numbered from 0; each its own by default. Nodes of one
-        place have the same point and the same loss.
+        place have the same point and the same loss: they are on several legs, or on layers.
     leg : (N,) int
         The leg of the trip on which each node lies; 0 by default. Edges lead on within a leg, or to
         a later one.
@@ -152,6 +152,11 @@ class Network(Shown):
         ends = node[self.tails] * (node.max() + 1) + node[self.heads]
         _, first, which = np.unique(ends, return_index=True, return_inverse=True)
         return frozen_array(first[which], np.int64)
+
+    @property
+    def stretches(self) -> int:
+        """Number of edges, those of all layers between the same places counted once."""
+        return len(np.unique(self.first_edge))
 
     @property
     def legs(self) -> int:

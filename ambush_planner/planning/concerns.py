@@ -188,7 +188,7 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
                                     else "the network's nodes"),
     'secured_radius': lambda plan: f'{plan.strategy.game.options.secured_distance:.9g}',
     'nodes': lambda plan: str(plan.network.place_count),
-    'edges': lambda plan: str(len(plan.network.edges)),
+    'edges': lambda plan: str(plan.network.stretches),
     'refined': lambda plan: ' '.join(f'{each.value:.4g}' for each in plan.refinement),
     'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
     'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),

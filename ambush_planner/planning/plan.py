@@ -203,16 +203,17 @@ class Plan(Shown):
     def to_networkx(self) -> Any:
         """The network as a directed graph of networkx.
 
-        Nodes have ``x`` and ``y`` [m], ``loss`` and ``ambush_probability``, edges their ``length``
-        [m], the ``probability`` that the convoy uses them and, if known, ``seconds``.
+        Nodes have the ``place`` that they stand for, ``x`` and ``y`` [m], ``loss`` and, at the
+        first one of a place, ``ambush_probability``; edges have their ``length`` [m], the
+        ``probability`` that the convoy uses them and, if known, ``seconds``.
         """
         import networkx
 
         network, strategy, graph = self.network, self.strategy, networkx.DiGraph()
         graph.add_nodes_from(
-            (k, {'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
-            for k, ((x, y), loss, q) in enumerate(zip(
-                network.points.tolist(), network.alpha.tolist(),
+            (k, {'place': place, 'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
+            for k, (place, (x, y), loss, q) in enumerate(zip(
+                network.places.tolist(), network.points.tolist(), network.alpha.tolist(),
                 strategy.ambush_probability.tolist(), strict=True)))
         columns = {'length': network.lengths, 'probability': strategy.edge_probability}
         if network.seconds is not None:

@@ -206,11 +206,11 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     played = solved_game(risk_map, planning)
     network = add_hiding_places(laid, risk_map, planning, played)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
+    if holds_anywhere(planning):
+        network = _with_recorded_places(network, recorded, cells)
     network = _with_recorded_layers(network, recorded)
     if holds_anywhere(planning):
-        added = slice(len(network.points), None)
-        points = recorded.points[added]
-        network = with_places(network, points, cells.at(points))
+        network = _with_recorded_places(network, recorded, cells)
     ends = attrgetter('source', 'target')
     if ends(recorded) != ends(network) or not all(
         np.array_equal(getattr(recorded, name), getattr(network, name))
@@ -237,8 +237,16 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     return problems
 
 
+def _with_recorded_places(network: Network, recorded: Network, cells: CellLosses) -> Network:
+    """A network with the next nodes of a recorded one: those of places that it does not have."""
+    nodes = slice(len(network.points), None)
+    known = original_nodes(network, recorded.places[nodes], recorded.leg[nodes]) >= 0
+    points = recorded.points[nodes][: known.argmax() if known.any() else None]
+    return with_places(network, points, cells.at(points))
+
+
 def _with_recorded_layers(network: Network, recorded: Network) -> Network:
-    """A trip's network as a layered graph, with the layers of a recorded one."""
+    """A network as a layered graph, with the layers of a recorded one."""
     new = slice(len(network.edges), len(recorded.edges))
     nodes = slice(len(network.points), None)
     originals = original_nodes(network, recorded.places[nodes], recorded.leg[nodes])

@@ -109,6 +109,8 @@ class Routes:
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
         self._add_sites(*(planar.sites if planar else (game.entering, game.loss[game.sites])))
+        if planar and planar.bound > 0.0:
+            self.bound, self._by_planar = planar.bound, True
         self._begin()
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -226,7 +228,8 @@ class Routes:
                 self.prove_by_legs()
             if not added and (precision == tight or self._ended()):
                 return
-            precision = precision if added else tight
+            if not added:
+                precision, stalled = tight, 0
 
     def _ended(self) -> bool:
         self._progress(self.value, self.bound)
@@ -283,7 +286,7 @@ class Routes:
 
     def _responses(self, mixture: Mixture, base: FloatArray, dual_weights: FloatArray,
                    precision: float, prove: bool) -> Iterator[list[IndexArray]]:
-        """Routes that cost little, the fastest way to find them first."""
+        """Routes that cost little, in the order in which they are worth their time."""
         legs, rough = len(self.by_leg), precision == ROUTES.loose or self._whole.exact
         searches = ROUTE_SEARCHES if prove and not rough else ()
         if self._whole.exact:
