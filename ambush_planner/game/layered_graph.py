@@ -34,7 +34,7 @@ class LayeredGraph:
     node : (n,)
         The game's node that each layer's node stands for, without source and target.
     copies : (m,)
-        Which of these edges are new to the game: all but one from the source to the target.
+        Which of these edges the unrolled game adds: all but that from the source to the target.
     p : (m,)
         The mixture of the routes, each on its own layer.
     """

@@ -244,8 +244,8 @@ class Strategy(Shown):
     def network(self) -> Network:
         """The network that the strategy is for; layers come after its own nodes and edges.
 
-        A strategy that has to remember its route has layers: on most trips, and if passes near each
-        other are one ambush.
+        A strategy that has to remember its route has layers: on most trips, and if an ambush
+        reaches two passes of a route.
         """
         return self.game.network
 

@@ -196,7 +196,7 @@ class Routes:
         left out unless it is to ``prove`` the value.
         """
         precision, rounds = ROUTES.loose, 0
-        least, stalled = math.inf, 0
+        open_gap, stalled = math.inf, 0
         tight = min(ROUTES.tight, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
@@ -211,8 +211,8 @@ class Routes:
                 precision, stalled = tight, 0
                 continue
             added, rounds, stalled = 0, rounds + 1, stalled + 1
-            if self.value - self.bound < least - ROUTES.gain * self.gap * self.value:
-                least, stalled = self.value - self.bound, 0
+            if self.value - self.bound < open_gap - ROUTES.gain * self.gap * self.value:
+                open_gap, stalled = self.value - self.bound, 0
             if precision == ROUTES.loose:
                 centre = mixture if centre is None else _between(centre, mixture)
                 added = self._add_responses(centre, precision, prove)
