@@ -153,7 +153,7 @@ class Network(Shown):
         _, first, which = np.unique(ends, return_index=True, return_inverse=True)
         return frozen_array(first[which], np.int64)
 
-    @property
+    @cached_property
     def stretches(self) -> int:
         """Number of edges, those of all layers between the same places counted once."""
         return len(np.unique(self.first_edge))
