@@ -125,9 +125,9 @@ def shortest_route_strategy(game: Game, cost: FloatArray | None = None) -> Float
 def route_entropy(network: Network, p: FloatArray) -> float:
     """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats].
 
-    If several layers can draw the same route of places, a lower bound: the
-    entropy of layer and route exceeds that of the route by the entropy of the layer given the
-    route, which is at most that given the edges by which the route comes to a stop or leaves it.
+    If several layers can draw the same route of places, a lower bound: the entropy of layer and
+    route exceeds that of the route by the entropy of the layer given the route, which is at most
+    that given the edges by which the route begins and ends, or comes to a stop and leaves it.
     """
     leaving = sums(network.tails, p, len(network.points))
     with_layer = entropy(p, leaving[network.tails])

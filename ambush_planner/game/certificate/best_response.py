@@ -84,8 +84,8 @@ class TripNetworks:
         whole = Subnetwork(network.edges, game.playable, hits, exact and one)
         self.whole = whole.between(first, last)
         if one:
-            self.legs, self._stop = [Leg(0, 0, 1, self.whole)], {network.source: 0,
-                                                                 network.target: 1}
+            self._stop = {network.source: 0, network.target: 1}
+            self.legs = [Leg(0, 0, 1, self.whole)]
             return
         nodes = np.unique(used[leg[used[:, 1]] > leg[used[:, 0]], 1])
         at = leg[nodes] * network.place_count + network.places[nodes]  # layers begin together

@@ -55,8 +55,7 @@ class RouteDistribution:
     cause; the k largest add up to the limit of the value. If rows are ``exact`` for every chain,
     ``entropy_bound`` [nats] is the most that the whole slack and the budgets allow, else NaN. If it
     is ``rough``, rounds from a chain that is not within the slack are less accurate, as sites will
-    join; on layers that costs more than it gains. ``evaluations`` are those of the latest
-    round.
+    join; on layers that costs more than it gains. ``evaluations`` are those of the latest round.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
