@@ -1,111 +1,81 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ambusher's mixed strategy: where he waits, and what the convoy's budgets are worth to him."""
+"""The ambusher's mixed strategy: where to wait, and what the legs' length budgets are worth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import ROUNDING, FloatArray, frozen_array
+from ..arrays import ROUNDING, BoolArray, FloatArray, frozen_array
 from ..errors import SolverFailed
-from .budget import Budget
 from .faces import Circulation
 from .game import Game
 
 
 @dataclass(frozen=True, eq=False)
 class Ambusher:
-    """An ambusher's strategy that proves a lower bound of the value.
+    """An ambusher's strategy, which proves a lower bound of the value.
 
     Attributes
     ----------
     q : (N,)
-        How likely he waits at each node; sums to the number of ambushers.
-    prices : (budgets,)
-        Decrease of the bound per unit of each budget.
-    by_leg : (stops + 1, N) or None
-        On a trip: for which leg he waits at each node, adding up to at most q at each place.
-    circulation : Circulation or None
-        Closed curves between the faces of a planar network that prove the bound.
+        How likely the ambusher waits at each node; sums to 1.
+    prices : (legs,)
+        Decrease of the bound per unit of each leg's length budget.
+    circulations : (legs,) or empty
+        Closed curves between the faces of each leg's planar network, which prove the bound.
     """
 
     q: FloatArray
     prices: tuple[float, ...]
-    by_leg: FloatArray | None = None
-    circulation: Circulation | None = None
+    circulations: tuple[Circulation, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, 'q', frozen_array(self.q, np.float64))
-        if self.by_leg is not None:
-            object.__setattr__(self, 'by_leg', frozen_array(self.by_leg, np.float64))
+        q = frozen_array(self.q, np.float64)
+        if not (q >= 0.0).all() or not abs(q.sum() - 1.0) <= ROUNDING:
+            raise SolverFailed(f'q must be >= 0 and sum to 1, got {q.min()} and {q.sum()}')
+        if not min(self.prices) >= 0.0:
+            raise SolverFailed(f'prices of length budgets must be >= 0, got {self.prices}')
+        object.__setattr__(self, 'q', q)
 
-    def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
-        """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""
-        q, most = self.q, 1.0 + ROUNDING
-        if not (q >= 0.0).all() or not (game.at_places(q) <= most).all():
-            raise SolverFailed(f'q must be in [0, 1] at each place, got {q.min()} to {q.max()}')
-        if not abs(q.sum() - game.ambushers) <= ROUNDING * game.ambushers:
-            raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')
-        if self.by_leg is not None and not (
-            (self.by_leg >= 0.0).all()
-            and (game.at_places(self.by_leg.sum(axis=0)) <= game.at_places(q) * most).all()
-        ):
-            raise SolverFailed('the shares of the legs do not add up to q')
-        for budget, price in zip(budgets, self.prices, strict=True):
-            if not price >= 0.0:
-                raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
-
-    def paid(self, game: Game, budgets: tuple[Budget, ...]) -> tuple[FloatArray, float]:
-        """What each edge (M,) pays for the budgets, and what they are worth to the convoy."""
-        cost, worth = np.zeros(len(game.network.edges)), 0.0
-        for budget, price in zip(budgets, self.prices, strict=True):
-            if price > 0.0:
-                cost = cost + price * budget.reduced_cost
-                worth += price * budget.slack
-        return cost, worth
+    def by_leg(self) -> list[Ambusher]:
+        """The ambusher as each leg meets it."""
+        return [replace(self, prices=(price,), circulations=self.circulations[k : k + 1])
+                for k, price in enumerate(self.prices)]
 
 
-def padded(shares: FloatArray, count: int) -> FloatArray:
-    """Shares (..., K) of the first sites as those (..., count) of all, 0 for the others."""
-    more = np.zeros((*shares.shape[:-1], count - shares.shape[-1]))
-    return np.concatenate((shares, more), axis=-1)
+class Ambush(NamedTuple):
+    """How likely an ambusher waits at each known site (S,), and the prices (legs,) of the budgets.
 
-
-def on_nodes(game: Game, shares: FloatArray) -> FloatArray:
-    """Shares (..., S) of the sites as shares (..., N) of their first nodes."""
-    nodes = np.zeros((*shares.shape[:-1], game.node_count))
-    nodes[..., game.sites] = shares
-    return nodes
-
-
-def at_nodes(game: Game, q: FloatArray) -> FloatArray:
-    """q (N,) of an ambusher with shares q (S,) of the sites, each capped at 1.
-
-    It sums to the number of ambushers. If there are fewer sites, or no share at all, the others
-    are spread over all places.
+    In ``circulations``, sites are rows.
     """
-    few = len(game.sites) < game.ambushers
-    among = game.network.representatives if few else game.sites
-    shares = on_nodes(game, q)
-    nodes = np.zeros(game.node_count)
-    nodes[among] = capped_at_one(shares[among], game.ambushers)
-    return nodes
+
+    q: FloatArray
+    prices: FloatArray
+    circulations: tuple[Circulation, ...] = ()
+
+    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
+        """The same in a game with the ``kept`` ones of all sites (S',), of which S are the first.
+        """
+        node = np.full(len(kept), -1)
+        node[kept] = game.sites
+        q = np.append(self.q, np.zeros(len(kept) - len(self.q)))[kept]
+        return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()),
+                        tuple(replace(each, site=node[each.site]) for each in self.circulations))
 
 
-def capped_at_one(q: FloatArray, ambushers: int) -> FloatArray:
-    """Cap q (K,) at 1 everywhere and give it the sum ``ambushers``."""
-    top = q.max(initial=0.0)
-    q = q / top if top > 0.0 else np.ones(len(q))  # the sum may be too small to divide by
-    q = q * (ambushers / q.sum())
-    for _ in range(len(q)):
-        over = q >= 1.0
-        missing, rest = ambushers - float(np.minimum(q, 1.0).sum()), float(q[~over].sum())
-        q = np.minimum(q, 1.0)
-        if missing <= ROUNDING * ambushers:
-            break
-        if rest > 0.0:
-            q[~over] *= 1.0 + missing / rest
-        else:
-            q[~over] += missing / max(int((~over).sum()), 1)
+def at_nodes(game: Game, shares: FloatArray) -> FloatArray:
+    """q (N,) of an ambusher with ``shares`` (S,) of the sites, scaled to sum to 1.
+
+    Spread over the sites if no site has a share, and over all nodes if there are no sites.
+    """
+    q = np.zeros(game.node_count)
+    if not len(game.sites):
+        q[:] = 1.0 / len(q)
+        return q
+    top = shares.max(initial=0.0)
+    scaled = shares / top if top > 0.0 else np.ones(len(shares))  # the sum may be too small
+    q[game.sites] = scaled / scaled.sum()
     return q

@@ -1,120 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Budgets: limits on the mean length or exposure of the routes."""
+"""The length budget of a leg: a limit on the mean length of its routes, or on their mean time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
-from ..arrays import ROUNDING, FloatArray, IndexArray
+from ..arrays import NEGLIGIBLE, ROUNDING, FloatArray
 from ..errors import BudgetInfeasible
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from .game import Game
 
-# Least slack of a budget, as a share of the best route's cost, or of an edge's largest cost if that
-# is 0: if a budget allowed the best routes only, an LP would have no room.
-LEAST_SLACK = 1e-10
+# Least margin of a budget, as a share of the best route's cost, or of an edge's largest cost if
+# that is 0: if a budget allowed the best routes only, an LP would have no room.
+LEAST_MARGIN = 1e-10
 # Relative overrun of a budget that is a solver's rounding.
 BUDGET_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """A limit on the mean cost of the route: its length, or its exposure.
+    """A limit on the mean length of the route.
 
     Parameters
     ----------
     game
         Where the convoy may drive.
-    cost : (M,)
-        Cost of each edge, >= 0.
     limit
-        Largest mean cost; ``inf``: no limit. It is raised to leave the least slack.
-    least
-        Cost of the best route of the whole network, or of the shortest way over the ground.
-    name, unit
-        For messages, as in BudgetInfeasible if the best playable route exceeds the limit.
+        Largest mean length [m], or [s] if the network has driving times; ``inf``: no limit. It is
+        raised to leave the least margin.
+    shortest
+        Length of the shortest way over the ground, or of the whole network's shortest route.
+
+    Raises BudgetInfeasible if the best playable route exceeds the limit.
     """
 
     game: Game
-    cost: FloatArray
     limit: float
-    least: float
-    name: str
-    unit: str
-
-    @classmethod
-    def length(cls, game: Game, factor: float) -> Budget:
-        """A budget of ``factor`` times the shortest way, in m or s.
-
-        It is that over the ground (``Network.ground_length``), if known, else on the network, whose
-        shortest route is always within the budget.
-        """
-        network = game.network
-        shortest = least_cost(network, network.travel_costs)
-        least = network.ground_length or shortest
-        return cls(game, network.travel_costs, max(_times(factor, least), shortest), least,
-                   'length', network.travel_unit)
-
-    @classmethod
-    def exposure(cls, game: Game, factor: float) -> Budget:
-        """A budget of ``factor`` times the network's least exposure."""
-        network = game.network
-        least = least_cost(network, network.edge_exposure)
-        return cls(game, network.edge_exposure, _times(factor, least), least, 'exposure',
-                   'loss x m')
+    shortest: float
 
     def __post_init__(self) -> None:
-        if not self.binds:
+        if not self.is_limited:
             return
-        best = float(self._behind[self.game.network.source])
+        best = float(self._to_target[self.game.network.source])
         if best > self.limit * (1.0 + ROUNDING):
+            unit = self.game.network.travel_unit
             raise BudgetInfeasible(
-                f'the best playable route has {self.name} {best:.6g} {self.unit}, more than the '
-                f'budget of {self.limit:.6g} {self.unit}; raise {self.option}, or '
-                'alpha_threshold'
-            )
+                f'the best playable route has length {best:.6g} {unit}, more than the budget of '
+                f'{self.limit:.6g} {unit}; raise max_detour, or alpha_threshold')
         scale = best or float(self.cost.max(initial=0.0)) or 1.0
-        object.__setattr__(self, 'limit', max(self.limit, best + LEAST_SLACK * scale))
+        object.__setattr__(self, 'limit', max(self.limit, best + LEAST_MARGIN * scale))
+
+    @property
+    def cost(self) -> FloatArray:
+        """Length (M,) of each edge [m], or its driving time [s]."""
+        return self.game.network.travel_costs
 
     @cached_property
-    def _behind(self) -> FloatArray:
+    def _to_target(self) -> FloatArray:
         return self.game.distances_to_target(self.cost)
 
     @property
-    def option(self) -> str:
-        """The option that sets the limit."""
-        return 'max_detour' if self.name == 'length' else 'max_exposure'
-
-    @property
-    def binds(self) -> bool:
+    def is_limited(self) -> bool:
         """Whether there is a limit at all."""
-        return bool(np.isfinite(self.limit))
+        return math.isfinite(self.limit)
 
     @cached_property
-    def slack(self) -> float:
-        """The limit minus the best playable route's cost, > 0."""
-        return self.limit - float(self._behind[self.game.network.source])
+    def margin(self) -> float:
+        """The limit minus the best playable route's length, > 0."""
+        return self.limit - float(self._to_target[self.game.network.source])
 
     @cached_property
     def reduced_cost(self) -> FloatArray:
-        """Cost (M,) that each edge adds to the best way on from its tail; inf if not playable.
+        """Length (M,) that each edge adds to the best way on from its tail; inf if not playable.
 
-        Along a route they add up to its cost minus the best route's, without cancellation.
+        Along a route they add up to its length minus the best route's, without cancellation.
         """
-        network, behind = self.game.network, self._behind
+        network, to_target = self.game.network, self._to_target
         with np.errstate(invalid='ignore'):
-            added = self.cost + behind[network.heads] - behind[network.tails]
+            added = self.cost + to_target[network.heads] - to_target[network.tails]
         return np.where(self.game.playable, np.maximum(added, 0.0), np.inf)
 
+    @cached_property
+    def used_margin(self) -> FloatArray:
+        """Share (M,) of the margin that each playable edge takes; 0 without a limit.
+
+        Bounded, so that an LP can compute with it.
+        """
+        if not self.is_limited:
+            return np.zeros(len(self.game.playable))
+        shares = np.minimum(self.reduced_cost / self.margin, 1.0 / NEGLIGIBLE)
+        return np.where(self.game.playable, shares, 0.0)
+
     def mean(self, p: FloatArray) -> float:
-        """Mean cost of strategy p (M,)."""
+        """Mean length of strategy p (M,)."""
         return float(p @ self.cost)
 
     def keeps(self, p: FloatArray) -> bool:
@@ -122,22 +105,26 @@ class Budget:
         return self.mean(p) <= self.limit * (1.0 + BUDGET_TOLERANCE)
 
     def overrun(self, p: FloatArray) -> float:
-        """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
+        """Mean length of p (M,) beyond the limit, >= 0, without cancellation."""
         used = p > 0.0
-        return max(float(p[used] @ self.reduced_cost[used]) - self.slack, 0.0)
+        return max(float(p[used] @ self.reduced_cost[used]) - self.margin, 0.0)
 
 
-def budget_rows(budgets: Sequence[Budget], edge: IndexArray) -> csr_matrix:
-    """Rows (B, m) of the budgets that bind: shares of the budget slack that edges (m,) take."""
-    rows = [b.reduced_cost[edge] / b.slack for b in budgets if b.binds]
-    return csr_matrix(np.reshape(rows, (len(rows), len(edge))))
+def length_budget(game: Game, max_detour: float) -> Budget:
+    """The budget of ``max_detour`` times the shortest way.
+
+    It is that over the ground (``Network.ground_length``), if known, else on the network, whose
+    shortest route is always within the budget. Raises BudgetInfeasible.
+    """
+    network = game.network
+    shortest = shortest_length(network)
+    ground = network.ground_length or shortest
+    limit = max_detour * ground if math.isfinite(max_detour) else math.inf
+    return Budget(game, max(limit, shortest), ground)
 
 
-def least_cost(network: Network, cost: FloatArray) -> float:
-    """Cost of the network's best route, from the costs (M,) of edges."""
-    found = distances_from(network.edges, cost, len(network.points), network.source)
+def shortest_length(network: Network) -> float:
+    """Length of the network's shortest route [m], or its time [s]."""
+    found = distances_from(network.edges, network.travel_costs, len(network.points),
+                           network.source)
     return float(found[network.target])
-
-
-def _times(factor: float, least: float) -> float:
-    return factor * least if math.isfinite(factor) else math.inf

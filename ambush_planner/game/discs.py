@@ -15,7 +15,6 @@ from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
 from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
-from ..network.network import Network
 
 # Discs that are handled together: bounds the memory, pairs of a disc and an edge nearby.
 _CENTRES_AT_ONCE = 500
@@ -48,29 +47,31 @@ class SecuredArea(NamedTuple):
         return covered
 
 
-def secured_area(network: Network, radius: float,
-                places: Sequence[tuple[float, float, float]] = ()) -> SecuredArea:
-    """Discs of ``radius`` [m] around source, stops and target, and ``places`` (x, y, radius)."""
-    ends = network.points[network.representatives[np.unique(network.places[network.ends])]]
+def secured_area(ends: FloatArray, radius: float,
+                 places: Sequence[tuple[float, float, float]] = ()) -> SecuredArea:
+    """Discs of ``radius`` [m] around the ``ends`` (E, 2) of legs, and ``places`` (x, y, radius)."""
     more = np.array(places, dtype=np.float64).reshape(-1, 3)
     return SecuredArea(np.concatenate((ends, more[:, :2])),
-                      np.append(np.full(len(ends), radius), more[:, 2]))
+                       np.append(np.full(len(ends), radius), more[:, 2]))
 
 
 class ExposedEdges:
     """The parts of edges, by default all, outside the secured area, and the discs they enter."""
 
-    def __init__(self, network: Network, secured: SecuredArea, edges: IndexArray | None = None,
-                 counts: FloatArray | None = None) -> None:
-        self._counts = np.ones(len(network.edges)) if counts is None else counts
-        edges = np.arange(len(network.edges)) if edges is None else edges
-        self._count = len(network.edges)
-        self._parts = parts = _exposed_parts(network, edges, secured)
+    def __init__(self, points: FloatArray, edges: IndexArray, secured: SecuredArea,
+                 begins: IndexArray, used: IndexArray | None = None) -> None:
+        """``edges`` (M, 2) between ``points`` (N, 2); routes begin at some nodes (B,).
+
+        ``used`` (K,): which edges can be driven, by default all.
+        """
+        used = np.arange(len(edges)) if used is None else used
+        self._count = len(edges)
+        self._parts = parts = _exposed_parts(points, edges, used, secured)
         # By a margin, so that the edge before an exposed node certainly has an exposed part there.
-        exposed = ~secured._replace(radii=secured.radii * (1.0 + ROUNDING)).covers(network.points)
-        exposed[network.source] = False  # no edge before it
-        tails = network.tails[parts.edge]
-        self._tails, self._from_exposed = network.points[tails], exposed[tails]
+        exposed = ~secured._replace(radii=secured.radii * (1.0 + ROUNDING)).covers(points)
+        exposed[begins] = False  # no edge before it
+        tails = edges[parts.edge, 0]
+        self._tails, self._from_exposed = points[tails], exposed[tails]
         self._at_tail = self._from_exposed & (parts.begin == self._tails).all(axis=1)
         self._length = np.hypot(*(parts.end - parts.begin).T)
         # About six parts begin at a place: most pairs of place and disc are out of the question.
@@ -83,7 +84,7 @@ class ExposedEdges:
         self._at_tails = np.bincount(index[0], ~self._at_tail, len(places)) == 0.0
 
     def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
-        """(K, M): what edges count that bring a route into the discs of radius ``reach`` [m].
+        """(K, M) of 0 and 1: the edges by which a route enters the discs of radius ``reach`` [m].
 
         An edge counts if its exposed part meets the disc, unless the edge before it has brought the
         route there. A route is hit exactly if it uses one of the row's edges; the sum of the row
@@ -97,8 +98,7 @@ class ExposedEdges:
             places = site[enters], self._parts.edge[part[enters]]
             rows.append(csr_matrix((np.ones(len(places[0])), places), (len(some), self._count)))
         found = csr_matrix(vstack(rows))
-        found.data[:] = self._counts[found.indices]  # once, however many exposed parts
-        found.eliminate_zeros()
+        found.data[:] = 1.0  # once, however many exposed parts
         return found
 
     def _close_pairs(self, centres: FloatArray,
@@ -148,11 +148,12 @@ class _Parts(NamedTuple):
     end: FloatArray
 
 
-def _exposed_parts(network: Network, edges: IndexArray, secured: SecuredArea) -> _Parts:
-    """The parts of ``edges`` outside the secured area."""
-    tail, head = (network.points[network.edges[edges, k]] for k in (0, 1))
-    which = np.arange(len(edges))
-    first, last = np.zeros(len(edges)), np.ones(len(edges))
+def _exposed_parts(points: FloatArray, edges: IndexArray, used: IndexArray,
+                   secured: SecuredArea) -> _Parts:
+    """The parts of the ``used`` (K,) edges outside the secured area."""
+    tail, head = (points[edges[used, k]] for k in (0, 1))
+    which = np.arange(len(used))
+    first, last = np.zeros(len(used)), np.ones(len(used))
     for centre, radius in zip(*secured, strict=True):
         begin, end = _inside_interval(tail[which] - centre, head[which] - centre, radius)
         pieces = (first, np.minimum(last, begin)), (np.maximum(first, end), last)
@@ -162,7 +163,7 @@ def _exposed_parts(network: Network, edges: IndexArray, secured: SecuredArea) ->
         which, first, last = which[kept], first[kept], last[kept]
     tail, along = tail[which], (head - tail)[which]
     end = np.where(last[:, None] == 1.0, head[which], tail + last[:, None] * along)
-    return _Parts(edges[which], tail + first[:, None] * along, end)
+    return _Parts(used[which], tail + first[:, None] * along, end)
 
 
 def _inside_interval(tail: FloatArray, head: FloatArray,

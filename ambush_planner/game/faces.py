@@ -10,7 +10,6 @@ H. Reif, Minimum s-t cut of a planar undirected network, SIAM Journal on Computi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
-from ..errors import SolverFailed
 from .game import Game
 from .route_sampler import shortest_route
 
@@ -51,8 +49,6 @@ class Faces:
         Faces on either side of each link, seen from its lower node.
     crossed : (K,)
         1 or -1 where the reference route drives the link from or to its lower node, else 0.
-    first : (legs,)
-        The first face of each leg of a trip: every leg has links and faces of its own.
     """
 
     game: Game
@@ -61,11 +57,6 @@ class Faces:
     left: IndexArray
     right: IndexArray
     crossed: IndexArray
-    first: IndexArray
-
-    def leg(self, face: IndexArray) -> IndexArray:
-        """The leg (K,) of each face (K,)."""
-        return np.searchsorted(self.first, face, 'right') - 1
 
     def discs(self, entering: csr_matrix) -> Discs:
         """The faces on the rims of discs that the edges of the rows ``entering`` (K, M) enter."""
@@ -135,7 +126,7 @@ class Faces:
 
 @dataclass(frozen=True, eq=False)
 class Circulation:
-    """Flows between faces.
+    """Flows between the faces of a leg.
 
     Attributes
     ----------
@@ -150,47 +141,11 @@ class Circulation:
     face: IndexArray
     flow: FloatArray
 
-    def at(self, nodes: BoolArray) -> Circulation:
-        """The flows through links, and into and out of the discs of some nodes (N,)."""
-        if self.site.max(initial=-1) >= len(nodes):
-            raise SolverFailed('the circulation is that of another network')
-        some = nodes[self.site]
-        return Circulation(self.through, self.site[some], self.face[some], self.flow[some])
-
 
 def make_faces(game: Game) -> Faces | None:
-    """The faces of the playable network, leg by leg; None if links cross or are one-way.
-
-    Also None if a trip's stops are visited in any order.
-    """
-    network, playable = game.network, np.flatnonzero(game.playable)
-    if (network.stops_before != np.arange(network.legs)).any():
-        return None
-    leg, route = network.leg[network.tails], shortest_route(network, playable)
-    begins = np.unique(network.leg[route[:-1]], return_index=True)[1]
-    of_edge, first = np.full(len(network.edges), -1), [0]
-    sides: list[IndexArray] = [np.zeros((3, 0), dtype=np.int64)]
-    for number, (begin, end) in enumerate(pairwise([*begins.tolist(), len(route) - 1])):
-        edge = playable[leg[playable] == number]
-        found = _faces_of_leg(game, edge, route[begin : end + 1])
-        if found is None:
-            return None
-        count, of_edge[edge], own = found
-        of_edge[edge] += sum(each.shape[1] for each in sides)
-        sides.append(own + np.array([[first[-1]], [first[-1]], [0]]))
-        first.append(first[-1] + count)
-    left, right, crossed = np.concatenate(sides, axis=1)
-    return Faces(game, first[-1], of_edge, left, right, crossed, np.array(first[:-1]))
-
-
-def _faces_of_leg(game: Game, edges: IndexArray,
-                  route: IndexArray) -> tuple[int, IndexArray, IndexArray] | None:
-    """The number of faces between the ``edges`` (E,) of a leg, their links (E,), and ``sides``.
-
-    The latter (3, links) are the faces on the left and right of each link, and ``crossed``, from a
-    reference route (K,) on these edges. None if links cross or are one-way.
-    """
-    network, n = game.network, game.node_count
+    """The faces of the playable network; None if links cross or are one-way."""
+    network, n, edges = game.network, game.node_count, np.flatnonzero(game.playable)
+    route = shortest_route(network, edges)
     ends = np.sort(network.edges[edges], axis=1)
     key, link = np.unique(ends[:, 0] * n + ends[:, 1], return_inverse=True)
     low, high = np.divmod(key, n)
@@ -211,10 +166,12 @@ def _faces_of_leg(game: Game, edges: IndexArray,
     turn = np.where(turn < first[head], first[head + 1] - 1, turn)
     following = csr_matrix((np.ones(2 * count), order[turn], np.arange(2 * count + 1)))
     faces, face = connected_components(following, directed=False)
-    if len(np.unique(tail)) - count + faces != 2:  # Euler's formula, the leg is connected
+    if len(np.unique(tail)) - count + faces != 2:  # Euler's formula, the network is connected
         return None
     driven = np.searchsorted(key, np.minimum(route[:-1], route[1:]) * n
                              + np.maximum(route[:-1], route[1:]))
     crossed = np.zeros(count, dtype=np.int64)
     crossed[driven] = np.where(route[:-1] < route[1:], 1, -1)
-    return faces, link, np.stack((face[:count], face[count:], crossed))
+    of_edge = np.full(len(network.edges), -1)
+    of_edge[edges] = link
+    return Faces(game, faces, of_edge, face[:count], face[count:], crossed)

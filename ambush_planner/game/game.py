@@ -9,7 +9,7 @@ losses by site and edge: row j of ``D p`` is the mean loss of an ambush at site 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 
@@ -21,7 +21,7 @@ from ..errors import InvalidOption, NoRoute
 from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
-from ..option_checks import check_at_least, check_flag, check_whole, none_for
+from ..option_checks import check_at_least, check_flag, none_for
 from .discs import ExposedEdges, SecuredArea, secured_area
 
 # Position and radius (x, y, radius) [m] of a disc of a secured area.
@@ -48,8 +48,6 @@ class GameOptions:
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
-    ambushers
-        Number of different sites where the ambusher waits at once; their losses add up.
     ambush_in_obstacles
         With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
         without edges.
@@ -59,9 +57,6 @@ class GameOptions:
     widened
         How far from a site the ambusher may wait instead [m]. It adds to the reach, so that the
         sites stand for all places around them. A plan sets it.
-    loads
-        What share of the loss is aboard on each leg of a trip, 0 to 1; (): all of it. It must not
-        grow, as an ambusher at a place that is passed twice would then wait for the second time.
 
     Raises
     ------
@@ -72,11 +67,9 @@ class GameOptions:
     ambush_radius: float = 0.0
     secured_radius: float | None = None
     alpha_threshold: float = math.inf
-    ambushers: int = 1
     ambush_in_obstacles: bool = False
     tube: float = 0.0
     widened: float = 0.0
-    loads: tuple[float, ...] = ()
     held_places: tuple[SecuredPlace, ...] = ()
 
     def __post_init__(self) -> None:
@@ -87,14 +80,7 @@ class GameOptions:
         check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('widened', self.widened, 0.0, 'm')
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
-        check_whole('ambushers', self.ambushers, 1)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
-        object.__setattr__(self, 'loads', tuple(self.loads))
-        for before, load in zip((1.0, *self.loads), self.loads, strict=False):
-            check_at_least('loads', load, 0.0)
-            if load > before:
-                raise InvalidOption(f'loads must be at most 1 and not grow from leg to leg, got '
-                                    f'{load:g} after {before:g}')
         object.__setattr__(self, 'held_places', _checked_places(self.held_places))
 
     @property
@@ -124,18 +110,18 @@ def _checked_places(given: Iterable[Iterable[float]]) -> tuple[SecuredPlace, ...
 
 @dataclass(frozen=True, eq=False)
 class Game:
-    """A network with the rows of its ambush game.
+    """One leg: its network with the rows of its ambush game.
 
     ``playable`` (M,) marks the edges on some route that avoids forbidden nodes; ``loss`` (N,) is
-    alpha where an ambush is possible, else 0. Each place is one site, and its hits add up over the
-    nodes that stand for it. ``known_rows`` are those ``entering``,
-    if another game's give them: with a reach, they are slow to find.
+    alpha where an ambush is possible, else 0. ``known_rows`` are those of ``entering`` if another
+    game's give them: with a reach, they are slow to find.
     """
 
     network: Network
     options: GameOptions
     playable: BoolArray
     loss: FloatArray
+    secured: SecuredArea
     known_rows: InitVar[csr_matrix | None] = None
 
     def __post_init__(self, known_rows: csr_matrix | None) -> None:
@@ -148,14 +134,9 @@ class Game:
         return self.options.reach
 
     @property
-    def ambushers(self) -> int:
-        """Number of sites where the ambusher waits at once."""
-        return self.options.ambushers
-
-    @property
-    def entries_are_hits(self) -> bool:
-        """Whether a simple route enters each site's reach at most once."""
-        return self.reach == 0.0 and self.network.legs == 1
+    def no_reentry(self) -> bool:
+        """Whether a simple route enters each site's reach at most once, so that entries are hits."""
+        return self.reach == 0.0
 
     @property
     def node_count(self) -> int:
@@ -163,62 +144,40 @@ class Game:
         return len(self.network.points)
 
     @cached_property
-    def secured(self) -> SecuredArea:
-        """Where nobody can wait: around source, stops and target, and at the held places."""
-        return secured_area(self.network, self.options.secured_distance, self.options.held_places)
-
-    @cached_property
     def sites(self) -> IndexArray:
-        """The first nodes (S,) of the places where an ambush causes a loss."""
-        first = self.network.representatives
-        return np.asarray(first[self.loss[first] > 0.0])
+        """The nodes (S,) at which an ambush causes a loss."""
+        return np.flatnonzero(self.loss > 0.0)
 
     @cached_property
     def entering(self) -> csr_matrix:
-        """(S, M): the edges by which a route enters each site's reach, with the load aboard, or 1.
+        """(S, M) of 0 and 1: the edges by which a route enters each site's reach.
 
-        These are the edges into the node if the radius is 0, else those that enter the disc. So
+        These are the edges into the node if the reach is 0, else those that enter the disc. So
         ``entering @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
         """
         if self.reach > 0.0:
             return self.exposed().entering(self.network.points[self.sites], self.reach)
-        places, site_of = self.network.places, np.full(self.network.place_count, -1)
-        site_of[places[self.sites]] = np.arange(len(self.sites))
-        site = site_of[places[self.network.heads]]
-        edge = np.flatnonzero(site >= 0)
-        row = site[edge]
+        row_of = np.full(self.node_count, -1)
+        row_of[self.sites] = np.arange(len(self.sites))
+        row = row_of[self.network.heads]
+        edge = np.flatnonzero(row >= 0)
         shape = (len(self.sites), len(self.network.edges))
-        found = csr_matrix((self._aboard[edge], (row, edge)), shape=shape)
-        found.eliminate_zeros()  # nothing is aboard: no hit
-        return found
-
-    @cached_property
-    def _aboard(self) -> FloatArray:
-        """The load (M,) on each edge."""
-        loads = np.array(self.options.loads or np.ones(self.network.legs))
-        return np.asarray(loads[self.network.leg[self.network.tails]])
+        return csr_matrix((np.ones(len(edge)), (row[edge], edge)), shape=shape)
 
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
         """The parts of edges, by default all, outside the secured area."""
-        secured = self.secured.shrunk(self.options.tube)
-        return ExposedEdges(self.network, secured, edges, self._aboard)
+        network = self.network
+        return ExposedEdges(network.points, network.edges, self.secured.shrunk(self.options.tube),
+                            np.array([network.source]), edges)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
         losses: FloatArray = self.loss[self.sites] * (self.entering @ p)
         return losses
 
-    def at_places(self, q: FloatArray) -> FloatArray:
-        """q (N,) by place (P,): the sum over the nodes of each."""
-        return sums(self.network.places, q, self.network.place_count)
-
-    def at_sites(self, q: FloatArray) -> FloatArray:
-        """q (N,) by site (S,): the sum over the nodes of each."""
-        return np.asarray(self.at_places(q)[self.network.places[self.sites]])
-
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
         """``D' q`` (M,): mean loss of each edge's entries against the ambusher's q (N,)."""
-        on_edges: FloatArray = self.entering.T @ (self.loss[self.sites] * self.at_sites(q))
+        on_edges: FloatArray = self.entering.T @ (self.loss * q)[self.sites]
         return on_edges
 
     def visits(self, p: FloatArray) -> FloatArray:
@@ -237,7 +196,7 @@ class Game:
         edges = self.network.edges[self.playable][:, ::-1]
         return distances_from(edges, weights[self.playable], self.node_count, self.network.target)
 
-    def through(self, weights: FloatArray) -> FloatArray:
+    def least_weights(self, weights: FloatArray) -> FloatArray:
         """Least weight (M,) of a route that uses each edge; inf if not playable."""
         ahead = self.distances_from_source(weights)[self.network.tails]
         behind = self.distances_to_target(weights)[self.network.heads]
@@ -258,16 +217,6 @@ class Game:
         """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
         return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))
 
-    def without_layers(self) -> Game:
-        """The game on one node for each place and leg: without the layers of a layered graph."""
-        network = self.network
-        node = network.places * network.legs + network.leg
-        first = np.zeros(self.node_count, dtype=bool)
-        first[np.unique(node, return_index=True)[1]] = True
-        if first.all():
-            return self
-        return self.restricted_to(first[network.tails] & first[network.heads]) or self
-
     def with_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> Game:
         """The game with more sites: nodes (K,) without edges, and the edges that enter their discs.
 
@@ -286,33 +235,40 @@ class Game:
 
 
 def make_game(network: Network, options: GameOptions) -> Game:
-    """Apply the options to the network.
+    """Apply the options to the network of a single leg; raises as ``make_games``."""
+    return make_games((network,), options)[0]
 
-    Raises NoRoute if no route leads from the source to the target, perhaps because of
-    ``alpha_threshold``, and InvalidOption if there are more ambushers than nodes.
+
+def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game, ...]:
+    """Apply the options to the networks of a trip's legs, which have the same nodes.
+
+    Secured areas and sites are the same for all legs. Raises NoRoute if no route leads from the
+    source of a leg to its target, perhaps because of ``alpha_threshold``.
     """
-    if options.ambushers > network.place_count:
-        raise InvalidOption(
-            f'{options.ambushers} ambushers need as many different sites, but the network has '
-            f'only {network.place_count} nodes'
-        )
-    if options.loads and (network.legs == 1 or len(options.loads) != network.legs):
-        raise InvalidOption(f'loads are for trips with stops, one for each leg: got '
-                            f'{len(options.loads)} for {network.legs}')
+    ends = np.unique([(each.source, each.target) for each in networks])
+    points, alpha = networks[0].points, networks[0].alpha
+    secured = secured_area(points[ends], options.secured_distance, options.held_places)
+    # Sites stand for the places around them.
+    loss = frozen_array(np.where(secured.shrunk(options.widened).covers(points), 0.0, alpha),
+                        np.float64)
+    games = tuple(_leg_game(each, options, loss, secured) for each in networks)
+    if options.reach > 0.0:
+        return games
+    driven = np.zeros(len(points), dtype=bool)
+    for game in games:
+        driven[game.network.heads[game.playable]] = True
+    return tuple(game.without_sites(~driven) for game in games)
+
+
+def _leg_game(network: Network, options: GameOptions, loss: FloatArray,
+              secured: SecuredArea) -> Game:
     allowed = network.alpha <= options.alpha_threshold
-    everywhere = Game(network, options, frozen_array(np.ones(len(network.edges)), np.bool_),
-                      network.alpha)
-    secured = everywhere.secured.shrunk(options.widened)  # sites stand for places around them
-    everywhere = everywhere.without_sites(secured.covers(network.points))
+    everywhere = Game(network, options, frozen_array(np.ones(len(network.edges)), np.bool_), loss,
+                      secured)
     game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
     if game is None:
         raise _no_route(network, options, int((~allowed).sum()))
-    if options.reach > 0.0:
-        return game
-    places = network.places
-    driven = np.zeros(network.place_count, dtype=bool)
-    driven[places[network.heads[game.playable]]] = True
-    return game.without_sites(~driven[places])
+    return game
 
 
 def _no_route(network: Network, options: GameOptions, forbidden: int) -> NoRoute:

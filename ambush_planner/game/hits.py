@@ -1,92 +1,123 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ambushes cost a strategy, each route counted once however often it comes back to a site.
+"""Expected hits of ambushes, each route counted once however often it comes back to a site.
 
 The rows of the game count how often a route enters a disc. Entries are linear in p and bound the
-hits from above; the hits follow from the strategy's Markov chain (``chain``).
+hits from above; the hits follow from how routes are drawn: from a Markov chain, or from a mixture
+of whole routes. If p has cycles, its routes are not known, and every entry counts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray
 from .distribution.acyclic import is_acyclic
 from .distribution.chain import chain_of
 from .game import Game
-from .slack import sum_of_largest
+from .legs import Legs
+
+
+class Law(Protocol):
+    """How routes are drawn."""
+
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """Expected hits (K,) by sites whose discs are entered by the edges of ``rows`` (K, M)."""
+
+    def meets_at_most(self, rows: csr_matrix) -> FloatArray:
+        """An upper bound (K,) of ``meets`` that is fast to find."""
+
+    def uses(self, edges: int) -> FloatArray:
+        """Expected uses of each of the network's ``edges``."""
+
+
+class Entries:
+    """A strategy p (M,) with cycles: every entry counts as a hit, which is an upper bound."""
+
+    def __init__(self, p: FloatArray) -> None:
+        self._p = p
+
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """Expected entries (K,) into the discs that the edges of ``rows`` (K, M) enter."""
+        return np.asarray(rows @ self._p)
+
+    meets_at_most = meets
+
+    def uses(self, edges: int) -> FloatArray:
+        """Expected uses of each of the network's ``edges``."""
+        return self._p
+
+
+class LegLaws:
+    """The laws of a trip's legs, whose routes are drawn one by one."""
+
+    def __init__(self, legs: Legs, laws: Sequence[Law]) -> None:
+        self._legs, self._laws = legs, laws
+
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """Expected hits (K,), added up over the legs, by the ``rows`` (K, M)."""
+        return np.asarray(sum(law.meets(own) for law, own in self._by_leg(rows)))
+
+    def meets_at_most(self, rows: csr_matrix) -> FloatArray:
+        """An upper bound (K,) of ``meets`` that is fast to find."""
+        return np.asarray(sum(law.meets_at_most(own) for law, own in self._by_leg(rows)))
+
+    def uses(self, edges: int) -> FloatArray:
+        """Expected uses (M,) of the edges of all legs."""
+        counts = np.diff(self._legs.first)
+        return np.concatenate([law.uses(int(count))
+                               for law, count in zip(self._laws, counts, strict=True)])
+
+    def _by_leg(self, rows: csr_matrix) -> Iterator[tuple[Law, csr_matrix]]:
+        return zip(self._laws, self._legs.rows_by_leg(rows), strict=True)
+
+
+def law_of(game: Game, p: FloatArray) -> Law:
+    """The Markov chain of p (M,) if it is acyclic, else its entries."""
+    return chain_of(game.network, p) if is_acyclic(game.network, p) else Entries(p)
+
+
+def largest_product(loss: FloatArray, rows: csr_matrix, law: Law) -> tuple[float, int]:
+    """The largest of losses (K,) times expected hits by the ``rows`` (K, M), and its index.
+
+    The bounds of the hits say which of them need to be computed.
+    """
+    bounds = loss * law.meets_at_most(rows)
+    order = np.argsort(-bounds, kind='stable')
+    worst, value, done, some = -1, 0.0, 0, 1
+    while done < len(order) and bounds[order[done]] > value:
+        own = order[done : done + some]
+        losses = loss[own] * law.meets(rows[own])
+        if losses.max() > value:
+            value, worst = float(losses.max()), int(own[losses.argmax()])
+        done, some = done + some, 2 * some
+    return value, worst
 
 
 def worst_loss(game: Game, p: FloatArray) -> float:
-    """What the best ambush against p (M,) costs on average: the sum of the k largest losses.
-
-    Each route counts once per site if p is acyclic. Otherwise every entry counts, which is an upper
-    bound.
-    """
-    return float(largest_losses(game, p)[0].sum())
-
-
-def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """The k largest mean losses (K,) that single sites cause, and the rows (K,) of these sites.
-
-    The expected entries bound the hits from above, so only sites that could still be among the
-    largest are computed.
-    """
-    k = min(game.ambushers, len(game.sites))
-    losses = game.site_losses(p)
-    if game.entries_are_hits or not is_acyclic(game.network, p):
-        rows = np.argsort(-losses, kind='stable')[:k]
-        return losses[rows], rows
-    chain = chain_of(game.network, p)
-
-    def exact(rows: IndexArray) -> FloatArray:
-        return np.asarray(game.loss[game.sites[rows]] * chain.meets(game.entering[rows]))
-
-    return largest(losses, exact, k)
-
-
-def largest(bounds: FloatArray, exact: Callable[[IndexArray], FloatArray],
-            k: int) -> tuple[FloatArray, IndexArray]:
-    """The k largest of some numbers >= 0, and their indices.
-
-    ``bounds`` (N,) are at least as large; ``exact`` computes the numbers of given indices, which is
-    slow.
-    """
-    k = min(k, len(bounds))
-    order = np.argsort(-bounds, kind='stable')
-    order = order[bounds[order] > 0.0]
-    found, least, done = np.zeros(len(bounds)), 0.0, 0
-    while k and done < len(order) and bounds[order[done]] > least:
-        some = order[done : 2 * done + k]  # twice as many
-        found[some] = exact(some)
-        done += len(some)
-        least = float(np.partition(found, -k)[-k])
-    some = np.argsort(-found, kind='stable')[:k]
-    return found[some], some
+    """Mean loss of the best ambush against p (M,) of one leg."""
+    return largest_product(game.loss[game.sites], game.entering, law_of(game, p))[0]
 
 
 def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None) -> FloatArray:
-    """P(hit) (K,) of the sites in ``rows`` (default: all) against p (M,).
+    """P(hit) (K,) of the sites in ``rows`` (default: all) against p (M,) of one leg."""
+    own = game.entering if rows is None else game.entering[rows]
+    return np.asarray(own @ p) if game.no_reentry else law_of(game, p).meets(own)
 
-    If p has cycles, every entry counts, which is an upper bound.
+
+def meeting_probability(game: Game, law: Law, q: FloatArray) -> float:
+    """How likely a route meets the ambusher who waits by q (N,) (the paper's equation 8).
+
+    If p has cycles, every entry counts.
     """
-    rows = np.arange(len(game.sites)) if rows is None else rows
-    if game.entries_are_hits or not is_acyclic(game.network, p):
-        return np.asarray(game.entering[rows] @ p)
-    return chain_of(game.network, p).meets(game.entering[rows])
-
-
-def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
-    """Expected number of ambushers q (N,) that a route of p (M,) meets (the paper's equation 8).
-
-    With one ambusher this is a probability. If p has cycles, every entry counts.
-    """
-    at_sites = game.at_sites(q)
+    at_sites = q[game.sites]
     rows = np.flatnonzero(at_sites > 0.0)
-    return float(at_sites[rows] @ hit_probabilities(game, p, rows))
+    return float(at_sites[rows] @ law.meets(game.entering[rows]))
 
 
 def entry_value(game: Game, p: FloatArray) -> float:
     """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
-    return sum_of_largest(game.site_losses(p), game.ambushers)
+    return float(game.site_losses(p).max(initial=0.0))

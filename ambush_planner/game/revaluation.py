@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Value and lower bound of a strategy in another game, and its gap beyond the slack."""
+"""Value and lower bound of strategies in other games, and their gap beyond the slack."""
 
 from __future__ import annotations
 
@@ -10,81 +10,70 @@ import numpy as np
 
 from ..arrays import NEGLIGIBLE, FloatArray
 from ..errors import BudgetInfeasible, NoRoute
-from .ambusher import Ambusher, at_nodes
-from .budget import Budget, least_cost
-from .certificate.certificate import Certificate, lower_bound
-from .faces import Circulation
-from .game import Game, SecuredPlace, make_game
-from .hits import worst_loss
-from .slack import CERTIFICATE_TOLERANCE, ceiling
-from .strategy import Strategy, StrategyOptions, within_slack
+from .ambusher import Ambusher
+from .budget import Budget
+from .certificate.certificate import Certificate, lower_bounds
+from .game import GameOptions, SecuredPlace, make_games
+from .hits import Law, largest_product
+from .legs import Legs
+from .strategy import Strategy, StrategyOptions, TripStrategy, within_slack
+from .tolerance import CERTIFICATE_TOLERANCE, ceiling
 
 
-def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
-    """The strategy's budgets in another game on its network, as multiples of the best routes.
+def legs_in_game(trip: TripStrategy, options: GameOptions,
+                 alpha: FloatArray | None = None) -> Legs:
+    """The games of a trip with other options, or other node losses ``alpha`` (N,); same budgets.
 
-    Raises BudgetInfeasible if the best playable route exceeds a budget.
+    Raises NoRoute, or BudgetInfeasible if the best playable route of a leg exceeds its budget.
     """
-    network, most = game.network, strategy.exposure_budget
-    length = Budget(game, network.travel_costs, strategy.length_budget, strategy.shortest_length,
-                    'length', network.travel_unit)
-    least = strategy.least_exposure
-    if math.isfinite(most) and network is not strategy.network:
-        factor = most / least if least > 0.0 else 1.0
-        least = least_cost(network, network.edge_exposure)
-        most = factor * least
-    return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
+    networks = [leg.network if alpha is None else replace(leg.network, alpha=alpha)
+                for leg in trip.legs]
+    games = make_games(networks, options)
+    return Legs(games, tuple(Budget(game, leg.length_budget, leg.shortest_length)
+                             for game, leg in zip(games, trip.legs, strict=True)))
 
 
-def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) -> Certificate:
-    """Recompute value and bound of a strategy for the node losses ``alpha`` (N,).
+def revalue(trip: TripStrategy, alpha: FloatArray, law: Law | None = None) -> Certificate:
+    """Recompute value and bound of strategies after node losses change to ``alpha`` (N,).
 
-    ``p`` (M,) replaces the strategy's edge probabilities; the value of p = 0 is infinite. The
-    bound follows from the strategy's ambusher, and is as near as the strategy's if he proves that.
-    Without a playable route within the budgets, the value is infinite.
+    ``law`` replaces how their routes are drawn. The bound follows from their ambusher, and is as
+    near as theirs if that is proved. Without a playable route within the budgets, the value is
+    infinite.
     """
-    p = strategy.edge_probability if p is None else p
-    network = replace(strategy.network, alpha=alpha)
     try:
-        game = make_game(network, strategy.game.options)
-        budgets = budgets_in_game(game, strategy)
+        legs = legs_in_game(trip, trip.game.options, alpha)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
-    value = worst_loss(game, p) if p.any() else math.inf
-    as_near = value * strategy.lower_bound / strategy.value if strategy.value > 0.0 else math.inf
-    bound = lower_bound(game, strategy.ambusher, budgets, enough=as_near)
-    return Certificate(value, min(bound, value))  # p may exceed the budgets now
+    value, _ = largest_product(legs.loss, legs.entering, law or trip.law)
+    as_near = value / trip.value if trip.value > 0.0 else math.inf
+    targets = np.array([as_near * leg.lower_bound for leg in trip.legs])
+    bound = float(lower_bounds(legs, trip.ambusher, targets=targets).sum())
+    return Certificate(value, min(max(bound, 0.0), value))  # the law may exceed the budgets now
 
 
-def bound_if_held(strategy: Strategy, places: tuple[SecuredPlace, ...]) -> float:
+def bound_if_held(trip: TripStrategy, places: tuple[SecuredPlace, ...]) -> float:
     """A lower bound of the value if ``places`` are all that is held besides the ends.
 
-    The strategy's ambusher proves it: his q, restricted to sites outside the discs and scaled up.
+    The trip's ambusher proves it: q, restricted to sites outside the discs and scaled up.
     """
-    old, ambusher = strategy.game, strategy.ambusher
-    unused = old.at_places(ambusher.q)[old.network.places] == 0.0
-    game = make_game(old.network, replace(old.options, held_places=places)).without_sites(unused)
-    q = np.where(game.loss > 0.0, ambusher.q, 0.0)
-    share = float(q.sum()) / game.ambushers
+    legs = legs_in_game(trip, replace(trip.game.options, held_places=places))
+    q = np.where(legs.games[0].loss > 0.0, trip.ambusher.q, 0.0)
+    share = float(q.sum())
     if share == 0.0:
         return 0.0
-    flows, by_leg = ambusher.circulation, ambusher.by_leg
-    if flows is not None:
-        flows = Circulation(flows.through / share, flows.site, flows.face, flows.flow / share)
-    if game.ambushers > 1:
-        q, by_leg = at_nodes(game, game.at_sites(q)) * share, None
-    elif by_leg is not None:
-        by_leg = np.where(game.loss > 0.0, by_leg, 0.0) / share
-    others = Ambusher(q / share, tuple(price / share for price in ambusher.prices), by_leg, flows)
-    return lower_bound(game, others, budgets_in_game(game, strategy))
+    others = Ambusher(q / share, tuple(price / share for price in trip.ambusher.prices))
+    unused = q == 0.0
+    few = Legs(tuple(game.without_sites(unused) for game in legs.games), legs.budgets)
+    return max(float(lower_bounds(few, others).sum()), 0.0)
 
 
-def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
+def open_gap(strategy: Strategy | TripStrategy, options: StrategyOptions) -> float:
     """The gap between value and bound beyond the risk slack; 0 if the solve was complete."""
     if strategy.reason == 'stalled' or within_slack(strategy, options):
         return 0.0
     # With a length weight, the weighted sum is minimal and sets the scale.
-    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    gap = strategy.value / ceiling(1.0, options.slack) - strategy.lower_bound
+    weighed = sum(price * strategy.expected_length for price in strategy.ambusher.prices
+                  ) * (options.length_weight > 0.0)
+    gap = strategy.value / ceiling(1.0, options.tolerance) - strategy.lower_bound
     scale = max(strategy.value + weighed, NEGLIGIBLE * float(strategy.game.loss.max(initial=0.0)))
     return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0

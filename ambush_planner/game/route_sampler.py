@@ -9,10 +9,11 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray, sums
+from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..network.network import Network
 from ..network.shortest_paths import shortest_path
 from .distribution.acyclic import is_acyclic
+from .distribution.chain import RouteMixture
 from .game import Game
 
 
@@ -96,6 +97,26 @@ class RouteSampler:
         return head
 
 
+class MixtureSampler:
+    """Draws whole routes of one leg from a mixture of them."""
+
+    acyclic = True
+
+    def __init__(self, network: Network, mixture: RouteMixture) -> None:
+        self._nodes = [frozen_array(np.append(network.source, network.heads[route]), np.int64)
+                       for route in mixture.routes]
+        self._ends = np.cumsum(mixture.shares)
+
+    def draw(self, rng: np.random.Generator) -> IndexArray:
+        """Return one route (K,): node indices, source first, target last."""
+        return self.draw_many(1, rng)[0]
+
+    def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
+        """Return ``n`` routes."""
+        drawn = np.searchsorted(self._ends, rng.random(n) * self._ends[-1], side='right')
+        return [self._nodes[k] for k in np.minimum(drawn, len(self._nodes) - 1).tolist()]
+
+
 def route_edges(network: Network, route: IndexArray) -> IndexArray:
     """The edges (K - 1,) along a route (K,), by their indices; -1: there is none."""
     return network.edges_between(route[:-1], route[1:])
@@ -123,29 +144,9 @@ def shortest_route_strategy(game: Game, cost: FloatArray | None = None) -> Float
 
 
 def route_entropy(network: Network, p: FloatArray) -> float:
-    """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats].
-
-    If several layers can draw the same route of places, a lower bound: the entropy of layer and
-    route exceeds that of the route by the entropy of the layer given the route, which is at most
-    that given the edges by which the route begins and ends, or comes to a stop and leaves it.
-    """
+    """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats]."""
     leaving = sums(network.tails, p, len(network.points))
-    with_layer = entropy(p, leaving[network.tails])
-    used = np.flatnonzero(p > 0.0)
-    edge, node = network.first_edge[used], network.places * network.legs + network.leg
-    if len(np.unique(edge)) == len(used):
-        return with_layer
-    tails, heads = node[network.edges[used]].T
-    begins = np.unique(heads[network.leg[network.tails[used]] < network.leg[network.heads[used]]])
-    layer = []
-    stops = [begins[begins // network.legs == place]
-             for place in np.unique(begins // network.legs)]
-    for end in node[[network.source, network.target]], *stops:
-        for at in np.flatnonzero(np.isin(tails, end)), np.flatnonzero(np.isin(heads, end)):
-            if len(at):
-                shared = sums(edge[at], p[used[at]], len(p))[edge[at]]
-                layer.append(entropy(p[used[at]], shared))
-    return max(with_layer - min(layer), 0.0)
+    return entropy(p, leaving[network.tails])
 
 
 def entropy(p: FloatArray, whole: FloatArray) -> float:

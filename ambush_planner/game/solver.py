@@ -1,47 +1,79 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solve the game: the least value within the budgets, then the most unpredictable routes.
+"""Solve the game: value, sites, distribution, certificate.
 
-One of three linear programs (LPs) finds the least value (``value``): a cut without a reach if its
-flow keeps the budgets, or nearly; face potentials on a planar network whose links cost the same
-both ways; whole routes otherwise. A search makes a strategy of it: a chain (``chain_search``), or
-one on a layered graph (``trip_search``) on a trip, or if a chain costs more than whole routes. The
-paper's linear programs are another choice.
+1. *Value.* A program finds the least value within the length budgets, strategies that attain it,
+   and an ambusher who proves it: a maximum flow without a reach and a budget, face potentials on
+   planar networks whose links cost the same both ways, whole routes otherwise (``value``).
+2. *Sites.* With a reach, the places of the map that cost these strategies most join the program,
+   which goes on from where it is (constraint generation).
+3. *Distribution.* On acyclic networks around the strategies, the law of greatest entropy within the
+   tolerance of the bound: one Markov chain for each leg (``distribution``). Sites that cost it more
+   join. Where no chain is within the tolerance, whole routes are drawn.
+4. *Certificate.* Value and bound are computed again, from the strategies and the ambusher alone
+   (``certificate``).
+
+The paper's linear programs are another choice.
 """
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from ..errors import InvalidNetwork, TimeLimit, warn
+from ..arrays import NEGLIGIBLE, FloatArray
+from ..errors import InvalidNetwork, InvalidOption, TimeLimit, warn
 from ..maps.risk_map import MAX_LOSS, MIN_LOSS
 from ..network.network import Network
-from .chain_search import find_chain, find_flow
-from .faces import make_faces
-from .game import Game, GameOptions, make_game
-from .search import Search, SearchProblem, SiteSearch
-from .slack import MIN_SLACK
-from .strategy import Strategy, StrategyOptions, make_budgets
-from .trip_search import find_legs, find_mixture, find_trip
-from .value.cut import Cut
+from .ambusher import Ambush, Ambusher
+from .budget import length_budget
+from .certificate.certificate import lower_bounds
+from .distribution.acyclic import acyclic_subnetwork, order_potential, topological_order
+from .distribution.chain import MarkovChain, RouteMixture, chain_of_legs
+from .distribution.gibbs import acyclic_network, in_series
+from .distribution.route_distribution import DISTRIBUTION, RouteDistribution
+from .faces import Faces, make_faces
+from .game import Game, GameOptions, make_games
+from .hits import Law, largest_product
+from .legs import Legs
+from .search import Incumbent, Search, SearchProblem, SiteSearch
+from .strategy import Strategy, StrategyOptions, TripStrategy, make_strategies
+from .tolerance import CERTIFICATE_TOLERANCE, MIN_TOLERANCE, ROUNDS, ceiling, within
+from .value.cut import solve_by_min_cut
 from .value.linear_program import linear_program_strategy
 from .value.potential import Potential
-from .value.routes import Progress, Routes, no_progress
+from .value.routes import ROUTES, Routes
 
-# Optimality gaps of an LP in potentials, and of one over routes [slacks].
-POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
-# Largest share by which the flow of a cut exceeds a budget if a distribution is sought around it,
-# which then keeps the budget in nearly all games, without a loss of entropy.
-MAX_OVERRUN = 0.07
-# Cap at which an LP in potentials begins, as a multiple of the value without budgets.
-FIRST_CAP = 2.0
-# A search ends before its time limit by a share of it or by a time [s], whichever is less. Its
-# judge, which takes seconds on a trip, ends by half of the first share or time after the limit,
-# whichever is greater.
-RESERVE, RESERVE_ON_TRIPS = (0.05, 1.0), (0.15, 30.0)
-# Share of the routes from which an ambush that hits them hits all, up to the slack.
-ALL_ROUTES = 1.0 - StrategyOptions.risk_slack
+
+class Stages(NamedTuple):
+    """The constants of the stages."""
+
+    # Optimality gaps of a program in potentials, and of one over routes [tolerances].
+    potential_gap: float = 0.1
+    routes_gap: float = 0.3
+    # Share of the tolerance that a program's strategies may use; a distribution may use the rest.
+    flow_tolerance: float = 0.5
+    # How often sites join before the distribution is sought; more often while the value is 0. In
+    # the last of these rounds and later, sites may be as near to each other as the program allows.
+    sweeps: int = 3
+    joining: float = 0.8  # share of the tolerance beyond which sites join a distribution
+    # Least relative growth of the entropy for another round: what a rough one may miss.
+    growth: float = DISTRIBUTION.early_accuracy.missing
+    # Share of the time until the deadline after which the flow is improved, if no distribution is
+    # within the tolerance by then.
+    rounds: float = 0.8
+    lines: int = 64  # level lines of each leg with which whole routes begin
+    # A search ends before its time limit by this share of it, or by this time [s] if that is less;
+    # proofs end as much after that.
+    reserve: tuple[float, float] = (0.05, 1.0)
+
+
+STAGES = Stages()
 
 
 def solve(network: Network, game: GameOptions | None = None,
@@ -57,7 +89,7 @@ def solve(network: Network, game: GameOptions | None = None,
     game
         What the ambusher can do.
     options
-        The budgets, the solver, the time limit.
+        The budget, the solver, the time limit.
 
     Returns
     -------
@@ -71,7 +103,7 @@ def solve(network: Network, game: GameOptions | None = None,
     NoRoute
         No route leads from the source to the target.
     BudgetInfeasible
-        Every playable route is longer, or more exposed, than the budget.
+        Every playable route is longer than the budget.
     TimeLimit
         The time limit passed before the value was within the slack of its bound; the error's
         ``strategy`` is the best so far.
@@ -90,143 +122,354 @@ def solve(network: Network, game: GameOptions | None = None,
     if not isinstance(network, Network):
         raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
                              'build_network makes one of a RiskMap, and plan_trip does it all')
-    found = solve_game(make_game(network, game or GameOptions()), options or StrategyOptions())
-    loss = found.game.loss
-    certain = (found.ambush_probability > 0.0) & (ALL_ROUTES * loss <= found.value) & (loss > 0.0)
-    if not found.value > 0.0:
+    options = options or StrategyOptions()
+    found = _in_time(solve_legs(make_games((network,), game or GameOptions()), options), options)
+    (strategy,) = found.legs
+    certain = certain_sites(strategy, options.tolerance)
+    if not strategy.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
              'secured area (secured_radius)')
-    elif found.reason == 'complete' and found.game.options.ambushers == 1 and certain.any():
-        warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
-             f'costs {found.value:.4g}')
-    return found
+    elif strategy.reason == 'complete' and len(certain):
+        warn(f'an ambush at node {certain[0]} hits every route: it always succeeds and '
+             f'costs {strategy.value:.4g}')
+    return strategy
 
 
-def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-               progress: Progress = no_progress) -> Strategy:
-    """Find the optimal strategy against an ambusher at a game's sites and those of ``site_search``.
+def certain_sites(strategy: Strategy, tolerance: float) -> FloatArray:
+    """The nodes (K,) where the ambusher waits and, up to the tolerance, every route is hit."""
+    game = strategy.game
+    rows = np.flatnonzero(strategy.ambush_probability[game.sites] > 0.0)
+    hits = strategy.law.meets(game.entering[rows])
+    return np.asarray(game.sites[rows[hits >= 1.0 - tolerance]])
 
-    Raises the errors of ``solve``.
+
+def solve_legs(games: tuple[Game, ...], options: StrategyOptions,
+               site_search: SiteSearch | None = None) -> TripStrategy:
+    """Find the optimal strategies of a trip's legs against an ambusher at their sites.
+
+    Also at those of ``site_search``. At the time limit, the best so far is returned, with the
+    reason 'time'. Raises the errors of ``solve`` but TimeLimit, unless there is nothing to return.
     """
-    if options.solver != 'max_entropy':
-        _check_losses(game.network)
-        deadline = time.monotonic() + options.time_limit
-        return linear_program_strategy(game, options, make_budgets(game, options), deadline)
-    problem = make_problem(game, options, site_search, progress)
-    return _in_time(_most_unpredictable(problem), options)
+    if options.solver == 'max_entropy':
+        return solve_problem(make_problem(games, options, site_search))
+    if len(games) > 1:
+        raise InvalidOption(f'the solver {options.solver} takes no stops; use max_entropy')
+    _check_losses(games[0].network)
+    found = linear_program_strategy(games[0], options, length_budget(games[0], options.max_detour),
+                                    time.monotonic() + options.time_limit)
+    return TripStrategy((found,), found.certificate, reason=found.reason)
 
 
-def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch | None = None,
-                 progress: Progress = no_progress) -> SearchProblem:
-    """What 'max_entropy' searches, from now to its time limit; raises the errors of ``solve``."""
-    _check_losses(game.network)
-    deadline, judged = _search_ends(time.monotonic() + options.time_limit, options,
-                                    game.network)
-    return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
-                         site_search, progress, judged)
+def make_problem(games: tuple[Game, ...], options: StrategyOptions,
+                 site_search: SiteSearch | None = None,
+                 first_value: float = math.inf) -> SearchProblem:
+    """The problem of 'max_entropy', from now to its time limit; raises the errors of ``solve``.
 
-
-def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
-    """The strategy of a search whose value has been found, by ``end``; raises TimeLimit."""
-    search.go_on_until(*_search_ends(end, options, search.problem.game.network))
-    return _in_time(_find_distribution(search), options)
-
-
-def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
-    """Find the least value within the budgets, and an ambusher who nearly proves it.
-
-    A cut's flow may exceed a budget by the share ``overrun``: its value is then a lower bound.
+    The search for the value begins at ``first_value``, if that is known to be near.
     """
-    slack = max(problem.slack, MIN_SLACK)
-    if problem.game.network.legs > 1:
-        routes = _routes(problem, slack, _potential(problem, slack))
-        search = Search(problem, routes, slack)
-        (find_legs if routes.planar else find_mixture)(search, routes)
-        return search
-    cut = Cut(problem.game, problem.binding) if problem.game.entries_are_hits else None
-    if cut and cut.overrun <= overrun:
-        return Search(problem, cut, slack)
-    first = FIRST_CAP * cut.bound if cut else np.inf
-    search = Search(problem, _potential(problem, slack, first)
-                    or _routes(problem, slack, None), slack)
-    find_flow(search)
+    _check_losses(games[0].network)
+    budgets = tuple(length_budget(game, options.max_detour) for game in games)
+    ends = search_ends(time.monotonic() + options.time_limit, options.time_limit)
+    return SearchProblem(Legs(games, budgets), options.risk_slack, ends[0], site_search, ends[1],
+                         first_value)
+
+
+def search_ends(end: float, time_limit: float) -> tuple[float, float]:
+    """When a search and its proofs end, so that all is done at ``end``."""
+    reserve = min(STAGES.reserve[0] * time_limit, STAGES.reserve[1])
+    return end - 2.0 * reserve, end - reserve
+
+
+def solve_problem(problem: SearchProblem) -> TripStrategy:
+    """Find value and distribution, by a maximum flow if that keeps the length budget."""
+    return _by_max_flow(problem) or finish(find_value(problem))
+
+
+def finish(search: Search) -> TripStrategy:
+    """The strategies of a search whose value has been found."""
+    return certify(search, find_distribution(search))
+
+
+def _by_max_flow(problem: SearchProblem) -> TripStrategy | None:
+    """The solution without a reach, if the flow that attains the value keeps the budget."""
+    legs = problem.legs
+    if not legs.no_reentry or len(legs.games) > 1:
+        return None
+    (game,), (budget,) = legs.games, legs.budgets
+    cut = solve_by_min_cut(game)
+    if not budget.keeps(cut.p):
+        return None
+    ambush = Ambush(cut.q[game.sites], np.zeros(1))
+    search = Search(problem, Solved(cut.value, cut.p, ambush), _tolerance(problem))
+    found = finish(search)
+    return found if found.reason == 'complete' else None
+
+
+class Solved(NamedTuple):
+    """A value, strategies (M,) that attain it, and the ambusher: nothing is left to solve."""
+
+    bound: float
+    flow: FloatArray
+    ambush: Ambush
+    apart: float = 0.0
+
+    def solve(self, deadline: float) -> None:
+        """Do nothing: it is solved."""
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Do nothing: all sites are nodes of the network."""
+
+
+def _tolerance(problem: SearchProblem) -> float:
+    return max(problem.tolerance, MIN_TOLERANCE)
+
+
+def find_value(problem: SearchProblem) -> Search:
+    """Find the least value within the budgets, and an ambusher who nearly proves it."""
+    tolerance, legs = _tolerance(problem), problem.legs
+    faces = planar_faces(legs)
+    program = (Potential(legs, faces, STAGES.potential_gap * tolerance, problem.first_value)
+               if faces else Routes(legs, STAGES.routes_gap * tolerance))
+    search = Search(problem, program, tolerance)
+    find_sites(search)
     return search
 
 
-def _most_unpredictable(problem: SearchProblem) -> Strategy:
-    """Find value and route distribution; at the deadline, the best strategy so far is returned.
+def planar_faces(legs: Legs) -> list[Faces]:
+    """The faces of all legs; empty if a network is not planar, or costs differ by direction."""
+    found = []
+    for game, budget in zip(legs.games, legs.budgets, strict=True):
+        faces = make_faces(game)
+        if faces is None or not faces.same_both_ways(budget.cost):
+            return []
+        found.append(faces)
+    return found
 
-    Raises BudgetInfeasible if no strategy is within all budgets.
+
+def find_sites(search: Search, sweeps: int = STAGES.sweeps) -> None:
+    """Constraint generation: solve the program, add the most violated sites, repeat."""
+    for sweep in range(ROUNDS):
+        search.solve_program()
+        if search.problem.out_of_time or (sweep >= sweeps and search.program.bound > 0.0):
+            break
+        apart = ROUTES.apart if sweep < sweeps - 1 else 0.0
+        threshold = ceiling(search.program.bound, search.tolerance)
+        if search.add_violated_sites(program_law(search), threshold, apart) is None:
+            break
+
+
+def program_law(search: Search) -> Law:
+    """How the program's strategies are drawn."""
+    if isinstance(search.program, Routes):
+        return search.program.mixture
+    return _flow_law(search)
+
+
+def _flow_law(search: Search) -> MarkovChain:
+    networks = [game.network for game in search.legs.games]
+    return chain_of_legs(networks, search.program.flow, search.legs.first)
+
+
+def find_distribution(search: Search) -> Incumbent:
+    """Find the law of greatest entropy within the tolerance, or of least value if none is.
+
+    One chain for each leg is within the tolerance without a reach, and mostly with one. Whole
+    routes may cost less, as they remember which sites they met.
     """
-    search = find_value(problem, MAX_OVERRUN)
-    if not isinstance(search.lp, Cut):
-        return _find_distribution(search)
-    chain, found = find_chain(search), None
-    if chain or problem.keeps_budgets(search.lp.flow):
-        found = search.strategy(chain)
-        if found.reason == 'complete' or problem.late:
-            return found
-    # All distributions near the cut's flow exceed a budget, or cost more.
-    other = _find_distribution(find_value(problem, -np.inf))
-    return found if found and found.value <= other.value and other.reason != 'complete' else other
-
-
-def _find_distribution(search: Search) -> Strategy:
-    """Find the route distribution of a search whose value has been found.
-
-    It is one chain if that is within the slack of the bound: always without a reach, mostly with
-    one, but seldom on a trip. Whole routes may cost less, as they remember which sites they met.
-    """
-    best, lp = None, search.lp
-    if search.game.network.legs == 1:
-        best = find_chain(search)
-        good = search.game.entries_are_hits or lp.bound == 0.0 or (best and best.good)
-        if good or search.problem.late:
-            return search.strategy(best)
-    if isinstance(lp, Potential):
-        search.lp = lp = _routes(search.problem, search.slack, lp)
-    assert isinstance(lp, Routes)  # a cut's entries are hits
-    if lp.planar:
-        find_mixture(search, lp)
-    best = find_trip(search, lp, best and search.worst_of(best))
+    best = find_chain(search)
     if best is None:
-        find_flow(search)
-        best = find_chain(search)
-    return search.strategy(best)
+        law = _flow_law(search)
+        best = Incumbent(law, largest_product(search.loss, search.entering, law)[0])
+    if best.good or search.legs.no_reentry or search.problem.out_of_time:
+        return best
+    mixture = find_mixture(search)
+    return mixture if mixture.value < best.value else best
 
 
-def _search_ends(end: float, options: StrategyOptions, network: Network) -> tuple[float, float]:
-    """When a search and its judge end if the time limit passes at ``end``."""
-    share, most = RESERVE_ON_TRIPS if network.legs > 1 else RESERVE
-    later = max(RESERVE[0] * options.time_limit, RESERVE[1]) / 2.0
-    return end - min(share * options.time_limit, most), end + later
+def find_chain(search: Search) -> Incumbent | None:
+    """The chains of most entropy within the tolerance, else of least value; None if none is.
+
+    They are found in rounds around the program's flow; each strategy on the way counts. Rounds can
+    lead to chains from which no distribution keeps the limits of sites that joined: then they begin
+    again.
+    """
+    program, distribution, before = search.program, _around_flow(search), 0.0
+    best: Incumbent | None = None
+    end, begin = search.deadline, time.monotonic()
+    latest = begin + STAGES.rounds * (end - begin)
+    if search.problem.site_search is None:  # otherwise other sites may cost the flow more
+        best = search.better(best, distribution)
+    for _ in range(ROUNDS):
+        distribution.deadline = end if best and best.good else latest
+        if time.monotonic() > distribution.deadline:
+            search.reason = 'time'
+            break
+        found, feasible = None, distribution.round()
+        search.evaluations += distribution.evaluations
+        if not feasible and not distribution.rounds:
+            break
+        if feasible:
+            threshold = ceiling(program.bound, STAGES.joining * search.tolerance)
+            found = search.add_violated_sites(distribution.chain, threshold, ROUTES.apart)
+        if found:
+            distribution.add_sites(found.entering, found.alpha)
+            search.solve_program()
+        if not feasible or (found and program.bound == 0.0):
+            # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
+            # without edges that they hit.
+            distribution = _around_flow(search)
+            continue
+        distribution.measure(_cap(search))
+        best = search.better(best, distribution)
+        grew = distribution.entropy > before * (1.0 + STAGES.growth)
+        before = distribution.entropy
+        kept = best is not None and best.good  # one that was over a budget is not
+        if distribution.good and (distribution.exact or kept and not grew):
+            break
+    if best and not best.good:
+        find_sites(search, ROUNDS)
+        best = search.better(best, _around_flow(search))
+    return best
 
 
-def _in_time(strategy: Strategy, options: StrategyOptions) -> Strategy:
+def _cap(search: Search) -> float:
+    """The mean loss that each site may cause, without the tolerance."""
+    program = search.program
+    if isinstance(program, Routes):
+        least = ceiling(program.value, STAGES.flow_tolerance * search.tolerance)
+        return max(program.bound, least / ceiling(1.0, search.tolerance))
+    return program.bound
+
+
+def _around_flow(search: Search) -> RouteDistribution:
+    """The program's flow as the first strategy of rounds."""
+    legs, bound = search.legs, search.program.bound
+    flow = search.program.flow
+    safe = legs.avoiding(search.entering) if bound == 0.0 else None
+    parts = []
+    for k, (game, p) in enumerate(zip(legs.games, legs.split(flow), strict=True)):
+        game = _within_margin(game, legs.budgets[k].used_margin, p)
+        if safe and not p[~safe.games[k].playable].any():  # no route is hit at all
+            game = safe.games[k]
+        position = topological_order(game, p, order_potential(game))
+        part = acyclic_subnetwork(game, position)
+        assert part is not None  # it contains the flow
+        parts.append(acyclic_network(game.network, np.flatnonzero(part.playable), position))
+    network = in_series(parts, legs.first)
+    distribution = RouteDistribution(network, flow[network.edge], legs, search.tolerance,
+                                     search.deadline)
+    distribution.add_sites(search.entering, search.loss)
+    distribution.measure(_cap(search))
+    return distribution
+
+
+def _within_margin(game: Game, used_margin: FloatArray, p: FloatArray) -> Game:
+    """The game without edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes.
+
+    So all best routes for a budget that allows no others are in one order of the nodes.
+    """
+    used = game.least_weights(used_margin) <= 1.0 / NEGLIGIBLE
+    return game.restricted_to(used | (p > 0.0)) or game
+
+
+def find_mixture(search: Search) -> Incumbent:
+    """Mixtures of whole routes of least value, at the sites that matter for them."""
+    if isinstance(search.program, Potential):
+        potential = search.program
+        search.earlier.append(potential.ambush)
+        routes = Routes(search.legs, STAGES.routes_gap * search.tolerance)
+        known = len(routes.loss)
+        routes.add_sites(csr_matrix(search.entering[known:]), search.loss[known:])
+        routes.bound = potential.bound
+        for leg, lines in enumerate(potential.level_lines(STAGES.lines)):
+            for line in lines:
+                routes.add_route(leg, line)
+        search.program = routes
+    find_sites(search, ROUNDS)
+    program = search.program
+    assert isinstance(program, Routes)
+    good = within(program.value, program.bound, search.tolerance)
+    return Incumbent(program.mixture, program.value, rating=(good, -program.value))
+
+
+def certify(search: Search, best: Incumbent) -> TripStrategy:
+    """The strategies of an incumbent, with their value at any place and a bound that is proved.
+
+    In games with the sites that matter for it or for its bound.
+    """
+    best = search.at_any_site(best)
+    legs, count = search.legs, len(search.loss)
+    own, ambushes = np.arange(count) < len(legs.loss), [*search.earlier, search.program.ambush]
+    kept = own.copy()
+    for each in ambushes:
+        kept[np.flatnonzero(each.q)] = True
+    if best.worst >= 0:
+        kept[best.worst] = True
+    added = np.flatnonzero(kept & ~own)
+    legs = legs.with_sites(search.points[added], search.loss[added],
+                           csr_matrix(search.entering[added]))
+    ambusher, bounds = _best_proof(search, legs, best, [each.ambusher(legs.games[0], kept)
+                                                        for each in ambushes])
+    law, mixtures = best.law, [None] * len(legs.games)
+    if isinstance(law, RouteMixture):
+        mixtures = [law.of_leg(k, int(first)) for k, first in enumerate(legs.first[:-1])]
+    found = make_strategies(legs, law.uses(legs.edge_count), mixtures, ambusher, bounds,
+                            iterations=search.evaluations)
+    reason = 'complete'
+    if not within(found.value, found.lower_bound, search.problem.tolerance + CERTIFICATE_TOLERANCE):
+        reason = 'time' if search.problem.out_of_time else search.reason
+    bound = best.entropy_bound
+    each = tuple(replace(leg, reason=reason, entropy_bound=bound if len(legs.games) == 1 else np.nan)
+                 for leg in found.legs)
+    return replace(found, legs=each, reason=reason, entropy_bound=bound)
+
+
+def _best_proof(search: Search, legs: Legs, best: Incumbent,
+                ambushers: list[Ambusher]) -> tuple[Ambusher, FloatArray]:
+    """The ambusher who proves most, and the legs' bounds; those within the tolerance will do."""
+    target, proved = best.value / ceiling(1.0, search.tolerance), []
+    for ambusher in ambushers:
+        bounds = np.zeros(len(legs.games))
+        if search.program.bound > 0.0:  # else a search for what is proved can take minutes
+            targets = _leg_targets(legs, best.law, ambusher, target)
+            bounds = lower_bounds(legs, ambusher, search.problem.certificate_deadline, targets)
+        proved.append((ambusher, bounds))
+        if bounds.sum() >= target:
+            break
+    return max(proved, key=lambda each: float(each[1].sum()))
+
+
+def _leg_targets(legs: Legs, law: Law, ambusher: Ambusher, target: float) -> FloatArray:
+    """What to prove of each leg (legs,), so that it adds up to ``target`` if that is possible.
+
+    What the leg's own strategy costs against the ambusher, less its share of what need not be
+    proved.
+    """
+    if len(legs.games) == 1:
+        return np.array([target])
+    game = legs.games[0]
+    site_prices = (game.loss * ambusher.q)[game.sites]
+    rows = np.flatnonzero(site_prices)
+    uses, entering = legs.split(law.uses(legs.edge_count)), csr_matrix(legs.entering[rows])
+    edge = np.arange(legs.edge_count)
+    hits = [float(site_prices[rows] @ law.meets(csr_matrix(entering.multiply(
+        (edge >= begin) & (edge < end))))) for begin, end in pairwise(legs.first.tolist())]
+    paid = [price * (float(p[p > 0.0] @ budget.reduced_cost[p > 0.0]) - budget.margin)
+            if price > 0.0 else 0.0
+            for price, budget, p in zip(ambusher.prices, legs.budgets, uses, strict=True)]
+    costs, shares = np.add(hits, paid), np.array(hits)
+    spare = max(float(costs.sum()) - target, 0.0)
+    return np.asarray(costs - spare * shares / max(float(shares.sum()), np.finfo(float).tiny))
+
+
+def _in_time(strategy: TripStrategy, options: StrategyOptions) -> TripStrategy:
     """The strategy; raises TimeLimit if the time passed before it was within the slack."""
     if strategy.reason != 'time':
         return strategy
     raise TimeLimit(
         f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
-        f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time', strategy
-    )
-
-
-def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> Potential | None:
-    """The LP in potentials if the network is planar and at most one budget binds."""
-    game, binding = problem.game, problem.binding
-    if game.ambushers > 1 or len(binding) > 1 or game.options.loads:
-        return None
-    faces, budget = make_faces(game), binding[0] if binding else problem.budgets[0]
-    if faces is None or not faces.same_both_ways(budget.cost):
-        return None
-    return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)
-
-
-def _routes(problem: SearchProblem, slack: float, planar: Potential | None) -> Routes:
-    """The LP over whole routes; its bound comes from potentials if there are any."""
-    return Routes(problem.game, problem.binding, ROUTES_GAP * slack, problem.deadline,
-                  problem.progress, planar)
+        f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time',
+        strategy.legs[0])
 
 
 def _check_losses(network: Network) -> None:

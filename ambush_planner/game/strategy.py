@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,10 +19,13 @@ from ..notebook import Shown
 from ..option_checks import check_at_least
 from .ambusher import Ambusher
 from .budget import Budget
-from .certificate.certificate import Certificate, certify
+from .certificate.certificate import Certificate, check_strategy
+from .distribution.chain import RouteMixture
 from .game import Game
-from .route_sampler import RouteSampler, entropy, route_entropy
-from .slack import CERTIFICATE_TOLERANCE, Reason, within
+from .hits import Law, LegLaws, largest_product, law_of
+from .legs import Legs
+from .route_sampler import MixtureSampler, RouteSampler, entropy, route_entropy
+from .tolerance import CERTIFICATE_TOLERANCE, Reason, within
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
@@ -39,9 +43,6 @@ class StrategyOptions:
     max_detour
         Limit of the expected length, as a multiple of ``shortest_length``; ``inf``: no limit.
         The most unpredictable strategy usually uses all of it.
-    max_exposure
-        Limit of the expected exposure (the integral of alpha along the route), as a multiple of
-        the least; ``inf``: no limit ('max_entropy' only).
     risk_slack
         Accept values up to (1 + risk_slack) times the least; 0: within 1e-5 of the bound. The
         linear programs ignore it.
@@ -58,16 +59,14 @@ class StrategyOptions:
 
     solver: str = 'max_entropy'
     max_detour: float = 1.2
-    max_exposure: float = math.inf
     risk_slack: float = 0.01
     length_weight: float = 0.0
-    time_limit: float = math.inf
+    time_limit: float = 60.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InvalidOption(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
         check_at_least('max_detour', self.max_detour, 1.0, finite=False)
-        check_at_least('max_exposure', self.max_exposure, 1.0, finite=False)
         check_at_least('risk_slack', self.risk_slack, 0.0)
         check_at_least('length_weight', self.length_weight, 0.0)
         check_at_least('time_limit', self.time_limit, 0.0, 's', finite=False)
@@ -80,20 +79,16 @@ class StrategyOptions:
                 f'length_weight {self.length_weight} needs the solver interior_point or simplex; '
                 'max_entropy limits the length with max_detour'
             )
-        if self.solver != 'max_entropy' and math.isfinite(self.max_exposure):
-            raise InvalidOption(
-                f'max_exposure {self.max_exposure} needs the solver max_entropy, got {self.solver}'
-            )
 
     @property
-    def slack(self) -> float:
-        """The risk slack of the solver: 0 for linear programs."""
+    def tolerance(self) -> float:
+        """The tolerance of the value: the risk slack, 0 for linear programs."""
         return self.risk_slack if self.solver == 'max_entropy' else 0.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Strategy(Shown):
-    """A mixed strategy with its certificate.
+    """A mixed strategy of one leg with its certificate.
 
     Attributes
     ----------
@@ -102,7 +97,13 @@ class Strategy(Shown):
     edge_probability : (M,)
         p: expected uses of each edge; probabilities where the strategy is acyclic.
     ambusher : Ambusher
-        The best one: where he waits, and what the budgets are worth to him.
+        The best one: where to wait, and what the length budget is worth. On a trip, the ambusher of
+        all legs, who proves less of a single one.
+    budget : Budget
+        The limit of the mean length.
+    mixture : RouteMixture or None
+        The whole routes that are drawn, if a Markov chain with the same p would cost more than the
+        risk slack: where ways part, share a pass and part again within the reach.
     iterations : int
         Evaluations of the Gibbs distribution, or iterations of interior point or simplex method.
     reason : str
@@ -114,8 +115,9 @@ class Strategy(Shown):
     game: Game
     edge_probability: FloatArray
     ambusher: Ambusher
-    budgets: tuple[Budget, Budget]
+    budget: Budget
     certificate: Certificate
+    mixture: RouteMixture | None = None
     iterations: int = 0
     entropy_bound: float = math.nan
     reason: Reason = 'complete'
@@ -131,7 +133,7 @@ class Strategy(Shown):
 
     @property
     def lower_bound(self) -> float:
-        """No strategy within the budgets has a smaller value, counted in the same way."""
+        """No strategy within the budget has a smaller value, counted in the same way."""
         return self.certificate.bound
 
     @property
@@ -140,29 +142,19 @@ class Strategy(Shown):
         return self.value - self.lower_bound
 
     @cached_property
+    def law(self) -> Law:
+        """How routes are drawn."""
+        return self.mixture or law_of(self.game, self.edge_probability)
+
+    @cached_property
     def visit_probability(self) -> FloatArray:
         """x (N,): expected visits of each node, 1 at the source and the target."""
         return frozen_array(self.game.visits(self.edge_probability), np.float64)
 
-    @cached_property
-    def shown_probability(self) -> FloatArray:
-        """p (M,) with all edges for one stretch, as in layers, added up at the first."""
-        p, first = self.edge_probability, self.network.first_edge
-        return frozen_array(sums(first, p, len(p)), np.float64)
-
     @property
     def ambush_probability(self) -> FloatArray:
-        """q (N,): the ambusher's equilibrium strategy at the first node of each place.
-
-        It sums to the number of ambushers. On trips, ``ambusher.by_leg`` says for which leg he
-        waits there.
-        """
+        """q (N,): the ambusher's equilibrium strategy; sums to 1."""
         return self.ambusher.q
-
-    @property
-    def ambush_at_places(self) -> FloatArray:
-        """q by place (K,), K = ``network.place_count``: summed over the nodes of each."""
-        return self.game.at_places(self.ambush_probability)
 
     @cached_property
     def edge_entropy(self) -> float:
@@ -171,7 +163,9 @@ class Strategy(Shown):
 
     @cached_property
     def route_entropy(self) -> float:
-        """Entropy of a drawn route, -sum p_ij ln(p_ij / x_i) [nats]."""
+        """Entropy of a drawn route, -sum p_ij ln(p_ij / x_i) or that of the mixture [nats]."""
+        if self.mixture:
+            return self.mixture.entropy
         return route_entropy(self.network, self.edge_probability)
 
     @property
@@ -185,7 +179,7 @@ class Strategy(Shown):
     @cached_property
     def expected_length(self) -> float:
         """Mean length [m], or [s] if the network has driving times (``travel_costs``)."""
-        return self.budgets[0].mean(self.edge_probability)
+        return self.budget.mean(self.edge_probability)
 
     @property
     def shortest_length(self) -> float:
@@ -193,12 +187,12 @@ class Strategy(Shown):
 
         The latter if that over the ground is not known (``Network.ground_length``).
         """
-        return self.budgets[0].least
+        return self.budget.shortest
 
     @property
     def length_budget(self) -> float:
         """Largest mean length [m or s]; with ``length_weight`` the strategy's own; inf: any."""
-        return self.budgets[0].limit
+        return self.budget.limit
 
     @property
     def length_price(self) -> float:
@@ -208,22 +202,7 @@ class Strategy(Shown):
     @cached_property
     def expected_exposure(self) -> float:
         """Mean integral of alpha along the route [loss x m]."""
-        return self.budgets[1].mean(self.edge_probability)
-
-    @property
-    def least_exposure(self) -> float:
-        """Least exposure of any route [loss x m]."""
-        return self.budgets[1].least
-
-    @property
-    def exposure_budget(self) -> float:
-        """Largest mean exposure [loss x m]; inf: unlimited."""
-        return self.budgets[1].limit
-
-    @property
-    def exposure_price(self) -> float:
-        """Decrease of the value per unit of increase of the exposure budget."""
-        return self.ambusher.prices[1]
+        return float(self.edge_probability @ self.network.edge_exposure)
 
     def _summary(self) -> dict[str, str]:
         return {
@@ -231,7 +210,7 @@ class Strategy(Shown):
             'mean length': f'{self.expected_length:.0f} {self.network.travel_unit}',
             'shortest route': f'{self.shortest_length:.0f} {self.network.travel_unit}',
             'effective number of routes': f'{math.exp(min(self.route_entropy, 700.0)):.3g}',
-            'network': f'{self.network.place_count} nodes, {self.network.stretches} edges',
+            'network': f'{len(self.network.points)} nodes, {len(self.network.edges)} edges',
         }
 
     def plot(self, risk_map: RiskMap | None = None, axes: Any = None) -> Any:
@@ -242,15 +221,13 @@ class Strategy(Shown):
 
     @property
     def network(self) -> Network:
-        """The network that the strategy is for; layers come after its own nodes and edges.
-
-        A strategy that has to remember its route has layers: on most trips, and if an ambush
-        reaches two passes of a route.
-        """
+        """The network that the strategy is for."""
         return self.game.network
 
     @cached_property
-    def _sampler(self) -> RouteSampler:
+    def _sampler(self) -> RouteSampler | MixtureSampler:
+        if self.mixture:
+            return MixtureSampler(self.network, self.mixture)
         return RouteSampler(self.network, self.edge_probability)
 
     def sample_route(self, rng: np.random.Generator | int | None = None) -> IndexArray:
@@ -269,10 +246,9 @@ class Strategy(Shown):
         """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.
 
         It is the mean of the unit vectors along the edges out of the node, weighted by p (the right
-        column of the paper's figure 3); its length is 1 if the next step is certain. The nodes
-        of all layers for a place count at the first of them.
+        column of the paper's figure 3); its length is 1 if the next step is certain.
         """
-        network, p = self.network, self.shown_probability
+        network, p = self.network, self.edge_probability
         step = network.points[network.heads] - network.points[network.tails]
         unit = step / np.maximum(network.lengths, np.finfo(float).tiny)[:, None]
         count = len(network.points)
@@ -282,27 +258,133 @@ class Strategy(Shown):
         return mean
 
 
-def strategy_of(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, Budget],
-                bound: float | None = None) -> Strategy:
-    """The strategy p (M,) with its certificate; ``bound`` is the ambusher's, if it is known.
+@dataclass(frozen=True, eq=False)
+class TripStrategy:
+    """The strategies of a trip's ``legs``, drawn one by one, and what an ambusher does to all.
 
-    Raises SolverFailed if p or the ambusher is not valid; see ``certify``.
+    The ``certificate`` is of the sums over the legs: the largest mean loss at a place, and the
+    lower bound that the ambusher proves.
     """
-    return Strategy(game, frozen_array(p, np.float64), ambusher, budgets,
-                    certify(game, p, ambusher, budgets, bound))
+
+    legs: tuple[Strategy, ...]
+    certificate: Certificate
+    entropy_bound: float = math.nan
+    reason: Reason = 'complete'
+
+    @property
+    def value(self) -> float:
+        """Mean loss by the best ambush at one place, added up over the legs."""
+        return self.certificate.value
+
+    @property
+    def lower_bound(self) -> float:
+        """No strategies within the budgets have a smaller value."""
+        return self.certificate.bound
+
+    @property
+    def gap(self) -> float:
+        """Value minus lower bound."""
+        return self.value - self.lower_bound
+
+    @property
+    def game(self) -> Game:
+        """The game of the first leg, which has the sites of all."""
+        return self.legs[0].game
+
+    @property
+    def ambusher(self) -> Ambusher:
+        """The ambusher who proves the bound, with the prices of all legs."""
+        own = [leg.ambusher for leg in self.legs]
+        return Ambusher(own[0].q, tuple(each.prices[0] for each in own),
+                        sum((each.circulations for each in own), ()))
+
+    @cached_property
+    def joint(self) -> Legs:
+        """The legs' games as one."""
+        return Legs(tuple(leg.game for leg in self.legs), tuple(leg.budget for leg in self.legs))
+
+    @cached_property
+    def law(self) -> Law:
+        """How the routes of all legs are drawn."""
+        laws = [leg.law for leg in self.legs]
+        return laws[0] if len(laws) == 1 else LegLaws(self.joint, laws)
+
+    @cached_property
+    def hits(self) -> FloatArray:
+        """P(hit) (legs, S) of each leg at each site."""
+        return np.stack([leg.law.meets(leg.game.entering) for leg in self.legs])
+
+    @property
+    def first_hit_value(self) -> float:
+        """Mean loss by the best ambush at one place if the first hit ends the trip.
+
+        It is exact, as legs are drawn one by one, and at most the value.
+        """
+        missed = np.prod(1.0 - np.minimum(self.hits, 1.0), axis=0)
+        return float((self.joint.loss * (1.0 - missed)).max(initial=0.0))
+
+    @property
+    def expected_length(self) -> float:
+        """Mean length of all legs together [m or s]."""
+        return sum(leg.expected_length for leg in self.legs)
+
+    @property
+    def shortest_length(self) -> float:
+        """Length of the shortest ways of all legs together [m or s]."""
+        return sum(leg.shortest_length for leg in self.legs)
+
+    @property
+    def expected_exposure(self) -> float:
+        """Mean integral of alpha along all legs [loss x m]."""
+        return sum(leg.expected_exposure for leg in self.legs)
+
+    @property
+    def edge_entropy(self) -> float:
+        """-sum p ln p over the edges of all legs [nats]."""
+        return sum(leg.edge_entropy for leg in self.legs)
+
+    @property
+    def route_entropy(self) -> float:
+        """Entropy of the drawn routes of all legs [nats]."""
+        return sum(leg.route_entropy for leg in self.legs)
+
+    @property
+    def entropy_gap(self) -> float:
+        """How much more route entropy other strategies within the limits could have [nats]."""
+        return max(self.entropy_bound - self.route_entropy, 0.0)
 
 
-def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
-    """The budgets of length and exposure, as multiples of the whole network's best routes.
+def make_strategies(legs: Legs, p: FloatArray, mixtures: Sequence[RouteMixture | None],
+                    ambusher: Ambusher, bounds: FloatArray, **facts: Any) -> TripStrategy:
+    """The strategies p (M,) of all legs, or ``mixtures`` of whole routes, with their certificates.
 
-    Raises BudgetInfeasible if the best playable route exceeds a budget.
+    ``bounds`` (legs,) are what the ambusher proves (``lower_bounds``); ``facts`` are the other
+    fields of ``Strategy``. Raises SolverFailed if p is not valid or a bound exceeds its value.
     """
-    return Budget.length(game, options.max_detour), Budget.exposure(game, options.max_exposure)
+    strategies, total = [], 0.0
+    for game, budget, own, mixture, alone, bound in zip(
+            legs.games, legs.budgets, legs.split(p), mixtures, ambusher.by_leg(), bounds.tolist(),
+            strict=True):
+        check_strategy(game, budget, own)
+        # Rounding may put p over a budget; the bound then holds for strategies as far over it.
+        if alone.prices[0] > 0.0:
+            bound -= alone.prices[0] * budget.overrun(own)
+        total += bound
+        found = Strategy(game, frozen_array(own, np.float64), alone, budget, Certificate(math.inf, 0.0),
+                         mixture, **facts)
+        value = largest_product(game.loss[game.sites], game.entering, found.law)[0]
+        strategies.append(replace(found, certificate=Certificate(value, max(bound, 0.0))))
+    if len(strategies) == 1:
+        return TripStrategy(tuple(strategies), strategies[0].certificate)
+    trip = TripStrategy(tuple(strategies), Certificate(math.inf, 0.0))
+    value = largest_product(legs.loss, legs.entering, trip.law)[0]
+    return replace(trip, certificate=Certificate(value, max(total, 0.0)))
 
 
-def within_slack(strategy: Strategy, options: StrategyOptions) -> bool:
+def within_slack(strategy: Strategy | TripStrategy, options: StrategyOptions) -> bool:
     """Whether value and lower bound are as near to each other as the options ask for."""
     # With a length weight, the weighted sum is minimal and sets the scale of the gap.
-    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
+    weighed = sum(price * strategy.expected_length for price in strategy.ambusher.prices
+                  ) * (options.length_weight > 0.0)
     return within(strategy.value + weighed, strategy.lower_bound + weighed,
-                  options.slack + CERTIFICATE_TOLERANCE)
+                  options.tolerance + CERTIFICATE_TOLERANCE)

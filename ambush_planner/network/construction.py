@@ -112,13 +112,12 @@ SEARCHED = 50
 
 
 def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-                  options: NetworkOptions | None = None,
-                  stops: Iterable[npt.ArrayLike] = ()) -> Network:
-    """Build the network for driving from start to goal via stops; world positions [m].
+                  options: NetworkOptions | None = None) -> Network:
+    """Build the network for driving from start to goal; world positions [m].
 
-    Start, stops and goal are nodes at exactly the given positions; each replaces its nearest
-    lattice node (random sampling: nearest sample). Every pair of joined nodes gives two directed
-    edges, except into the source and out of the target of a leg. If the mesh is too coarse for a
+    Start and goal are nodes at exactly the given positions; each replaces its nearest lattice node
+    (random sampling: nearest sample). Every pair of joined nodes gives two directed edges, except
+    into the source and out of the target. If the mesh is too coarse for a
     narrow passage that the map's cells show, nodes are added there. The same inputs, options and
     seed give the same network, bit for bit.
 
@@ -129,14 +128,14 @@ def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
 
     Raises
     ------
-    StartBlocked, StopBlocked, GoalBlocked
+    StartBlocked, GoalBlocked
         The position is not finite, off the map, or within the clearance of an obstacle.
     InvalidNetwork
-        Two consecutive positions are equal.
+        Start and goal are equal.
     InvalidOption
         The spacing requires more than ``MAX_CANDIDATES`` nodes.
     NoRoute
-        No route leads from start to goal, or to a stop.
+        No route leads from start to goal.
 
     Examples
     --------
@@ -147,8 +146,7 @@ def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     >>> network.points[[network.source, network.target]].tolist()
     [[2.0, 6.0], [22.0, 6.0]]
     """
-    graph = build_trip_graph(risk_map, start_xy, goal_xy, options or NetworkOptions(), stops)
-    return graph.network(graph.visits)
+    return build_trip_graph(risk_map, start_xy, goal_xy, options or NetworkOptions()).networks()[0]
 
 
 def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,

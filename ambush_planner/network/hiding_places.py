@@ -35,8 +35,5 @@ def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
 
 def with_places(network: Network, points: FloatArray, alpha: FloatArray) -> Network:
     """Append places (K, 2) with losses (K,) as nodes without edges."""
-    added = np.arange(len(points))
     return replace(network, points=np.concatenate((network.points, points)),
-                   alpha=np.concatenate((network.alpha, alpha)),
-                   places=np.concatenate((network.places, network.place_count + added)),
-                   leg=np.concatenate((network.leg, 0 * added)))
+                   alpha=np.concatenate((network.alpha, alpha)))

@@ -1,25 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """The certificate: the worst mean loss of a strategy, and a bound that no strategy can beat.
 
-Each route counts once per site, however often it comes back into the site's reach. For any strategy
-p within the budgets, any q >= 0 that sums to the number of ambushers k with q_j <= 1, and
-prices >= 0,
+Each route counts once per site, however often it comes back into the site's reach. For a strategy
+of each leg i within its length budget, any q >= 0 that sums to 1, and prices pi_i >= 0,
 
-    z(p) >= sum over j of q_j alpha_j P(hit_j)
-         >= min over routes of sum over the sites j that it meets of q_j alpha_j
-                               + sum over edges of price * reduced cost - price * slack,
+    value >= sum over j of q_j alpha_j sum over i of P(leg i is hit at j)
+          >= sum over i of [min over routes of leg i of sum over the sites j that it meets of
+                            q_j alpha_j + pi_i * its reduced cost, - pi_i * margin_i],
 
-where an edge's reduced cost is how much it lengthens (or exposes) the route beyond the best one,
-and the slack is the budget minus the best route's cost. The left side follows from p (``hits``),
-the right side is a shortest path if no route can come back to a site, else labels
-(``best_response``) or closed curves (``curves``) bound it from below. Neither depends on the solver
-that found p, q and the prices.
+where the reduced cost of a route is how much longer it is than the shortest one, and the margin is
+the budget minus the shortest route's length. The left side follows from the strategies (``hits``).
+On the right, the least cost of each leg is a shortest path if no route can come back to a site,
+else it is bounded from below by closed curves (``curves``) or labels (``best_response``). Neither
+depends on the solver.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,16 +26,16 @@ from ...arrays import ROUNDING, FloatArray, sums
 from ...errors import SolverFailed
 from ..ambusher import Ambusher
 from ..budget import Budget
-from ..faces import Faces, make_faces
+from ..faces import make_faces
 from ..game import Game
-from ..hits import worst_loss
+from ..legs import Legs
 from .best_response import best_response
 from .curves import curve_bound
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """``value`` z(p) of a strategy, and the ``bound`` that no strategy within the budgets beats.
+    """``value`` of a strategy, and the ``bound`` that no strategy within the budgets beats.
 
     Raises SolverFailed if the bound exceeds the value by more than rounding.
     """
@@ -51,58 +50,52 @@ class Certificate:
         object.__setattr__(self, 'bound', min(self.bound, self.value))
 
 
-def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, ...],
-            bound: float | None = None) -> Certificate:
-    """Certify a strategy p (M,) and an ambusher; ``bound`` is his ``lower_bound``, if it is known.
+def lower_bounds(legs: Legs, ambusher: Ambusher, deadline: float = math.inf,
+                 targets: FloatArray | None = None) -> FloatArray:
+    """What each leg (legs,) loses at least against the ambusher; their sum bounds the value.
 
-    Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, the
-    ambusher is none, or the bound exceeds the value.
+    A leg's bound can be below 0, if its budget is worth more than it loses. Proofs take until
+    ``deadline`` (``time.monotonic``) at most; that of a leg ends at its target (legs,).
     """
-    _check_flow(game, p)
-    for budget in budgets:
-        if not budget.keeps(p):
-            raise SolverFailed(
-                f"the strategy's {budget.name} is {budget.mean(p):.9g} {budget.unit}, over the "
-                f"budget of {budget.limit:.9g}"
-            )
-    value = worst_loss(game, p)
-    bound = lower_bound(game, ambusher, budgets) if bound is None else bound
-    # Rounding may put p over a budget; the bound then holds for strategies as far over it.
-    over = sum(price * budget.overrun(p)
-               for budget, price in zip(budgets, ambusher.prices, strict=True))
-    return Certificate(value, max(bound - over, 0.0))
+    wanted = np.full(len(legs.games), math.inf) if targets is None else targets
+    return np.array([leg_bound(game, budget, own, deadline, target)
+                     for game, budget, own, target in zip(
+                         legs.games, legs.budgets, ambusher.by_leg(), wanted, strict=True)])
 
 
-def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
-                faces: Faces | None = None, deadline: float = math.inf,
-                enough: float = math.inf) -> float:
-    """Value that no strategy within the budgets can beat, as the ambusher proves it.
-
-    By the closed curves of his circulation if he has one, else by the best response, as far as that
-    is found by ``deadline`` (``time.monotonic``). ``faces`` are the network's, if they are known.
-    The proof ends at a bound of ``enough``. Raises SolverFailed if he is no ambusher of the game.
-    """
-    ambusher.check(game, budgets)
-    game = game.without_layers()  # whatever can be driven can be driven on the trip's own nodes
-    if game.entries_are_hits:
-        return entry_bound(game, ambusher, budgets)
-    if ambusher.circulation is None:
-        return best_response(game, ambusher, budgets, deadline, enough)
-    same = faces is not None and len(faces.link) == len(game.network.edges)
-    faces = replace(faces, game=game) if faces and same else make_faces(game)
-    if faces is None or np.count_nonzero(ambusher.prices) > 1:
-        raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
-    return curve_bound(faces, ambusher, ambusher.circulation, budgets, deadline, enough)
+def leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float = math.inf,
+              target: float = math.inf) -> float:
+    """What any strategy of a leg within its budget loses at least against its ambusher."""
+    q, (price,), bound = ambusher.q, ambusher.prices, -math.inf
+    if game.no_reentry:
+        return entry_bound(game, budget, q, price)
+    for given in ambusher.circulations:
+        faces = make_faces(game)
+        if faces is None or not faces.same_both_ways(budget.cost):
+            raise SolverFailed('a circulation proves nothing where links cross or are one-way')
+        bound = curve_bound(faces, given, game.loss * q, budget, price, deadline, target)
+    if bound >= target:
+        return bound
+    weights, worth = _paid(game, budget, price)
+    return max(bound, best_response(game, q, weights, deadline, target + worth) - worth)
 
 
-def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
-    """The bound by the route of least cost if every entry is counted: one Dijkstra."""
-    weights, paid = ambusher.paid(game, budgets)
-    weights = weights + game.mean_loss_on_edges(ambusher.q)
-    return max(float(game.distances_from_source(weights)[game.network.target]) - paid, 0.0)
+def entry_bound(game: Game, budget: Budget, q: FloatArray, price: float) -> float:
+    """The same if every entry is counted: one shortest path."""
+    weights, worth = _paid(game, budget, price)
+    weights = weights + game.mean_loss_on_edges(q)
+    return float(game.distances_from_source(weights)[game.network.target]) - worth
 
 
-def _check_flow(game: Game, p: FloatArray) -> None:
+def _paid(game: Game, budget: Budget, price: float) -> tuple[FloatArray, float]:
+    """What each edge (M,) pays for the budget, and what the budget is worth to the convoy."""
+    if not price > 0.0:
+        return np.zeros(len(game.playable)), 0.0
+    return price * budget.reduced_cost, price * budget.margin
+
+
+def check_strategy(game: Game, budget: Budget, p: FloatArray) -> None:
+    """Raise SolverFailed if p (M,) is not a unit flow from source to target within the budget."""
     if not (p >= 0.0).all():
         raise SolverFailed(f'p must be >= 0, the least is {p.min()}')
     network = game.network
@@ -115,3 +108,6 @@ def _check_flow(game: Game, p: FloatArray) -> None:
         raise SolverFailed(f'p is not a flow from source to target: residual {residual:.1e}')
     if p[~game.playable].any():
         raise SolverFailed('p uses edges that are not playable')
+    if not budget.keeps(p):
+        raise SolverFailed(f"the strategy's length is {budget.mean(p):.9g} "
+                           f'{network.travel_unit}, over the budget of {budget.limit:.9g}')

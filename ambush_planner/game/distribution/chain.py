@@ -8,13 +8,12 @@ function of p, and its derivative is a row over the edges (docs/theory.md, Propo
 
     d P(hit) / d p_e = u_tail  (if e enters)  +  (u_tail (unless e enters) - u_head) V_head.
 
-The row times p is P(hit) itself. An entry that counts less than 1, as on a leg of a trip with less
-aboard, counts that much in P(hit), wherever p_e or V meet it.
+The row times p is P(hit) itself. On a trip, the hits of its legs add up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -23,7 +22,7 @@ from ...arrays import ROUNDING, FloatArray, IndexArray, sums
 from ...network.network import Network
 from ..game import Game
 from .acyclic import order_along, without_cycles
-from .gibbs import AcyclicNetwork, acyclic_network
+from .gibbs import AcyclicNetwork, acyclic_network, in_series
 
 # Flow that is rounding, of a strategy with 1 in all.
 NO_FLOW = 1e-13
@@ -56,22 +55,19 @@ class MarkovChain:
         return sums(self.network.edge, self.p, edges)
 
     def meets(self, rows: csr_matrix) -> FloatArray:
-        """P(hit) (K,) by sites whose discs are entered by the whole network's edges (K, M)."""
+        """Expected hits (K,) by sites whose discs are entered by the whole network's edges (K, M).
+
+        P(hit) on each leg, added up.
+        """
         return self.hits(self.network.columns(rows))
 
     def meets_at_most(self, rows: csr_matrix) -> FloatArray:
-        """An upper bound (K,) of ``meets`` that is fast to find.
-
-        P(hit) in a part of the network is at most the expected entries there, and how likely a
-        route is there, as no entry counts more than 1.
-        """
-        part, begin = self.network.part, self.network.tail == 0
-        weight = sums(part[begin], self.p[begin], int(part.max()) + 1)
-        if len(weight) == 1:
-            return np.asarray(np.minimum(rows @ self.uses(rows.shape[1]), 1.0))
-        uses = csr_matrix((self.p, (self.network.edge, part)), (rows.shape[1], len(weight)))
+        """An upper bound (K,) of ``meets`` that is fast to find: the entries, at most 1 a leg."""
+        starts = self.network.starts
+        leg = np.searchsorted(starts, self.network.tail, 'right') - 1
+        uses = csr_matrix((self.p, (self.network.edge, leg)), (rows.shape[1], len(starts)))
         entries = csr_matrix(rows @ uses)
-        entries.data = np.minimum(entries.data, weight[entries.indices])
+        entries.data = np.minimum(entries.data, 1.0)
         return np.asarray(entries.sum(axis=1)).ravel()
 
     @property
@@ -81,34 +77,41 @@ class MarkovChain:
         return float(0.0 - self.p[used] @ np.log(self.share[used]))
 
     def hits(self, rows: csr_matrix) -> FloatArray:
-        """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
+        """Expected hits (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
+        count, rows = rows.shape[0], self.network.by_leg(rows)
         hit = np.zeros(rows.shape[0])
-        tails, weight = self.network.tail[rows.indices], self.share[rows.indices] * rows.data
+        tails, weight = self.network.tail[rows.indices], self.share[rows.indices]
         for site, own, _, _, arriving in self._each(rows):
             hit[site] = arriving[tails[own]] @ weight[own]
-        return np.minimum(hit, 1.0)
+        return np.asarray(np.minimum(hit, 1.0).reshape(count, -1).sum(axis=1))
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
-        """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""
+        """Expected hits (K,), and the derivatives as rows (K, m), whose products with p they are."""
+        site_count, rows = rows.shape[0], self.network.by_leg(rows)
         edges, weights = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
         hit, count = np.zeros(rows.shape[0]), np.zeros(rows.shape[0] + 1, dtype=np.int64)
         unhit = np.ones(self.network.count)
         for site, own, a, b, arriving in self._each(rows):
-            entering, counts = rows.indices[own], rows.data[own]
+            entering = rows.indices[own]
             unhit[a:b] = arriving[a:b] * self._per_visit[a:b] + self._unvisited[a:b]
-            edge, weight = entering, unhit[self.network.tail[entering]] * counts
+            edge, weight = entering, unhit[self.network.tail[entering]]
             hit[site] = weight @ self.p[entering]
             # Where the expected entries exceed P(hit) by rounding, the derivative there is 1.
-            if b > a and hit[site] < counts @ self.p[entering] - ROUNDING:
-                later, more = self._changes_later_hits(entering, counts, a, b, unhit)
+            if b > a and hit[site] < self.p[entering].sum() - ROUNDING:
+                later, more = self._changes_later_hits(entering, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
             unhit[a:b] = 1.0
             edges.append(edge)
             weights.append(weight)
             count[site + 1] = len(edge)
-        rows = csr_matrix((np.concatenate(weights), np.concatenate(edges), np.cumsum(count)),
-                          rows.shape)
-        return np.minimum(hit, 1.0), rows
+        found = csr_matrix((np.concatenate(weights), np.concatenate(edges), np.cumsum(count)),
+                           rows.shape)
+        legs = len(self.network.starts)
+        if legs > 1:
+            each = np.arange(rows.shape[0])
+            found = csr_matrix((np.ones(len(each)), (each // legs, each)),
+                               (site_count, len(each))) @ found
+        return np.minimum(hit, 1.0).reshape(site_count, legs).sum(axis=1), csr_matrix(found)
 
     def avoiding(self, entering: IndexArray) -> tuple[MarkovChain, float]:
         """The chain of the routes that use no edge ``entering`` (K,), and their probability."""
@@ -145,14 +148,13 @@ class MarkovChain:
             yield site, own, a, b, arriving
             arriving[a:b] = self.visits[a:b]
 
-    def _changes_later_hits(self, entering: IndexArray, counts: FloatArray, a: int, b: int,
+    def _changes_later_hits(self, entering: IndexArray, a: int, b: int,
                             unhit: FloatArray) -> tuple[IndexArray, FloatArray]:
         """The edges with (u_tail unless they enter - u_head) V_head, where that is not 0."""
         network, last = self.network, self.network.count - 1
         again = self._at_behind[entering]
         self._behind[again] = 0.0
-        backwards = sums(last - network.tail[entering], counts * self.share[entering],
-                         network.count)
+        backwards = sums(last - network.tail[entering], self.share[entering], network.count)
         network.backwards.add_rows(self._behind, backwards, last + 1 - b, last + 1 - a)
         self._behind[again] = self.share[entering]
         first, end = self._into[a], self._into[b]
@@ -165,35 +167,67 @@ class MarkovChain:
         return edge[some], weight[some]
 
 
-class SeparateLegs:
-    """A trip's chain, judged leg by leg: a site hits it as often as the leg that it hits most.
+class RouteMixture:
+    """Whole routes of each leg, drawn with given probabilities: what one chain cannot remember.
 
-    However the legs of a trip are drawn together, the site hits it at least that often.
+    Parameters
+    ----------
+    routes
+        The routes, given by their edges, those of all legs numbered one after the other.
+    shares : (C,)
+        Probability of each among the routes of its leg.
+    leg : (C,)
+        The leg of each route.
     """
 
-    def __init__(self, chain: MarkovChain, leg: IndexArray) -> None:
-        """The chain, and the ``leg`` (M,) of each of the whole network's edges."""
-        self._chain, count = chain, len(leg)
-        self._legs = [csr_matrix((np.ones(len(own)), (own, own)), (count, count))
-                      for own in (np.flatnonzero(leg == k) for k in range(int(leg.max()) + 1))]
+    def __init__(self, routes: Sequence[IndexArray], shares: FloatArray, leg: IndexArray) -> None:
+        used = np.flatnonzero(shares > 0.0)
+        self.routes = [routes[k] for k in used.tolist()]
+        self.shares, self.leg = shares[used], leg[used]
+        self._edge = np.concatenate(self.routes)
+        self._route = np.repeat(np.arange(len(used)), list(map(len, self.routes)))
 
-    def meets(self, rows: csr_matrix) -> FloatArray:
-        """P(hit) (K,) by sites whose discs are entered by the whole network's edges (K, M)."""
-        return self._most(self._chain.meets, rows)
+    def uses(self, edges: int) -> FloatArray:
+        """Expected uses of each of the network's ``edges``."""
+        return sums(self._edge, self.shares[self._route], edges)
 
     def meets_at_most(self, rows: csr_matrix) -> FloatArray:
         """An upper bound (K,) of ``meets`` that is fast to find."""
-        return self._most(self._chain.meets_at_most, rows)
+        return np.asarray(rows @ self.uses(rows.shape[1]))
 
-    def _most(self, meets: Callable[[csr_matrix], FloatArray], rows: csr_matrix) -> FloatArray:
-        return np.asarray(np.max([meets(csr_matrix(rows @ leg)) for leg in self._legs], axis=0))
+    def meets(self, rows: csr_matrix) -> FloatArray:
+        """Expected hits (K,) by sites whose discs are entered by the edges of ``rows`` (K, M)."""
+        one = np.ones(len(self._edge))
+        along = csr_matrix((one, (self._edge, self._route)), (rows.shape[1], len(self.shares)))
+        met = csr_matrix(rows @ along)
+        met.data[:] = 1.0
+        return np.asarray(met @ self.shares)
+
+    @property
+    def entropy(self) -> float:
+        """Entropy of the drawn routes, added up over the legs [nats]."""
+        return float(0.0 - self.shares @ np.log(self.shares))
+
+    def of_leg(self, number: int, first: int) -> RouteMixture:
+        """The routes of one leg, whose edges are numbered from ``first`` on in this mixture."""
+        own = np.flatnonzero(self.leg == number)
+        return RouteMixture([self.routes[k] - first for k in own.tolist()], self.shares[own],
+                            np.zeros(len(own), dtype=np.int64))
 
 
 def chain_of(network: Network, p: FloatArray) -> MarkovChain:
-    """The chain of an acyclic strategy p (M,), on the edges that it uses."""
-    number = order_along(network, p)
-    assert number is not None  # p is acyclic
-    used = acyclic_network(network, np.flatnonzero(p > 0.0), number)
+    """The chain of an acyclic strategy p (M,) of one leg, on the edges that it uses."""
+    return chain_of_legs([network], p, np.array([0, len(p)]))
+
+
+def chain_of_legs(networks: Sequence[Network], p: FloatArray, first: IndexArray) -> MarkovChain:
+    """The chain of acyclic strategies of legs, p (M,) one after the other."""
+    parts = []
+    for network, own in zip(networks, np.split(p, first[1:-1]), strict=True):
+        number = order_along(network, own)
+        assert number is not None  # p is acyclic
+        parts.append(acyclic_network(network, np.flatnonzero(own > 0.0), number))
+    used = in_series(parts, first)
     return MarkovChain(used, p[used.edge])
 
 

@@ -13,11 +13,11 @@ Computation 21, 2009; also known as maximum causal entropy).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ...arrays import FloatArray, IndexArray, sums
 from ...network.network import Network
@@ -33,11 +33,14 @@ class AcyclicNetwork:
     """Edges of an acyclic network in topological order, sorted by (tail, head).
 
     ``tail`` and ``head`` (m,) are positions of nodes in the order; the source is 0 and the target
-    is the last one. ``edge`` (m,) are the indices of the edges in the whole network.
+    is the last one. ``edge`` (m,) are the indices of the edges in the whole network. The legs of a
+    trip follow each other: the next one begins where one ends, ``starts`` (legs,) are the positions
+    there. So one chain draws all legs, independently.
     """
 
-    def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray) -> None:
-        self.tail, self.head, self.edge = tail, head, edge
+    def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray,
+                 starts: Sequence[int] = (0,)) -> None:
+        self.tail, self.head, self.edge, self.starts = tail, head, edge, np.array(starts)
         self.count = int(head.max()) + 1
         self._first = np.searchsorted(tail, np.arange(self.count + 1))
         self._log_scale = np.zeros(self.count)
@@ -49,14 +52,15 @@ class AcyclicNetwork:
         """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
         return csr_matrix(rows[:, self.edge])
 
-    @cached_property
-    def part(self) -> IndexArray:
-        """The part (m,) of each edge: parts have no node but source and target in common."""
-        inner = (self.tail > 0) & (self.head < self.count - 1)
-        ends = np.ones(np.count_nonzero(inner)), (self.tail[inner], self.head[inner])
-        _, part = connected_components(csr_matrix(ends, (self.count, self.count)), directed=False)
-        of_edge = part[np.where(self.tail, self.tail, self.head)]
-        return np.asarray(np.unique(of_edge, return_inverse=True)[1], dtype=np.int64)
+    def by_leg(self, rows: csr_matrix) -> csr_matrix:
+        """Rows (K * legs, m): each of the rows (K, m) leg by leg."""
+        legs = len(self.starts)
+        if legs == 1:
+            return rows
+        entries = rows.tocoo()
+        leg = np.searchsorted(self.starts, self.tail[entries.col], 'right') - 1
+        return csr_matrix((entries.data, (entries.row * legs + leg, entries.col)),
+                          (rows.shape[0] * legs, rows.shape[1]))
 
     def distribution(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -168,6 +172,18 @@ def acyclic_network(network: Network, edge: IndexArray, position: IndexArray) ->
     tail, head = place[network.edges[edge]].T
     order = np.lexsort((head, tail))
     return AcyclicNetwork(tail[order], head[order], edge[order])
+
+
+def in_series(legs: Sequence[AcyclicNetwork], first: IndexArray) -> AcyclicNetwork:
+    """The acyclic networks of legs, one after the other; edges are numbered from ``first`` on."""
+    if len(legs) == 1:
+        return legs[0]
+    starts = np.cumsum([0, *(leg.count - 1 for leg in legs[:-1])])
+    return AcyclicNetwork(
+        np.concatenate([leg.tail + at for leg, at in zip(legs, starts, strict=True)]),
+        np.concatenate([leg.head + at for leg, at in zip(legs, starts, strict=True)]),
+        np.concatenate([leg.edge + at for leg, at in zip(legs, first, strict=False)]),
+        starts.tolist())
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:

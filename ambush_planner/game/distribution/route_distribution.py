@@ -17,15 +17,14 @@ twice, the rows are exact for every chain, and one round does it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags, vstack
+from scipy.sparse import block_diag, csr_matrix, diags, vstack
 
-from ...arrays import FloatArray
-from ..budget import Budget, budget_rows
-from ..slack import ceiling, sum_of_largest, within
+from ...arrays import FloatArray, IndexArray
+from ..legs import Legs
+from ..tolerance import ceiling, within
 from .chain import NO_FLOW, MarkovChain
 from .entropy_search import Accuracy, maximize_entropy
 from .gibbs import AcyclicNetwork
@@ -34,10 +33,10 @@ from .gibbs import AcyclicNetwork
 class DistributionRounds(NamedTuple):
     """The constants of the rounds of a route distribution."""
 
-    aim: float = 0.95  # share of the slack that a distribution uses, if rows are always exact
+    aim: float = 0.95  # share of the tolerance that a distribution uses, if rows are always exact
     early_aim: float = 0.7  # the same if rows are exact only at the chain before
-    # How accurate a round is, and a rough one; here, the excess is a share of the slack, and at
-    # most the missing entropy.
+    # How accurate a round is, and a rough one; here, the excess is a share of the tolerance, and
+    # at most the missing entropy.
     accuracy: Accuracy = Accuracy(0.04, 5e-4)
     early_accuracy: Accuracy = Accuracy(0.2, 1e-2)
     near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
@@ -48,31 +47,27 @@ DISTRIBUTION = DistributionRounds()
 
 
 class RouteDistribution:
-    """Rounds on one acyclic network, from a first strategy p (m,).
+    """Rounds on the acyclic network of all legs, from first strategies p (m,).
 
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
-    Sites have losses (S,) and edges (S, M) that enter their discs. ``caps`` (S,) are what each may
-    cause; the k largest add up to the limit of the value. If rows are ``exact`` for every chain,
-    ``entropy_bound`` [nats] is the most that the whole slack and the budgets allow, else NaN. If it
-    is ``rough``, rounds from a chain that is not within the slack are less accurate, as sites will
-    join; on layers that costs more than it gains. ``evaluations`` are those of the latest round.
+    Sites have losses (S,) and edges (S, M) that enter their discs; each may cause the ``cap`` plus
+    the ``tolerance``. If rows are ``exact`` for every chain, ``entropy_bound`` [nats] is the most
+    that the whole tolerance and the budgets allow, else NaN. Rounds from a chain that is not within
+    the tolerance are less accurate, as sites will join. ``evaluations`` are those of the latest
+    round.
     """
 
-    def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
-                 ambushers: int, slack: float, exact: bool, deadline: float,
-                 rough: bool = False) -> None:
-        self.network, self.slack, self.exact = network, slack, exact
-        self.chain = MarkovChain(network, p)
-        self.deadline, self._k, self._rough = deadline, ambushers, rough
-        self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
-        self._tolerance = self._accuracy(DISTRIBUTION.accuracy).excess
-        binding = [b for b in budgets if b.binds]
-        # A distribution may exceed its limits by the tolerance, but not a budget.
-        self._budget_slack = np.array([b.slack * (1.0 - self._tolerance) for b in binding])
-        self._budget_rows = budget_rows(binding, network.edge) / (1.0 - self._tolerance)
+    def __init__(self, network: AcyclicNetwork, p: FloatArray, legs: Legs, tolerance: float,
+                 deadline: float) -> None:
+        self.network, self.tolerance, self.exact = network, tolerance, legs.no_reentry
+        self.chain, self.deadline = MarkovChain(network, p), deadline
+        self._aim = DISTRIBUTION.aim if self.exact else DISTRIBUTION.early_aim
+        self._excess = self._accuracy(DISTRIBUTION.accuracy).excess
+        # A distribution may exceed its limits by the excess, but not a budget.
+        self._budget_rows = _budget_rows(legs, network.edge) / (1.0 - self._excess)
         self._entering = csr_matrix((0, len(p)))
-        self._loss, self.caps = np.zeros(0), np.zeros(0)
-        self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
+        self._loss, self.cap = np.zeros(0), 0.0
+        self.multipliers, self.prices = np.zeros(0), np.zeros(self._budget_rows.shape[0])
         self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -81,27 +76,27 @@ class RouteDistribution:
         self._loss = np.append(self._loss, loss)
         self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
-    def measure(self, caps: FloatArray) -> None:
-        """Find the value of p, and rows that are exact at p, for new ``caps`` (S,)."""
-        self.caps, limit = caps, caps / self._loss
-        self._capped_value = sum_of_largest(caps, self._k)
-        self._could = np.flatnonzero((self._entering.getnnz(axis=1) > 0) & (limit < 1.0))
-        hits = np.asarray(np.minimum(self._entering @ self.chain.p, 1.0))
+    def measure(self, cap: float) -> None:
+        """Find the value of p, and rows that are exact at p, for a new ``cap``."""
+        self.cap, limit = cap, cap / self._loss
+        legs = len(self.network.starts)
+        self._could = np.flatnonzero((self._entering.getnnz(axis=1) > 0) & (limit < legs))
+        hits = np.asarray(np.minimum(self._entering @ self.chain.p, legs))
         self._near = near = self._could[hits[self._could] > DISTRIBUTION.near * limit[self._could]]
         self._rows = self._entering[near]
         if not self.exact:
             hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
         losses, self.entropy = self._loss * hits, self.chain.entropy
-        self.value = sum_of_largest(losses, self._k)
         self.worst = int(losses.argmax()) if len(losses) else -1
+        self.value = float(losses.max(initial=0.0))
 
     def _accuracy(self, relative: Accuracy) -> Accuracy:
-        return relative._replace(excess=min(relative.excess * self.slack, relative.missing))
+        return relative._replace(excess=min(relative.excess * self.tolerance, relative.missing))
 
     @property
     def good(self) -> bool:
-        """Whether the value is within the slack of what the caps allow."""
-        return within(self.value, self._capped_value, self.slack)
+        """Whether the value is within the tolerance of the cap."""
+        return within(self.value, self.cap, self.tolerance)
 
     def round(self) -> bool:
         """The distribution of greatest entropy, near the one before, within rows exact at p.
@@ -109,7 +104,7 @@ class RouteDistribution:
         Returns False if no distribution is within the rows.
         """
         self.evaluations, near = 0, self._near
-        most = self.caps * ceiling(1.0, self._aim * self.slack) / self._loss
+        most = ceiling(self.cap, self._aim * self.tolerance) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
         if not most[sites].all():  # an LP that proved nothing allows no hits
             return False
@@ -118,7 +113,7 @@ class RouteDistribution:
         later = averaged / (averaged + 1.0) if self.rounds and not self.exact else 0.0
         past = -later * np.log(np.maximum(self.chain.share, NO_FLOW))
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
-        early = self._rough and not self.exact and not (self.good and self.rounds)
+        early = not self.exact and not (self.good and self.rounds)
         accuracy = self._accuracy(DISTRIBUTION.early_accuracy if early else DISTRIBUTION.accuracy)
         limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
         found = maximize_entropy(self.network, limits, past, start, accuracy, self.deadline)
@@ -130,10 +125,17 @@ class RouteDistribution:
         self.multipliers, self.prices = np.zeros(len(self._loss)), multipliers[len(sites) :]
         self.multipliers[sites] = multipliers[: len(sites)]
         if self.exact:
-            whole = ceiling(1.0, self.slack) / ceiling(1.0, self._aim * self.slack)
+            whole = ceiling(1.0, self.tolerance) / ceiling(1.0, self._aim * self.tolerance)
             log_z = self.network.distribution(limits.T @ multipliers)[0]
             self.entropy_bound = float(log_z + whole * self.multipliers.sum()
-                                       + self.prices.sum() / (1.0 - self._tolerance))
+                                       + self.prices.sum() / (1.0 - self._excess))
         self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1
         return True
+
+
+def _budget_rows(legs: Legs, edge: IndexArray) -> csr_matrix:
+    """Rows (legs, m) of the shares of each leg's margin that the edges (m,) of all legs take."""
+    used = csr_matrix(block_diag([budget.used_margin[None] for budget in legs.budgets
+                                  if budget.is_limited] or [np.zeros((0, legs.edge_count))]))
+    return csr_matrix(used[:, edge])

@@ -17,14 +17,11 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from ...arrays import BoolArray, FloatArray, sums
 from ...errors import SolverFailed
-from ..ambusher import Ambusher, at_nodes
-from ..budget import Budget
 from ..distribution.acyclic import without_cycles
 from ..distribution.chain import NO_FLOW
-from ..faces import Faces
 from ..game import Game
 from ..route_sampler import shortest_route_strategy
-from ..slack import ROUNDS
+from ..tolerance import ROUNDS
 
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this,
 # a quarter of them; several rounds on the residual network reach double precision.
@@ -33,7 +30,7 @@ INTEGER_FLOW = (np.iinfo(np.int32).max + 1) / 2**2
 
 @dataclass(frozen=True, eq=False)
 class CutSolution:
-    """Value z, an acyclic optimal strategy p (M,), and the ambusher's q (N,)."""
+    """Value z, an acyclic optimal strategy p (M,), and the ambusher's q (N,), 0 if the value is 0."""
 
     value: float
     p: FloatArray
@@ -41,11 +38,9 @@ class CutSolution:
 
 
 def solve_by_min_cut(game: Game) -> CutSolution:
-    """Solve the game of one ambusher without a reach and budgets by a minimum node cut.
+    """Solve the game of one leg without a reach and without a budget by a minimum node cut.
 
-    On a trip of several legs, the nodes of a place count as different sites: the value is that of
-    the costliest leg, a lower bound, and q is spread over these nodes. Raises SolverFailed if the
-    game has a reach.
+    Raises SolverFailed if the game has a reach.
     """
     if game.reach > 0.0:
         raise SolverFailed('a cut solves games without a reach')
@@ -53,40 +48,6 @@ def solve_by_min_cut(game: Game) -> CutSolution:
     if safe is not None:
         return CutSolution(0.0, shortest_route_strategy(safe), np.zeros(game.node_count))
     return _solve_by_rounds(game)
-
-
-class Cut:
-    """The least value without a reach and budgets; for several ambushers a lower bound.
-
-    ``caps`` (S,) are what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
-    are optimal if ``overrun`` is 0: it is the largest share by which the flow exceeds a budget, or
-    infinite if some q exceeds 1.
-    """
-
-    apart, deadline = 0.0, np.inf  # cuts take seconds at most
-    faces: Faces | None = None
-
-    def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
-        cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
-        self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
-        self.caps, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
-        over = [b.mean(self.flow) / b.limit - 1.0 for b in budgets if not b.keeps(self.flow)]
-        self.overrun = max(over, default=0.0) if self.q.max(initial=0.0) <= 1.0 else np.inf
-
-    def solve(self) -> None:
-        """Nothing: it is solved."""
-
-    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
-        """Nothing: all sites are nodes of the network."""
-
-    @property
-    def provers(self) -> list[Cut]:
-        """Itself."""
-        return [self]
-
-    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
-        """He who proves the bound, in a game with the ``kept`` sites."""
-        return Ambusher(at_nodes(game, self.q[kept]), tuple(self.prices.tolist()))
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:

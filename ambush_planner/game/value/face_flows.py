@@ -1,28 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Circulations of greatest gain on a graph that only grows, by HiGHS.
+"""Circulations of greatest gain on graphs that only grow, by HiGHS.
 
     minimise cost' x   subject to   A x = 0,   low <= x <= high
 
-Column e of A takes x_e from the node tail_e and brings it to the node head_e. With ``highspy`` the
-model stays in HiGHS' memory: columns that join at 0 and costs that change keep the basis feasible,
-so the primal simplex method goes on from it. Without ``highspy``, scipy's linprog solves each
-LP from nothing.
+Column e of A takes x_e from the node tail_e and brings it to the node head_e. Nodes of one *share*
+may together pass half of what enters and leaves them at most as often as the share's own column
+allows, which has a cost of its own. The model stays in HiGHS' memory: columns that join at 0 and
+costs that change keep the basis feasible, so the primal simplex method goes on from it.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from typing import Any, NamedTuple
 
+import highspy
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from ...arrays import FloatArray, IndexArray
 from ...errors import SolverFailed, TimeLimit
-from . import highs
-
-HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
 
 # HiGHS' options: primal simplex (4) with devex prices (1), which keeps a feasible basis.
 _OPTIONS: dict[str, Any] = {
@@ -32,58 +28,73 @@ _OPTIONS: dict[str, Any] = {
 
 
 class FlowSolution(NamedTuple):
-    """x (columns,), the potential (nodes,) of the nodes, 0 at the first, and the cost."""
+    """x (columns,), the potential (rows,) of nodes and rows of shares, and the cost."""
 
     x: FloatArray
     potential: FloatArray
     cost: float
 
 
-class KeptFlows:
-    """The LP in HiGHS' memory."""
+class FaceFlows:
+    """The linear program in HiGHS' memory; nodes, rows and columns are numbered as they come."""
 
     def __init__(self) -> None:
-        import highspy
-
-        self._status, self._infinity = highspy.HighsBasisStatus, highspy.kHighsInf
-        self._new_basis, self._optimal = highspy.HighsBasis, highspy.HighsModelStatus.kOptimal
         # The class that highspy.Highs extends: it does not greet on the standard output.
         quiet: Any = highspy.Highs.__base__
         self._model = quiet()
         for name, setting in _OPTIONS.items():
             self._model.setOptionValue(name, setting)
-        self._nodes = 0
+        self._rows = self._columns = 0
+        self._free: list[int] = []
 
-    def add_nodes(self, count: int) -> None:
-        """Add nodes; the very first one need not be balanced."""
-        none = np.zeros(0)
-        self._model.addRows(count, np.zeros(count), np.zeros(count), 0, np.zeros(count, np.int32),
-                            none.astype(np.int32), none)
-        if not self._nodes:
-            self._model.changeRowBounds(0, -self._infinity, self._infinity)
-        self._nodes += count
+    def add_nodes(self, count: int) -> IndexArray:
+        """Add nodes, in balance; return their numbers."""
+        return self._add_rows(count, 0.0)
 
-    def add_columns(self, tail: IndexArray, head: IndexArray, cost: FloatArray, low: FloatArray,
-                    high: FloatArray) -> None:
-        """Add columns (K,)."""
-        count = len(tail)
-        self._model.addCols(count, cost, low, high, 2 * count, 2 * np.arange(count, dtype=np.int32),
-                            np.column_stack((tail, head)).ravel().astype(np.int32),
-                            np.tile([1.0, -1.0], count))
+    def add_shares(self, count: int) -> IndexArray:
+        """Add rows of shares; return their numbers."""
+        return self._add_rows(count, -highspy.kHighsInf)
+
+    def release(self, node: int) -> None:
+        """Let a node be out of balance: the others of its graph then say all."""
+        self._model.changeRowBounds(node, -highspy.kHighsInf, highspy.kHighsInf)
+        self._free.append(node)
+
+    def add_columns(self, rows: IndexArray, entries: FloatArray, cost: FloatArray, low: FloatArray,
+                    high: FloatArray) -> IndexArray:
+        """Add columns (K,) with ``entries`` (K, R) in ``rows`` (K, R); -1: no entry. Return numbers.
+        """
+        used, count = rows >= 0, len(rows)
+        starts = np.cumsum(used.sum(axis=1)) - used.sum(axis=1)
+        self._model.addCols(count, cost, low, high, int(used.sum()), starts.astype(np.int32),
+                            rows[used].astype(np.int32), entries[used].astype(np.float64))
+        self._columns += count
+        return np.arange(self._columns - count, self._columns)
+
+    def set_entries(self, rows: IndexArray, columns: IndexArray, entry: float) -> None:
+        """Set entries (K,) of columns that have none in these rows."""
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+            self._model.changeCoeff(row, column, entry)
 
     def start_at(self, limit: IndexArray) -> None:
         """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
-        status = {-1: self._status.kLower, 0: self._status.kBasic, 1: self._status.kUpper}
-        basis = self._new_basis()
+        status = {-1: highspy.HighsBasisStatus.kLower, 0: highspy.HighsBasisStatus.kBasic,
+                  1: highspy.HighsBasisStatus.kUpper}
+        basis = highspy.HighsBasis()
         basis.col_status = [status[each] for each in limit.tolist()]
-        basis.row_status = [status[0]] + [status[-1]] * (self._nodes - 1)
+        rows = np.full(self._rows, -1)
+        rows[self._free] = 0
+        basis.row_status = [status[each] for each in rows.tolist()]
         basis.valid = True
         self._model.setBasis(basis)
 
-    def change_costs(self, first: int, cost: FloatArray) -> None:
-        """Change the costs of the columns from ``first`` on."""
-        columns = first + np.arange(len(cost), dtype=np.int32)
-        self._model.changeColsCost(len(cost), columns, cost)
+    def change_costs(self, columns: IndexArray, cost: FloatArray) -> None:
+        """Change the costs of columns (K,)."""
+        self._model.changeColsCost(len(columns), columns.astype(np.int32), cost)
+
+    def change_limits(self, columns: IndexArray, high: FloatArray) -> None:
+        """Let columns (K,) be between -high and high (K,)."""
+        self._model.changeColsBounds(len(columns), columns.astype(np.int32), -high, high)
 
     def solve(self, deadline: float) -> FlowSolution:
         """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
@@ -91,118 +102,20 @@ class KeptFlows:
         if np.isfinite(left):  # HiGHS' limit is one for all runs together
             self._model.setOptionValue('time_limit', self._model.getRunTime() + left)
         self._model.run()
-        if self._model.getModelStatus() != self._optimal:
+        if self._model.getModelStatus() != highspy.HighsModelStatus.kOptimal:
             _time_left(deadline)
             raise SolverFailed('HiGHS ended the LP in potentials with the status '
                                f'{self._model.modelStatusToString(self._model.getModelStatus())}')
         found = self._model.getSolution()
-        return _solution(np.array(found.col_value), np.array(found.row_dual),
-                         self._model.getInfo().objective_function_value)
+        return FlowSolution(np.array(found.col_value), np.array(found.row_dual),
+                            self._model.getInfo().objective_function_value)
 
-
-class RepeatedFlows:
-    """The same LP, solved from nothing each time."""
-
-    def __init__(self) -> None:
-        self._nodes, self._columns = 0, np.zeros((5, 0))
-
-    def add_nodes(self, count: int) -> None:
-        """Add nodes; the very first one need not be balanced."""
-        self._nodes += count
-
-    def add_columns(self, tail: IndexArray, head: IndexArray, cost: FloatArray, low: FloatArray,
-                    high: FloatArray) -> None:
-        """Add columns (K,)."""
-        self._columns = np.hstack((self._columns, [tail, head, cost, low, high]))
-
-    def start_at(self, limit: IndexArray) -> None:
-        """Nothing: linprog takes no basis."""
-
-    def change_costs(self, first: int, cost: FloatArray) -> None:
-        """Change the costs of the columns from ``first`` on."""
-        self._columns[2, first:] = cost
-
-    def solve(self, deadline: float) -> FlowSolution:
-        """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
-        tail, head, cost, low, high = self._columns
-        each = np.arange(len(tail))
-        places = np.concatenate((tail, head)).astype(np.int64), np.concatenate((each, each))
-        balance = csr_matrix((np.repeat([1.0, -1.0], len(each)), places), (self._nodes, len(each)))
-        lp = highs.LP(cost, csr_matrix((0, len(each))), np.zeros(0), balance[1:],
-                      np.zeros(self._nodes - 1), bounds=np.column_stack((low, high)))
-        found = highs.run(lp, 'simplex', deadline)
-        return _solution(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
-
-
-class LegFlows:
-    """One such LP for each leg of a trip: legs have no nodes in common."""
-
-    def __init__(self, legs: int) -> None:
-        self._lps = [new_flows() for _ in range(legs)]
-        # The leg of each node and each column, and their numbers there.
-        self._nodes, self._columns = (_Numbers(legs) for _ in range(2))
-
-    def add_nodes(self, leg: IndexArray) -> None:
-        """Add nodes on the legs (K,)."""
-        for lp, count in zip(self._lps, self._nodes.add(leg), strict=True):
-            lp.add_nodes(count)
-
-    def add_columns(self, tail: IndexArray, head: IndexArray, cost: FloatArray, low: FloatArray,
-                    high: FloatArray) -> None:
-        """Add columns (K,), each between two nodes of a leg."""
-        leg, number = self._nodes.leg[tail], self._nodes.number
-        self._columns.add(leg)
-        for k, lp in enumerate(self._lps):
-            own = leg == k
-            lp.add_columns(number[tail[own]], number[head[own]], cost[own], low[own], high[own])
-
-    def start_at(self, limit: IndexArray) -> None:
-        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
-        for k, lp in enumerate(self._lps):
-            lp.start_at(limit[self._columns.leg == k])
-
-    def change_costs(self, first: int, cost: FloatArray) -> None:
-        """Change the costs of the columns from ``first`` on."""
-        before, after = np.split(self._columns.leg, [first])
-        for k, lp in enumerate(self._lps):
-            lp.change_costs(int(np.count_nonzero(before == k)), cost[after == k])
-
-    def solve(self, deadline: float) -> FlowSolution:
-        """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
-        x, potential = np.empty(len(self._columns.leg)), np.empty(len(self._nodes.leg))
-        cost = 0.0
-        for k, lp in enumerate(self._lps):
-            found = lp.solve(deadline)
-            x[self._columns.leg == k], potential[self._nodes.leg == k] = found.x, found.potential
-            cost += found.cost
-        return FlowSolution(x, potential, cost)
-
-
-class _Numbers:
-    """The legs (K,) of some things, and their numbers on them."""
-
-    def __init__(self, legs: int) -> None:
-        self.leg, self.number = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        self._count = np.zeros(legs, dtype=np.int64)
-
-    def add(self, leg: IndexArray) -> list[int]:
-        """Add things on the legs (K,); return how many are on each."""
-        count = np.bincount(leg, minlength=len(self._count))
-        number = np.empty(len(leg), dtype=np.int64)
-        for k in range(len(count)):
-            number[leg == k] = self._count[k] + np.arange(count[k])
-        self.leg, self.number = np.append(self.leg, leg), np.append(self.number, number)
-        self._count = self._count + count
-        return [int(each) for each in count]
-
-
-def new_flows() -> KeptFlows | RepeatedFlows:
-    """An empty LP: in HiGHS' memory if ``highspy`` is installed."""
-    return KeptFlows() if HAS_HIGHSPY else RepeatedFlows()
-
-
-def _solution(x: FloatArray, potential: FloatArray, cost: float) -> FlowSolution:
-    return FlowSolution(x, potential - potential[0], cost)
+    def _add_rows(self, count: int, low: float) -> IndexArray:
+        none = np.zeros(0)
+        self._model.addRows(count, np.full(count, low), np.zeros(count), 0,
+                            np.zeros(count, np.int32), none.astype(np.int32), none)
+        self._rows += count
+        return np.arange(self._rows - count, self._rows)
 
 
 def _time_left(deadline: float) -> float:

@@ -11,16 +11,17 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
 from ...arrays import NEGLIGIBLE, ROUNDING, FloatArray, IndexArray
-from ...errors import BudgetInfeasible, InvalidOption
+from ...errors import BudgetInfeasible
 from ..ambusher import Ambusher, at_nodes
 from ..budget import BUDGET_TOLERANCE, Budget
-from ..certificate.certificate import entry_bound
+from ..certificate.certificate import entry_bound, lower_bounds
 from ..distribution.chain import NO_FLOW
 from ..game import Game
 from ..hits import entry_value
+from ..legs import Legs
 from ..route_sampler import shortest_route_strategy
-from ..slack import ROUNDS
-from ..strategy import Strategy, StrategyOptions, strategy_of, within_slack
+from ..strategy import Strategy, StrategyOptions, make_strategies, within_slack
+from ..tolerance import ROUNDS
 from . import highs
 from .cut import solve_by_min_cut
 
@@ -81,19 +82,15 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
-def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple[Budget, Budget],
+def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget,
                             deadline: float) -> Strategy:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only if the solution without it is too long; otherwise the LP is
     the paper's own. With a length weight, the budget is the solution's own expected length. Raises
-    InvalidOption if the game has several ambushers, and BudgetInfeasible, TimeLimit or SolverFailed
-    as HiGHS reports.
+    BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
     """
     whole, solver, length_weight = game, options.solver, options.length_weight
-    length, exposure = budgets
-    if game.ambushers > 1:
-        raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
         game = _avoiding_all_sites(game, length) or game
     lp = linear_program(game, length_weight, np.inf, _loss_unit(game))
@@ -106,15 +103,16 @@ def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple
     p[lp.edge] = _conserved(lp, np.maximum(result.x[:-1], 0.0))
     price = length_weight / lp.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     q, price = _ambusher(game, lp, result, price)
-    if row_added and length_weight == 0.0 and _leaves_no_slack(length):
+    if row_added and length_weight == 0.0 and _leaves_no_margin(length):
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
-    found = replace(strategy_of(whole, p, Ambusher(q, (price, 0.0)),
-                                (length if limited else own, exposure)), iterations=int(result.nit))
+    legs, ambusher = Legs((whole,), (length if limited else own,)), Ambusher(q, (price,))
+    (found,) = make_strategies(legs, p, [None], ambusher, lower_bounds(legs, ambusher),
+                               iterations=int(result.nit)).legs
     if within_slack(found, options):
         return found
-    return replace(found, reason='solver' if game.entries_are_hits else 'stalled')
+    return replace(found, reason='solver' if game.no_reentry else 'stalled')
 
 
 def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
@@ -136,17 +134,17 @@ def _loss_unit(game: Game) -> float:
     return 1.0 if 1.0 / ORDINARY < value < ORDINARY else value
 
 
-def _leaves_no_slack(budget: Budget) -> bool:
+def _leaves_no_margin(budget: Budget) -> bool:
     """Whether only the best routes fit: then no interior point is feasible."""
-    return budget.slack <= ROUNDING * budget.limit
+    return budget.margin <= ROUNDING * budget.limit
 
 
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
-    if length_weight == 0.0 and _leaves_no_slack(length):
-        near = game.through(length.reduced_cost) <= ROUNDING * length.limit
+    if length_weight == 0.0 and _leaves_no_margin(length):
+        near = game.least_weights(length.reduced_cost) <= ROUNDING * length.limit
         game = game.restricted_to(near) or game
     for _ in range(ROUNDS):
         lp = linear_program(game, length_weight, length.limit, unit)
@@ -191,7 +189,7 @@ def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> floa
     longer = length.reduced_cost[length.reduced_cost > ROUNDING * length.limit]
     enough = entry_value(game, shortest_route_strategy(game)) / longer.min(initial=np.inf)
     return max((price, float(enough)),
-               key=lambda each: entry_bound(game, Ambusher(q, (each,)), (length,)))
+               key=lambda each: entry_bound(game, length, q, each))
 
 
 def _run(lp: LinearProgram, solver: str, deadline: float) -> OptimizeResult:

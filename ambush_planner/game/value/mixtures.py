@@ -1,151 +1,97 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The linear program over mixtures of known routes.
+"""The restricted master problem: the best mixture of the known routes of each leg.
 
-    minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,
-                                             mean reduced cost <= 1 (in budget slacks),
-                                             the shares are a unit flow through the stops,
+    minimise z   subject to   mean loss at site j, added up over the legs, <= z,
+                              mean used margin of each leg's length budget <= 1,
+                              the shares of each leg's routes add up to 1,
 
-each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
-also from stop to stop. The duals are the ambusher's strategy and the prices of the budgets. HiGHS'
-interior point method without crossover gives *central* duals, which price many routes at once; a
-vertex jumps from one extreme ambusher to another, but he waits at few sites.
+each route hit once by each site. The duals are the ambusher's strategy, the prices of the budgets,
+and what a route of each leg costs at the optimum. HiGHS' interior point method without crossover
+gives *central* duals, which price many routes at once; a vertex jumps from one extreme ambusher to
+another, but waits at few sites.
 """
 
 from __future__ import annotations
 
 import math
-from copy import copy
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix, hstack, identity, vstack
+from scipy.sparse import csr_matrix, hstack, vstack
 
 from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
-from ..slack import sum_of_largest
+from ..distribution.chain import RouteMixture
 from . import highs
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-# Uniform floor of all sites' caps, as a share of the value per relative gap.
-EVEN = 0.3
 # Share of the value from which on a site's losses are near it.
 NEAR = 0.9
 
 
 class Mixture(NamedTuple):
-    """Its value, the shares (C,) of the routes, and the duals: q (groups, S), prices (B,)."""
+    """Shares (C,) of the routes, and the duals.
 
-    value: float
+    These are the ambusher's q (S,), the prices (legs,) of the budgets' margins, and the costs
+    (legs,) of the routes that are used.
+    """
+
     shares: FloatArray
     q: FloatArray
     prices: FloatArray
+    costs: FloatArray
 
 
 class _Column(NamedTuple):
-    """A route, given by its edges, in a group.
-
-    ``met`` are the sites that it meets, ``counts`` what each of them counts, ``reduced_cost`` (B,)
-    is in budget slacks. It leads ``between`` two stops, numbered from the source on; no leg ends at
-    the source.
-    """
+    """A route of a leg, given by its edges, the sites that it meets, and the margin it uses."""
 
     route: IndexArray
+    leg: int
     met: IndexArray
-    counts: FloatArray
-    reduced_cost: FloatArray
-    group: int
-    between: tuple[int, int]
+    used_margin: float
 
 
 class Mixtures:
-    """Routes in groups, each with the sites (S,) that it meets and its reduced costs (B,).
+    """The routes that are known, each of one of ``legs`` legs, and the sites (S,)."""
 
-    Sites have shares of their own for each group: the first, second, ... legs of trips; or there is
-    one group of whole routes.
-    """
-
-    def __init__(self, groups: int) -> None:
-        self.loss, self.ambushers, self.limit, self._groups = np.zeros(0), 0, 1.0, groups
-        self._unit, self._near = 0.0, np.zeros((groups, 0), dtype=bool)
+    def __init__(self, legs: int) -> None:
+        self.loss, self._legs, self._unit = np.zeros(0), legs, 0.0
+        self._near = np.zeros(0, dtype=bool)
         self._columns: list[_Column] = []
         self._known: set[bytes] = set()
 
-    @property
-    def routes(self) -> list[IndexArray]:
-        """The routes, as edges."""
-        return [each.route for each in self._columns]
-
-    def add(self, route: IndexArray, met: FloatArray, reduced_cost: FloatArray, group: int = 0,
-            between: tuple[int, int] = (0, 1)) -> bool:
-        """Add a route, given by its edges and what each site counts; return whether it is new."""
+    def add(self, route: IndexArray, leg: int, met: IndexArray, used_margin: float) -> bool:
+        """Add a route, given by its edges, and the sites that it meets; return if it is new."""
         key = route.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
-        sites = np.flatnonzero(met)
-        self._columns.append(_Column(route, sites, met[sites], reduced_cost, group, between))
+        self._columns.append(_Column(route, leg, met, used_margin))
         return True
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         met_by, count = csr_matrix(entering.T), len(self.loss)
         self.loss = np.append(self.loss, loss)
-        self._near = np.pad(self._near, ((0, 0), (0, len(loss))))
+        self._near = np.append(self._near, np.zeros(len(loss), dtype=bool))
         for k, each in enumerate(self._columns):
-            some, counts = met_by[each.route], np.zeros(len(loss))
-            np.maximum.at(counts, some.indices, some.data)
-            met = np.flatnonzero(counts)
-            self._columns[k] = each._replace(met=np.append(each.met, count + met),
-                                             counts=np.append(each.counts, counts[met]))
-
-    def among(self, columns: IndexArray) -> Mixtures:
-        """The LP over some of the routes, by their numbers."""
-        some = copy(self)
-        some._unit, some._known = 0.0, set()
-        some._columns = [self._columns[k] for k in columns.tolist()]
-        return some
-
-    def losses(self, shares: FloatArray) -> FloatArray:
-        """Mean loss (S,) that each site causes a mixture."""
-        known = self._columns[: len(shares)]  # routes may have joined since
-        weight = np.concatenate([share * each.counts
-                                 for share, each in zip(shares, known, strict=True)])
-        return self.loss * sums(np.concatenate([each.met for each in known]), weight,
-                                len(self.loss))
-
-    def caps(self, shares: FloatArray, gap: float) -> FloatArray:
-        """Caps (S,): loss that each site may cause; the k largest add up to the mixture's value.
-
-        With several ambushers the mixture may miss a site altogether, which no route distribution
-        can; so all sites may cause a small share of the value alike, which grows with the relative
-        ``gap``.
-        """
-        losses, even = self.losses(shares), EVEN * gap
-        largest = np.sort(losses)[-self.ambushers :]
-        caps = np.maximum(losses, largest.min(initial=math.inf))
-        return np.asarray((1.0 - even) * caps + even * largest.sum() / max(self.ambushers, 1))
+            more = np.unique(met_by[each.route].indices) + count
+            self._columns[k] = each._replace(met=np.append(each.met, more))
 
     def value(self, shares: FloatArray) -> float:
-        """The sum of the k largest losses."""
-        return sum_of_largest(self.losses(shares), self.ambushers)
+        """The largest mean loss that a site causes a mixture with the given shares."""
+        known = self._columns[: len(shares)]  # routes may have joined since
+        weight = np.repeat(shares, [len(each.met) for each in known])
+        hits = sums(np.concatenate([each.met for each in known]), weight, len(self.loss))
+        return float((self.loss * hits).max(initial=0.0))
 
-    def flow(self, shares: FloatArray, edges: int) -> FloatArray:
-        """Expected uses (M,) of the edges."""
-        routes = self.routes[: len(shares)]
-        return sums(np.concatenate(routes), np.repeat(shares, list(map(len, routes))), edges)
-
-    def of_least_reduced_cost(self) -> Mixture:
-        """The mixture whose greatest reduced cost is least: that is its value.
-
-        Its prices are how much each budget counts in it.
-        """
-        costs = csr_matrix(self._reduced_costs)
-        result = self._solve_on(costs, 1, costs[:0], highs.OPTIMALITY[0], math.inf)
-        weights = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
-        return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
-                       np.zeros((self._groups, len(self.loss))), weights)
+    def law(self, shares: FloatArray) -> RouteMixture:
+        """The routes, drawn with their shares."""
+        known = self._columns[: len(shares)]
+        return RouteMixture([each.route for each in known], shares,
+                            np.array([each.leg for each in known]))
 
     def solve(self, precision: float, deadline: float = math.inf,
               vertex: bool = False) -> Mixture:
@@ -155,67 +101,49 @@ class Mixtures:
         once its losses have come near the value. Raises TimeLimit at ``deadline``
         (``time.monotonic``), or SolverFailed.
         """
-        group = np.array([each.group for each in self._columns])
-        near, cap, costs = self._near.ravel(), math.inf, csr_matrix(self._reduced_costs)
+        leg = np.array([each.leg for each in self._columns])
+        near, cap = self._near, math.inf
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > NEGLIGIBLE * most else most
-        hit, shares = self._hits(group) / unit, 1.0 / np.bincount(group)[group]
+        hit, shares = self._hits() / unit, 1.0 / np.bincount(leg)[leg]
         losses = hit @ shares
         while True:
-            largest = np.sort(losses)[-self.ambushers :]
             if cap < math.inf or not near.any():
-                near = near | (losses > min(NEAR * largest.min(initial=math.inf), cap))
-            result = self._solve_on(hit[near], self.ambushers, costs, precision, deadline, vertex)
-            shares, cap = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
-            shares /= np.bincount(group, shares)[group]
+                near = near | (losses > min(NEAR * losses.max(initial=0.0), cap))
+            result = self._solve_on(hit[near], leg, precision, deadline, vertex)
+            shares, cap = np.maximum(result.x[:-1], 0.0), float(result.x[-1])
+            shares /= np.bincount(leg, shares)[leg]
             losses = hit @ shares
             if not (losses > cap * (1.0 + precision))[~near].any():
                 break
-        self._near = (losses > NEAR * cap).reshape(self._groups, -1)
+        self._near = losses > NEAR * cap
         self._unit = float(result.fun) * unit
         duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
         q[near], prices = np.split(duals, [np.count_nonzero(near)])
-        return Mixture(self._unit, shares, q.reshape(self._groups, -1), prices * unit)
+        return Mixture(shares, q, prices * unit, np.asarray(result.eqlin.marginals) * unit)
 
-    @property
-    def _reduced_costs(self) -> FloatArray:
-        """The reduced costs (B, C) of the routes."""
-        return np.array([each.reduced_cost for each in self._columns]).T
-
-    def _hits(self, group: IndexArray) -> csr_matrix:
-        """The loss (groups * S, C) that each route has at each site of its group."""
-        met, count = [each.met for each in self._columns], len(self.loss)
+    def _hits(self) -> csr_matrix:
+        """The loss (S, C) that each route has at each site."""
+        met = [each.met for each in self._columns]
         sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
-        losses = self.loss[sites] * np.concatenate([each.counts for each in self._columns])
-        return csr_matrix((losses, (group[column] * count + sites, column)),
-                          (self._groups * count, len(met)))
+        return csr_matrix((self.loss[sites], (sites, column)), (len(self.loss), len(met)))
 
-    def _solve_on(self, hit: csr_matrix, ambushers: int, reduced_costs: csr_matrix,
-                  precision: float, deadline: float, vertex: bool = False) -> OptimizeResult:
-        """Solve the LP with the rows (R, C) of some sites, and those of the budgets (B, C)."""
-        (rows, count), extra = hit.shape, hit.shape[0] * (ambushers > 1)
-        limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
-                                    -identity(rows, format='csr')[:, :extra]]))
-        costs = reduced_costs.copy()
-        costs.resize(costs.shape[0], limits.shape[1])
-        begin, end = np.array([each.between for each in self._columns]).T
-        stops, inner = end.max(), np.flatnonzero(end < end.max())
-        flow = csr_matrix((np.append(np.ones(count), -np.ones(len(inner))),
-                           (np.append(begin, end[inner]), np.append(np.arange(count), inner))),
-                          (stops, limits.shape[1]))
-        objective = np.repeat([0.0, ambushers, 1.0], [count, 1, extra])
-        bounds = np.repeat([0.0, self.limit], [rows, costs.shape[0]])
-        return _solved(highs.LP(objective, csr_matrix(vstack([limits, costs])), bounds, flow,
-                                np.eye(1, stops)[0]), precision, deadline, vertex)
-
-
-def _solved(lp: highs.LP, precision: float, deadline: float, vertex: bool) -> OptimizeResult:
-    first, second = ('simplex', 'interior_point')[:: 1 if vertex else -1]
-    try:
-        result = highs.run(lp, first, deadline, False, precision)
-    except SolverFailed:
-        result = highs.run(lp, second, deadline)
-    if result.x is None:
-        raise SolverFailed('no mixture of the known routes is within the budgets')
-    return result
+    def _solve_on(self, hit: csr_matrix, leg: IndexArray, precision: float, deadline: float,
+                  vertex: bool) -> OptimizeResult:
+        """Solve the LP with the rows (R, C) of some sites."""
+        rows, count = hit.shape
+        one = csr_matrix((np.ones(count), (leg, np.arange(count))), (self._legs, count + 1))
+        used = one.multiply(np.append([each.used_margin for each in self._columns], 0.0))
+        sites = hstack([hit, csr_matrix(-np.ones((rows, 1)))])
+        limits = np.append(np.zeros(rows), np.ones(self._legs))
+        lp = highs.LP(np.append(np.zeros(count), 1.0), csr_matrix(vstack([sites, used])), limits,
+                      one, np.ones(self._legs))
+        first, second = ('simplex', 'interior_point')[:: 1 if vertex else -1]
+        try:
+            result = highs.run(lp, first, deadline, False, precision)
+        except SolverFailed:
+            result = highs.run(lp, second, deadline)
+        if result.x is None:
+            raise SolverFailed('no mixture of the known routes is within the budgets')
+        return result

@@ -1,34 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least value on a planar two-way network within one budget: an LP in face potentials.
+"""The least value on planar two-way networks within their length budgets: an LP in face potentials.
 
-Every flow of size 1 is the flow of one reference route plus the differences of a potential of the
-faces. Its level lines, driven as routes, meet disc j at most as often as the potential varies on
-the rim of the disc. So the least value is the least z for which some potential varies by at most
-z / alpha_j on each rim and keeps the budget (docs/theory.md, section 7). For a fixed z this is a
-linear program whose dual is a circulation between faces: through links, at most their share of the
-budget, and through discs. Its discs and their flows are an ambusher, and it proves a bound by
-itself (``certificate.curves``). Newton's method finds z. New sites, and faces at which a disc
-exceeds its share, are new columns of the same model.
+Every flow of size 1 on a leg is the flow of one reference route plus the differences of a potential
+of the faces. Its level lines, driven as routes, meet disc j at most as often as the potential
+varies on the rim of the disc. So the least value is the least z for which some potentials vary on
+the rims of disc j by at most z / alpha_j, added up over the legs, and keep the budgets
+(docs/theory.md, section 7). For a fixed z, and weights of the legs that add up to 1, the least
+weighted length is a linear program. Its dual is a circulation between faces for each leg: through
+links, at most their weighted shares of the budget, and through discs, where no leg's flow exceeds
+what all share. The discs' flows are an ambusher, and Newton's method on z gives the bound that
+this ambusher proves. Mixtures of the potentials that were found on the way keep all budgets: the
+least value of these is the value, and its prices of the budgets are the next weights. New sites,
+and faces at which a disc exceeds its share, are new columns of the same model.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray, sums
-from ..ambusher import Ambusher, at_nodes, on_nodes, padded
+from ...arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from ...errors import SolverFailed
+from ..ambusher import Ambush
 from ..budget import BUDGET_TOLERANCE, Budget
 from ..distribution.acyclic import without_cycles
 from ..distribution.chain import conserved_strategy
 from ..faces import Circulation, Faces
-from ..game import Game
+from ..legs import Legs
 from ..route_sampler import route_edges, shortest_route, shortest_route_strategy
-from .face_flows import LegFlows
+from ..tolerance import within
+from . import highs
+from .face_flows import FaceFlows
 
 
 class PotentialSearch(NamedTuple):
@@ -36,239 +42,401 @@ class PotentialSearch(NamedTuple):
 
     precision: float = 1e-3  # largest, relative: of z, and of the share at which faces join
     step: float = 0.92  # factor by which z falls at most at once, until a budget is exceeded
-    # While the budget is kept, z stays if more than this share of the discs' columns is new: at a
+    # While the budgets are kept, z stays if more than this share of the discs' columns is new: at a
     # lower z, most of the columns that join would not be needed in the end.
     many: float = 0.03
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
+    points: int = 24  # most potentials of which mixtures are made
+    near: float = 0.2  # share of the value below which a site's largest loss is left out of these
+    stalls: int = 8  # rounds without a better value or bound after which a search ends
 
 
 POTENTIAL = PotentialSearch()
 
 
-class Potential:
-    """The LP, at first with the game's sites; ``solve`` goes on from where it is.
+class _Point(NamedTuple):
+    """Potentials (F,) of all faces, how often they hit (legs, S), and shares (legs,) of budgets."""
 
-    ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
-    of the budget. ``caps`` (S,) are what each site may cause. The search begins at ``first``, or at
-    half the largest loss if that is less.
+    potential: FloatArray
+    hits: FloatArray
+    used: FloatArray
+
+
+class Potential:
+    """The LP of all legs, at first with the game's sites; ``solve`` goes on from where it is.
+
+    Attributes
+    ----------
+    bound : float
+        No strategy has a smaller value, as the ambusher proves who waits at the sites by ``q``
+        (S,) and has the ``prices`` (legs,) of the budgets.
+    value : float
+        What the ``flow`` costs at the sites so far.
     """
 
-    apart = 0.0
+    apart = 0.0  # of sites that join at once [reaches]
 
-    def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float,
+    def __init__(self, legs: Legs, faces: Sequence[Faces], gap: float,
                  first: float = np.inf) -> None:
-        self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
+        """The search for z begins at ``first``, or at half the largest loss a leg if that is less.
+        """
+        self.legs, count = legs, len(faces)
         least = 2.0 / POTENTIAL.endless  # an endless flow proves no more
         self._precision = min(max(gap, least), POTENTIAL.precision)
-        # Pairs of a face and a part of a rim, part by part, and the first pair of each part.
-        self._face, self._site, self._offset, self._part, self._first = (
-            np.zeros(0, dtype=np.int64) for _ in range(5))
-        self._parts, self._loss = 0, np.zeros(0)
-        self._around = np.zeros(0, dtype=bool)
-        self._entering = csr_matrix((0, len(faces.link)))
-        self._joined, self._up = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        self._z, self.bound = first, 0.0
-        self._potential: FloatArray | None = None
-        self._kept: FloatArray | None = None  # the latest potential within the budget
-        self.circulation: Circulation | None = None  # its sites are rows, not nodes
-        self.q, self.price = np.zeros(0), 0.0
+        self._z, self.bound, self.value = first, 0.0, np.inf
+        self.q, self.prices = np.zeros(0), np.zeros(count)
+        self._circulations: tuple[Circulation, ...] = ()
+        self._weights = np.full(count, 1.0 / count)
+        self._loss, self._around = np.zeros(0), np.zeros((count, 0), dtype=bool)
+        self._entering = csr_matrix((0, legs.edge_count))
+        # Pairs of a face and a part of a rim, part by part; the leg, site and row of each part.
+        self._face, self._offset, self._part, self._first = (
+            np.zeros(0, dtype=np.int64) for _ in range(4))
+        self._part_leg, self._part_site, self._part_row = (
+            np.zeros(0, dtype=np.int64) for _ in range(3))
+        # Columns: the pairs that joined, up out of a face or down into one; those of sites, and
+        # the rows of legs at sites, if there is more than one leg.
+        self._joined, self._columns = (np.zeros(0, dtype=np.int64) for _ in range(2))
+        self._up, self._site_column = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
+        self._share_row = np.zeros((count, 0), dtype=np.int64)
+        self._points: list[_Point] = []
+        self._blend = np.zeros((0, 0))  # (legs, points)
+        self._flows = FaceFlows()
+        self._face_first = np.cumsum([0, *(each.count for each in faces)])
+        self._rows = self._flows.add_nodes(int(self._face_first[-1]))
+        self._legs = [_LegLinks(each, budget, first)
+                      for each, budget, first in zip(faces, legs.budgets, self._face_first,
+                                                     strict=False)]
         self._start_with_links()
-        self.add_sites(self.game.entering, self.game.loss[self.game.sites])
+        self._potential = np.zeros(len(self._rows))
+        self.add_sites(legs.entering, legs.loss)
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
-        discs = self.faces.discs(entering)
-        order = np.argsort(discs.part, kind='stable')
-        first = np.unique(discs.part[order], return_index=True)[1]
-        self._flows.add_nodes(self.faces.leg(discs.face[order][first]))
-        self._first = np.append(self._first, len(self._face) + first)
-        self._face = np.append(self._face, discs.face[order])
-        self._offset = np.append(self._offset, discs.offset[order])
-        self._site = np.append(self._site, discs.disc[order] + len(self._loss))
-        self._part = np.append(self._part, discs.part[order] + self._parts)
-        self._parts += len(first)
-        self._loss = np.append(self._loss, loss)
-        self._around = np.append(self._around, discs.around)
-        self.q = np.append(self.q, np.zeros(len(loss)))
+        known, count = len(self._loss), len(loss)
+        around = []
+        for number, (leg, rows) in enumerate(zip(self._legs, self.legs.rows_by_leg(entering),
+                                                 strict=True)):
+            discs = leg.faces.discs(rows)
+            order = np.argsort(discs.part, kind='stable')
+            first = np.unique(discs.part[order], return_index=True)[1]
+            parts = len(self._part_leg)
+            self._first = np.append(self._first, len(self._face) + first)
+            self._face = np.append(self._face, leg.first_face + discs.face[order])
+            self._offset = np.append(self._offset, discs.offset[order])
+            self._part = np.append(self._part, parts + discs.part[order])
+            self._part_leg = np.append(self._part_leg, np.full(len(first), number))
+            self._part_site = np.append(self._part_site, known + discs.disc[order][first])
+            self._part_row = np.append(self._part_row, self._flows.add_nodes(len(first)))
+            around.append(discs.around)
+        self._loss, self.q = np.append(self._loss, loss), np.append(self.q, np.zeros(count))
+        self._around = np.hstack((self._around, around))
         self._entering = csr_matrix(vstack((self._entering, entering)))
-        certain = np.where(self._around, self._loss, 0.0)  # every route meets these
+        self._site_column = np.append(self._site_column, np.full(count, -1))
+        self._share_row = np.hstack((self._share_row, np.full((len(self._legs), count), -1)))
+        self._points = [point._replace(hits=np.hstack((point.hits, self._hits(
+            point.potential, known)))) for point in self._points]
+        certain = self._loss * self._around.sum(axis=0)  # all routes of these legs meet the site
         if certain.max(initial=0.0) > self.bound:
-            self.bound, self.circulation, self.price = float(certain.max()), None, 0.0
+            self.bound, self.prices = float(certain.max()), np.zeros(len(self._legs))
+            self._circulations = ()
             self.q = np.zeros(len(certain))
             self.q[certain.argmax()] = 1.0
+        if self._points:
+            self._mix()
 
-    def solve(self) -> None:
-        """Find z: from above in steps, from below by the bounds that circulations prove."""
-        if not len(self._loss) or not len(self._real):  # or there is but one route
-            self._z = self.bound
+    def solve(self, deadline: float) -> None:
+        """Find z: from above in steps, from below by the bounds that ambushers prove.
+
+        Raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed; what was found
+        until then counts.
+        """
+        if not len(self._loss) or not any(len(leg.real) for leg in self._legs):
+            self.value = self.bound  # or there is but one route
             return
-        z, height = max(min(self._z, self._loss.max() / 2.0), self.bound), self._heights()
-        if self.bound == 0.0 and self.game.avoiding(self._entering):
-            z = 0.0  # unless the routes that avoid all sites exceed the budget
-        self._join(z, height)
-        while True:
-            endless = self._solve(z)
-            height = self._heights()
-            new = self._join(z, height) if self._kept is self._potential else 0
-            if new > POTENTIAL.many * len(self._joined):
+        z = max(min(self._z, self._loss.max() * len(self._legs) / 2.0), self.bound)
+        if self.bound == 0.0 and self.legs.avoiding(self._entering):
+            z = 0.0  # unless the routes that avoid all sites exceed a budget
+        self._join(z)
+        stalled = 0
+        while stalled < POTENTIAL.stalls:
+            keeps_budgets, before = self._solve_at(z, deadline), (self.value, self.bound)
+            new = self._join(z)
+            if keeps_budgets and new > POTENTIAL.many * len(self._joined):
                 continue
-            newer = (self.bound * (1.0 + self._precision) if endless
-                     else max(self.bound, POTENTIAL.step * z))
-            found = abs(newer - z) <= self._precision * z and not endless
-            z = z if found else newer
-            new += self._join(z, height)
-            if found and not new:
-                self._z = z
+            self._mix()
+            self._z = z
+            if within(self.value, self.bound, self._precision):
                 return
-
-    @property
-    def sites(self) -> tuple[csr_matrix, FloatArray]:
-        """The edges (S, M) that enter its sites' discs, and their losses (S,)."""
-        return self._entering, self._loss
-
-    @property
-    def provers(self) -> list[Potential]:
-        """Itself."""
-        return [self]
-
-    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
-        """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
-        q, curves = padded(self.q, len(kept))[kept], self.circulation
-        if curves and not game.entries_are_hits:
-            node = np.full(len(kept), -1)
-            node[kept] = game.sites
-            curves = replace(curves, site=node[curves.site])
-        return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()), self._by_leg(game, kept),
-                        None if game.entries_are_hits else curves)
-
-    def _by_leg(self, game: Game, kept: BoolArray) -> FloatArray | None:
-        """For which leg he waits at each node (legs, N), in a game with the ``kept`` sites (S,)."""
-        legs, curves = len(self.faces.first), self.circulation
-        if legs == 1 or curves is None:
-            return None
-        leg = self.faces.leg(curves.face)
-        through = sums(leg * len(kept) + curves.site, np.abs(curves.flow) / 2.0, legs * len(kept))
-        waits = through.reshape(legs, -1)[:, : len(self._loss)] / self._loss
-        return on_nodes(game, padded(waits, len(kept))[:, kept])
-
-    @property
-    def caps(self) -> FloatArray:
-        """Mean loss (S,) that each site may cause."""
-        return np.full(len(self._loss), self.bound)
-
-    @property
-    def prices(self) -> FloatArray:
-        """Price of the budget [loss per unit], none if it is unlimited."""
-        return np.array([self.price] * self.budget.binds)
+            gained = self.value < before[0] * (1.0 - ROUNDING) or (
+                self.bound > before[1] * (1.0 + ROUNDING))
+            stalled = 0 if gained or new else stalled + 1
+            z = (max(self.bound, POTENTIAL.step * min(z, self.value)) if keeps_budgets
+                 else self.bound * (1.0 + self._precision / 2.0))
+            self._join(z)
 
     @property
     def flow(self) -> FloatArray:
-        """The level lines' flow (M,), without cycles and within the budget."""
-        shortest = shortest_route_strategy(self.game, self.budget.cost)
-        if self._kept is None:
-            return shortest
-        p = conserved_strategy(self.game, self.faces.flow(self._kept), ROUNDING)
-        if p is None:
-            return shortest
-        used = float(p[p > 0.0] @ self.budget.reduced_cost[p > 0.0])
-        share = min(self.budget.slack / used, 1.0) if used > 0.0 else 1.0
-        return without_cycles(self.game.network, share * p + (1.0 - share) * shortest)
+        """The strategies (M,) of the legs, without cycles and within the budgets."""
+        found = []
+        for number, leg in enumerate(self._legs):
+            game, budget = leg.faces.game, leg.budget
+            shortest = shortest_route_strategy(game, budget.cost)
+            p = None
+            if (potential := self._best_potential(number)) is not None:
+                p = conserved_strategy(game, leg.faces.flow(potential), ROUNDING)
+            if p is None:
+                found.append(shortest)
+                continue
+            used = float(p[p > 0.0] @ budget.reduced_cost[p > 0.0])
+            share = min(budget.margin / used, 1.0) if used > 0.0 else 1.0
+            found.append(without_cycles(game.network, share * p + (1.0 - share) * shortest))
+        return np.concatenate(found)
 
-    def level_lines(self, count: int) -> list[IndexArray]:
-        """Routes, as edges, along ``count`` level lines; drawn alike, they are the flow."""
-        network, routes = self.game.network, []
-        if self._kept is None:
-            return []
-        for level in (np.arange(count) + 0.5) / count:
-            edge = np.flatnonzero(self.faces.flow(np.floor(self._kept - level)))
-            routes.append(route_edges(network, shortest_route(network, edge, self.budget.cost)))
-        return routes
+    @property
+    def ambush(self) -> Ambush:
+        """The ambusher who proves the bound."""
+        return Ambush(self.q, self.prices, self._circulations)
+
+    def level_lines(self, count: int) -> list[list[IndexArray]]:
+        """Routes of each leg, as its edges, along ``count`` level lines: about the flow."""
+        found = []
+        for number, leg in enumerate(self._legs):
+            network, potential = leg.faces.game.network, self._best_potential(number)
+            levels = (np.arange(count) + 0.5) / count if potential is not None else []
+            edges = [np.flatnonzero(leg.faces.flow(np.floor(potential - level)))
+                     for level in levels]
+            found.append([route_edges(network, shortest_route(network, edge, leg.budget.cost))
+                          for edge in edges])
+        return found
+
+    def _best_potential(self, number: int) -> FloatArray | None:
+        """The mixture of potentials of a leg's faces; None before there is any."""
+        if not self._blend.size:
+            return None
+        own = slice(self._face_first[number], self._face_first[number + 1])
+        known = self._points[: self._blend.shape[1]]
+        return np.asarray(sum(share * point.potential[own] for share, point in zip(
+            self._blend[number], known, strict=True)))
 
     def _start_with_links(self) -> None:
         """The model without discs at its optimum: links of the shortest-path tree are full."""
-        faces, game = self.faces, self.game
-        edge = np.flatnonzero(game.playable)
-        most, ends = np.zeros(len(faces.left)), np.zeros((2, len(faces.left)), dtype=np.int64)
-        most[faces.link[edge]] = self.budget.cost[edge]
-        ends[:, faces.link[edge]] = np.sort(game.network.edges[edge], axis=1).T
-        both = np.concatenate((ends, ends[::-1]), axis=1)
-        graph = csr_matrix((np.tile(most, 2), both), (game.node_count,) * 2)
-        before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
-        most /= self.budget.limit
-        self._real = real = np.flatnonzero(faces.left != faces.right)
-        # The others are bridges, each between a face and itself.
-        self._bridges = np.where(faces.left == faces.right, most * faces.crossed, 0.0)
-        low, high = ends[:, real]
-        self._flows = LegFlows(len(faces.first))
-        self._flows.add_nodes(faces.leg(np.arange(faces.count)))
-        self._flows.add_columns(faces.left[real], faces.right[real],
-                                -faces.crossed[real].astype(np.float64), -most[real], most[real])
-        self._flows.start_at(np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0)))
+        start = []
+        for leg, weight in zip(self._legs, self._weights, strict=True):
+            faces, real = leg.faces, leg.real
+            rows = self._rows[leg.first_face + np.column_stack((faces.left, faces.right))[real]]
+            high = weight * leg.capacity[real]
+            leg.columns = self._flows.add_columns(
+                rows, np.tile([1.0, -1.0], (len(real), 1)), -faces.crossed[real].astype(np.float64),
+                -high, high)
+            self._flows.release(int(self._rows[leg.first_face]))
+            start.append(leg.full_links())
+        self._flows.start_at(np.concatenate(start))
 
-    def _heights(self) -> FloatArray:
-        """The potential at each pair of a disc and a face, along the rim."""
-        offset = self._offset.astype(np.float64)
-        return offset if self._potential is None else self._potential[self._face] + offset
+    def _heights(self, potential: FloatArray, first: int = 0) -> FloatArray:
+        """The potential at each pair of a face and a part, from pair ``first`` on."""
+        return np.asarray(potential[self._face[first:]] + self._offset[first:])
 
-    def _exceeding(self, z: float, height: FloatArray) -> IndexArray:
-        """Parts of avoidable sites' rims on which the potential varies by more than their share."""
-        if not len(self._first):
-            return self._first
-        site = self._site[self._first]
-        spread = (np.maximum.reduceat(height, self._first)
-                  - np.minimum.reduceat(height, self._first))
-        over = spread > z * (1.0 + self._precision / 2.0) / self._loss[site] + ROUNDING
-        return np.flatnonzero(over & ~self._around[site])
+    def _spreads(self, height: FloatArray, begins: IndexArray) -> FloatArray:
+        """How much the potential varies on each part of a rim; parts begin at pairs ``begins``."""
+        if not len(begins):
+            return np.zeros(0)
+        return np.asarray(np.maximum.reduceat(height, begins) - np.minimum.reduceat(height, begins))
 
-    def _join(self, z: float, height: FloatArray) -> int:
-        """Add the extreme faces of the discs that exceed, and those just too far apart.
+    def _hits(self, potential: FloatArray, first_site: int = 0) -> FloatArray:
+        """How often each site (legs, K), from ``first_site`` on, hits the level lines."""
+        hits = np.zeros((len(self._legs), len(self._loss) - first_site))
+        parts = np.flatnonzero(self._part_site >= first_site)
+        if len(parts):
+            at = int(self._first[parts[0]])  # later sites have later parts
+            spread = self._spreads(self._heights(potential, at), self._first[parts] - at)
+            np.maximum.at(hits, (self._part_leg[parts], self._part_site[parts] - first_site),
+                          spread)
+        return np.where(self._around[:, first_site:], 1.0, hits)
 
-        Returns the number of pairs that are new.
+    def _join(self, z: float) -> int:
+        """Add the extreme faces of the discs that exceed z, and those just too far apart.
+
+        Where several legs meet a disc, each counts in proportion to how much it varies. Returns the
+        number of pairs that are new.
         """
-        pairs: list[int] = []
-        last = np.append(self._first[1:], len(self._face))
-        for part in self._exceeding(z, height):
+        height = self._heights(self._potential)
+        spread = self._spreads(height, self._first)
+        hits = self._hits(self._potential)
+        site, fixed = self._part_site, self._around.sum(axis=0)
+        most = z * (1.0 + self._precision / 2.0) / self._loss
+        over = (hits.sum(axis=0) > most + ROUNDING)[site] & (spread > ROUNDING)
+        over &= ~self._around[self._part_leg, site]
+        left = np.maximum(most - fixed, 0.0) / np.maximum(hits.sum(axis=0) - fixed, ROUNDING)
+        last, pairs = np.append(self._first[1:], len(self._face)), []
+        for part in np.flatnonzero(over).tolist():
             order = self._first[part] + height[self._first[part] : last[part]].argsort()
-            loss = self._loss[self._site[order[0]]]
-            ordered, most = height[order], z * (1.0 + self._precision / 2.0) / loss
-            above = order[ordered.searchsorted(ordered[0] + most, 'right')]
-            below = order[ordered.searchsorted(ordered[-1] - most) - 1]
+            ordered, limit = height[order], spread[part] * left[site[part]]
+            above = order[min(ordered.searchsorted(ordered[0] + limit, 'right'), len(order) - 1)]
+            below = order[max(ordered.searchsorted(ordered[-1] - limit) - 1, 0)]
             pairs += [2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below]
         known = 2 * self._joined + self._up
         new, up = np.divmod(np.setdiff1d(np.array(pairs, dtype=np.int64), known), 2)
-        face, disc, none = self._face[new], self.faces.count + self._part[new], np.zeros(len(new))
-        self._flows.add_columns(np.where(up, face, disc), np.where(up, disc, face), none, none,
-                                np.full(len(new), POTENTIAL.endless))
-        self._joined, self._up = np.append(self._joined, new), np.append(self._up, up == 1)
+        if len(new):
+            self._add_pairs(new, up == 1)
         return len(new)
 
-    def _solve(self, z: float) -> bool:
-        """Solve for a fixed z and keep what it proves; True if a flow is endless.
+    def _add_pairs(self, pair: IndexArray, up: BoolArray) -> None:
+        """Add the columns of pairs (K,): out of the face into the disc if ``up``, or back."""
+        part, face = self._part[pair], self._rows[self._face[pair]]
+        disc, leg, site = self._part_row[part], self._part_leg[part], self._part_site[part]
+        if len(self._legs) > 1:
+            self._share_sites(leg, site)
+        rows = np.column_stack((np.where(up, face, disc), np.where(up, disc, face),
+                                self._share_row[leg, site]))
+        none, high = np.zeros(len(pair)), np.full(len(pair), POTENTIAL.endless)
+        columns = self._flows.add_columns(rows, np.tile([1.0, -1.0, 0.5], (len(pair), 1)),
+                                          none, none, high)
+        self._joined, self._up = np.append(self._joined, pair), np.append(self._up, up)
+        self._columns = np.append(self._columns, columns)
+        if len(self._legs) > 1:  # otherwise costs depend on z
+            self._flows.change_costs(columns, self._turned(pair, up))
+
+    def _share_sites(self, leg: IndexArray, site: IndexArray) -> None:
+        """Give sites (K,) columns, and legs (K,) rows at them, where they have none."""
+        new = np.unique(site[self._site_column[site] < 0])
+        none, count = np.zeros(len(new)), len(new)
+        self._site_column[new] = self._flows.add_columns(
+            np.full((count, 1), -1), np.zeros((count, 1)), none, none,
+            np.full(count, POTENTIAL.endless))
+        pairs = np.unique(np.column_stack((leg, site))[self._share_row[leg, site] < 0], axis=0)
+        rows = self._flows.add_shares(len(pairs))
+        self._share_row[tuple(pairs.T)] = rows
+        self._flows.set_entries(rows, self._site_column[pairs[:, 1]], -1.0)
+
+    def _turned(self, pair: IndexArray, up: BoolArray) -> FloatArray:
+        return np.where(up, -1.0, 1.0) * self._offset[pair]
+
+    def _solve_at(self, z: float, deadline: float) -> bool:
+        """Solve for a fixed z and keep what it proves; True if the potentials keep all budgets.
 
         What flows through a disc enters and leaves it by columns of their own, so each counts half.
         """
-        joined, links = self._joined, len(self._real)
-        loss = self._loss[self._site[joined]]
-        turned = np.where(self._up, -1.0, 1.0)
-        self._flows.change_costs(links, z / loss / 2.0 + turned * self._offset[joined])
-        found = self._flows.solve(self.deadline)
-        flow = np.maximum(found.x[links:], 0.0)
-        ambush = np.bincount(self._site[joined], flow / 2.0 / loss, len(self._loss))
-        total, gain = float(ambush.sum()), float(np.abs(self._bridges).sum()) - found.cost
-        self._potential = found.potential[: self.faces.count]
-        endless = bool((flow > POTENTIAL.endless * (1.0 - ROUNDING)).any())
-        if gain <= 1.0 + self._precision and not endless:
-            self._kept = self._potential
-        proved = z + (gain - float(self.budget.binds)) / total if total > 0.0 else 0.0
+        site = self._part_site[self._part[self._joined]]
+        if len(self._legs) == 1:
+            self._flows.change_costs(self._columns, z / self._loss[site] / 2.0
+                                     + self._turned(self._joined, self._up))
+        else:
+            shared = np.flatnonzero(self._site_column >= 0)
+            self._flows.change_costs(self._site_column[shared], z / self._loss[shared]
+                                     - self._around[:, shared].sum(axis=0))
+        found = self._flows.solve(deadline)
+        if len(self._legs) == 1:
+            flow = np.maximum(found.x[self._columns], 0.0) / 2.0
+            through = np.bincount(site, flow, len(self._loss))
+        else:
+            flow = through = np.where(self._site_column >= 0,
+                                      np.maximum(found.x[self._site_column], 0.0), 0.0)
+        ambush = through / self._loss
+        bridges = [leg.bridges for leg in self._legs]
+        total, gain = float(ambush.sum()), float(self._weights @ bridges) - found.cost
+        potential = found.potential[self._rows]
+        self._potential = potential - np.repeat(potential[self._face_first[:-1]],
+                                                np.diff(self._face_first))
+        used = np.array([leg.used_budget(self._potential) for leg in self._legs])
+        self._points.append(_Point(self._potential, self._hits(self._potential), used))
+        limited = float(self.legs.budgets[0].is_limited)
+        proved = z + (gain - limited) / total if total > 0.0 else 0.0
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
-            self.price = 1.0 / (total * self.budget.limit)
-            through = self._bridges.copy()
-            through[self._real] = found.x[:links]
-            self.circulation = self._circulation(through / total, turned * -flow / total)
-        return endless
+            limits = np.array([budget.limit for budget in self.legs.budgets])
+            self.prices = self._weights / (total * limits)
+            self._circulations = self._scaled_circulations(found.x, total)
+        endless = bool((flow > POTENTIAL.endless * (0.5 - ROUNDING)).any())
+        return gain <= limited + self._precision and not endless
 
-    def _circulation(self, through: FloatArray, flow: FloatArray) -> Circulation:
-        used = np.flatnonzero(flow)
-        pairs = self._joined[used]
-        return Circulation(through, self._site[pairs], self._face[pairs], flow[used])
+    def _scaled_circulations(self, x: FloatArray, total: float) -> tuple[Circulation, ...]:
+        """The flows of a solution, divided by what adds up to 1 at the sites."""
+        flow = np.maximum(x[self._columns], 0.0) * np.where(self._up, 1.0, -1.0) / total
+        part, used = self._part[self._joined], np.flatnonzero(flow)
+        found = []
+        for number, (leg, weight) in enumerate(zip(self._legs, self._weights, strict=True)):
+            own = used[self._part_leg[part[used]] == number]
+            through = weight * leg.capacity * leg.faces.crossed
+            through[leg.real] = x[leg.columns]
+            found.append(Circulation(
+                through / total, self._part_site[part[own]],
+                self._face[self._joined[own]] - leg.first_face, flow[own]))
+        return tuple(found)
+
+    def _mix(self) -> None:
+        """Find the mixture of potentials of least value within the budgets, and the next weights.
+
+        A linear program with a row for each site and each budget.
+        """
+        count, points = len(self._legs), self._points
+        losses = self._loss * np.stack([point.hits for point in points], axis=1)  # legs, points, S
+        near = losses.max(axis=1).sum(axis=0)
+        rows = np.flatnonzero(near >= POTENTIAL.near * near.max(initial=0.0))
+        used = np.stack([point.used for point in points], axis=1)
+        size = used.size
+        unit = float(near.max(initial=0.0)) or 1.0
+        sites = np.column_stack((losses[..., rows].reshape(size, -1).T / unit,
+                                 np.full(len(rows), -1.0)))
+        legs = np.repeat(np.eye(count), len(points), axis=1)  # which columns are of which leg
+        budgets = np.column_stack((legs * used.ravel(), np.zeros(count)))
+        one = csr_matrix(np.column_stack((legs, np.zeros(count))))
+        lp = highs.LP(np.append(np.zeros(size), 1.0), csr_matrix(np.vstack((sites, budgets))),
+                      np.append(np.zeros(len(rows)), np.ones(count)), one, np.ones(count))
+        try:
+            result = highs.run(lp, 'interior_point', np.inf, False, self._precision / 4.0)
+        except SolverFailed:
+            return
+        if result.status == highs.INFEASIBLE:  # until potentials keep all budgets
+            if len(points) > POTENTIAL.points:
+                self._points = points[-POTENTIAL.points :]
+            return
+        shares = np.maximum(result.x[:-1], 0.0).reshape(count, -1)
+        shares /= shares.sum(axis=1, keepdims=True)
+        prices = np.maximum(-np.asarray(result.ineqlin.marginals[len(rows) :]), 0.0)
+        self.value = float((shares[..., None] * losses).sum(axis=(0, 1)).max(initial=0.0))
+        kept = np.arange(len(points)) >= len(points) - POTENTIAL.points // 2
+        kept |= shares.max(axis=0) > ROUNDING
+        self._points = [point for point, keep in zip(points, kept, strict=True) if keep]
+        self._blend = shares[:, kept]
+        if count > 1 and prices.any():
+            self._weights = (self._weights + prices / prices.sum()) / 2.0
+            for leg, weight in zip(self._legs, self._weights, strict=True):
+                self._flows.change_limits(leg.columns, weight * leg.capacity[leg.real])
+
+
+class _LegLinks:
+    """The links of a leg's faces, with the shares of its budget that they take.
+
+    ``first_face`` is the number of its first face among all legs' faces. ``real`` links have two
+    faces; the others are bridges, and what all routes take for these is ``bridges``.
+    """
+
+    columns: IndexArray
+
+    def __init__(self, faces: Faces, budget: Budget, first_face: int) -> None:
+        self.faces, self.budget, self.first_face = faces, budget, int(first_face)
+        game = faces.game
+        edge = np.flatnonzero(game.playable)
+        self._cost = np.zeros(len(faces.left))
+        self._cost[faces.link[edge]] = budget.cost[edge]
+        self.capacity = self._cost / budget.limit
+        self.real = np.flatnonzero(faces.left != faces.right)
+        self.bridges = float((self.capacity * np.abs(faces.crossed))[faces.left == faces.right].sum())
+
+    def full_links(self) -> IndexArray:
+        """Which real links (K,) are full at the start: 1 or -1 on the shortest-path tree, else 0."""
+        game, faces = self.faces.game, self.faces
+        edge, ends = np.flatnonzero(game.playable), np.zeros((2, len(faces.left)), dtype=np.int64)
+        ends[:, faces.link[edge]] = np.sort(game.network.edges[edge], axis=1).T
+        both = np.concatenate((ends, ends[::-1]), axis=1)
+        graph = csr_matrix((np.tile(self._cost, 2), both), (game.node_count,) * 2)
+        before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
+        low, high = ends[:, self.real]
+        return np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0))
+
+    def used_budget(self, potential: FloatArray) -> float:
+        """Share of the budget that the flow of a potential of all faces takes."""
+        own = potential[self.first_face : self.first_face + self.faces.count]
+        through = self.faces.crossed + own[self.faces.left] - own[self.faces.right]
+        return float(self.capacity @ np.abs(through))
