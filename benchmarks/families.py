@@ -21,9 +21,9 @@ from scipy.ndimage import gaussian_filter, label
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
 from ambush_planner.arrays import BoolArray, FloatArray
 
-# One leg with a reach, or without one; trips of one to four stops, crossing edges, two budgets,
+# One leg with a reach, or without one; trips of one to four stops, crossing edges,
 # two ambushers.
-KINDS = ('plan', 'nodes', 'trip', 'grid', 'budgets', 'two')
+KINDS = ('plan', 'nodes', 'trip', 'grid', 'two')
 DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
@@ -62,9 +62,7 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
         game=GameOptions(ambush_radius=reach * spacing,
                          secured_radius=None if secured < 0.0 else secured * spacing,
                          ambushers=2 if kind == 'two' else 1),
-        strategy=StrategyOptions(max_detour=detour,
-                                 max_exposure=1.1 if kind == 'budgets' else math.inf,
-                                 time_limit=time_limit),
+        strategy=StrategyOptions(max_detour=detour, time_limit=time_limit),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {secured:.2g} detour {detour:.3g} '

@@ -22,21 +22,21 @@ from ambush_planner.game.value.routes import Routes
 SLACK = 0.02
 
 
-def distribution_around(game, budgets, routes):
+def distribution_around(game, budget, routes):
     """The distribution on layers around the routes of an LP."""
-    search = Search(SearchProblem(game, budgets, SLACK, math.inf), routes, SLACK)
+    search = Search(SearchProblem(game, budget, SLACK, math.inf), routes, SLACK)
     return find_trip(search, routes)
 
 
 def solved(seed, reach, detour, ambushers=1):
-    """A trip's game, its budgets, its routes, and the distribution on layers around some."""
-    game, budgets = games(seed, 1, reach, detour, math.inf, ambushers)
-    routes = Routes(game, budgets, 0.3 * SLACK, math.inf)
+    """A trip's game, its budget, its routes, and the distribution on layers around some."""
+    game, budget = games(seed, 1, reach, detour, ambushers)
+    routes = Routes(game, budget, 0.3 * SLACK, math.inf)
     routes.solve()
     assume(routes.bound > 0.0)  # else nothing can be lost
-    found = distribution_around(game, budgets, routes)
+    found = distribution_around(game, budget, routes)
     assume(found is not None)  # rounding where the budget just fits
-    return game, budgets, routes, found
+    return game, budget, routes, found
 
 
 def hit_loss(game, p, row):
@@ -49,7 +49,7 @@ def hit_loss(game, p, row):
        detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
 def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour,
                                                                       ambushers):
-    game, budgets, routes, found = solved(seed, reach, detour, ambushers)
+    game, budget, routes, found = solved(seed, reach, detour, ambushers)
     unrolled, p = found.layers.unrolled(found.chain)
     network, base, edge = unrolled.network, game.network, found.layers.edge
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
@@ -63,8 +63,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     assert np.array_equal(network.first_edge, edge)
     assert unrolled.playable[p > 0.0].all() and is_acyclic(network, p)
     assert unbalanced(network, p) < 1e-8
-    for budget in budgets:
-        assert not budget.binds or p @ budget.cost[edge] <= budget.limit * (1.0 + 1e-6)
+    assert not budget.binds or p @ budget.cost[edge] <= budget.limit * (1.0 + 1e-6)
     assert np.array_equal(unrolled.sites, game.sites)
     assert np.array_equal(unrolled.entering.toarray(), game.entering.toarray()[:, edge])
     # The value is an upper bound, nearly exact for the sites that matter.

@@ -38,7 +38,7 @@ def test_numpy_numbers_are_accepted(record):
 
 @pytest.mark.parametrize('record, name, values', [
     (StrategyOptions, 'solver', ['magic', None]), (StrategyOptions, 'max_detour', [0.99]),
-    (StrategyOptions, 'max_exposure', [0.99]), (StrategyOptions, 'risk_slack', [-0.1, np.inf]),
+    (StrategyOptions, 'risk_slack', [-0.1, np.inf]),
     (StrategyOptions, 'length_weight', [-0.1, 1.0]), (StrategyOptions, 'time_limit', [0.0]),
     (GameOptions, 'ambush_radius', [np.inf]), (GameOptions, 'secured_radius', [-0.1]),
     (GameOptions, 'ambushers', [0, 1.5]), (GameOptions, 'ambush_in_obstacles', ['yes']),

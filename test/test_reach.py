@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, StrategyOptions, solve
 from ambush_planner.game.ambusher import Ambusher
+from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.best_response import TripNetworks, best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import entry_value
-from ambush_planner.game.strategy import make_budgets
 
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
@@ -48,17 +48,17 @@ def test_the_best_response_is_the_best_of_all_routes(seed, reach, price):
     game = make_game(network, GameOptions(ambush_radius=reach))
     q = np.zeros(game.node_count)
     q[game.sites] = rng.random(len(game.sites)) * (rng.random(len(game.sites)) < 0.7)
-    budgets = make_budgets(game, StrategyOptions(max_detour=1.1))[:1]
+    budget = Budget.length(game, 1.1)
     routes = routes_of(network)
     assume(len(routes) <= 1000)
     met = np.array([(game.entering[:, route].getnnz(axis=1) > 0) for route in routes])
-    over = np.array([budgets[0].reduced_cost[route].sum() - budgets[0].slack for route in routes])
+    over = np.array([budget.reduced_cost[route].sum() - budget.slack for route in routes])
     costs = met @ (game.loss * q)[game.sites] + price * over
-    bound = best_response(game, Ambusher(q, (price,)), budgets)
+    bound = best_response(game, Ambusher(q, price), budget)
     assert bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
     # A search that is cut short proves no more.
-    base, dual_weights = price * budgets[0].reduced_cost, (game.loss * q)[None, game.sites]
-    least = costs.min() + price * budgets[0].slack
+    base, dual_weights = price * budget.reduced_cost, (game.loss * q)[None, game.sites]
+    least = costs.min() + price * budget.slack
     bound, edges = TripNetworks(game, game.entering).least_cost(
         base, dual_weights, ((9, 3), (81, 10**6)))
     assert sorted(edges.tolist()) in [sorted(route) for route in routes]

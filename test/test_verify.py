@@ -184,7 +184,7 @@ def test_another_value_is_found_by_solving_again(files):
      'game.secured_radius': 1.2, 'recording.compression': 'lz4'},
     {'game.ambush_radius': 1.2, 'route.tube': 0.9, 'strategy.max_detour': math.inf,
      'strategy.risk_slack': 0.1, 'max_planning_time': math.inf},
-    {'strategy.max_exposure': 1.5, 'game.ambush_in_obstacles': True, 'game.ambush_radius': 0.8},
+    {'game.ambush_in_obstacles': True, 'game.ambush_radius': 0.8},
 ], ids=['interior point', 'reach', 'exposure'])
 def test_other_solvers_networks_and_games(parameters, tmp_path, capsys):
     with stage(tmp_path, parameters) as running:

@@ -17,6 +17,7 @@ import yaml
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
+from ..gone import remedy_for
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
@@ -129,7 +130,7 @@ def options_of(assignments: Iterable[str]) -> tuple[OccupancyOptions, PlanningOp
     for assignment in assignments:
         name, _, text = assignment.partition('=')
         if name not in _TYPES:
-            raise InvalidOption(f'no option {name!r}; {_similar(name)}')
+            raise InvalidOption(remedy_for(name) or f'no option {name!r}; {_similar(name)}')
         if not text:
             raise InvalidOption(f'{name} has no value; write {name}=VALUE, without spaces')
         group, option = name.split('.')

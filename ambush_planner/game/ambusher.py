@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ambusher's mixed strategy: where he waits, and what the convoy's budgets are worth to him."""
+"""The ambusher's mixed strategy: where he waits, and what the convoy's budget is worth to him."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Ambusher:
     ----------
     q : (N,)
         How likely he waits at each node; sums to the number of ambushers.
-    prices : (budgets,)
-        Decrease of the bound per unit of each budget.
+    price : float
+        Decrease of the bound per unit of the length budget.
     by_leg : (stops + 1, N) or None
         On a trip: for which leg he waits at each node, adding up to at most q at each place.
     circulation : Circulation or None
@@ -31,7 +31,7 @@ class Ambusher:
     """
 
     q: FloatArray
-    prices: tuple[float, ...]
+    price: float = 0.0
     by_leg: FloatArray | None = None
     circulation: Circulation | None = None
 
@@ -40,7 +40,7 @@ class Ambusher:
         if self.by_leg is not None:
             object.__setattr__(self, 'by_leg', frozen_array(self.by_leg, np.float64))
 
-    def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
+    def check(self, game: Game) -> None:
         """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""
         q, most = self.q, 1.0 + ROUNDING
         if not (q >= 0.0).all() or not (game.at_places(q) <= most).all():
@@ -52,18 +52,14 @@ class Ambusher:
             and (game.at_places(self.by_leg.sum(axis=0)) <= game.at_places(q) * most).all()
         ):
             raise SolverFailed('the shares of the legs do not add up to q')
-        for budget, price in zip(budgets, self.prices, strict=True):
-            if not price >= 0.0:
-                raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
+        if not self.price >= 0.0:
+            raise SolverFailed(f'the price of the length budget is {self.price}, not >= 0')
 
-    def paid(self, game: Game, budgets: tuple[Budget, ...]) -> tuple[FloatArray, float]:
-        """What each edge (M,) pays for the budgets, and what they are worth to the convoy."""
-        cost, worth = np.zeros(len(game.network.edges)), 0.0
-        for budget, price in zip(budgets, self.prices, strict=True):
-            if price > 0.0:
-                cost = cost + price * budget.reduced_cost
-                worth += price * budget.slack
-        return cost, worth
+    def paid(self, game: Game, budget: Budget) -> tuple[FloatArray, float]:
+        """What each edge (M,) pays for the budget, and what that is worth to the convoy."""
+        if self.price == 0.0:
+            return np.zeros(len(game.network.edges)), 0.0
+        return self.price * budget.reduced_cost, self.price * budget.slack
 
 
 def padded(shares: FloatArray, count: int) -> FloatArray:

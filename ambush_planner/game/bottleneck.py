@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import NEGLIGIBLE, ROUNDING, IndexArray, frozen_array
 from .discs import secured_area
-from .revaluation import budgets_in_game
+from .revaluation import budget_in_game
 from .search import SearchProblem
 from .solver import find_value
 from .strategy import Strategy
@@ -49,13 +49,13 @@ def secured_bound(strategy: Strategy, distance: float,
                   deadline: float = math.inf) -> float | None:
     """A lower bound of the value if nobody could wait within ``distance`` [m] of the ends.
 
-    It keeps the strategy's budgets and counts the sites known so far, so that another search could
+    It keeps the strategy's budget and counts the sites known so far, so that another search could
     find a greater one. None if nothing is proved by ``deadline`` (``time.monotonic``).
     """
     near = secured_area(strategy.network, distance).covers(strategy.network.points)
     game = strategy.game.without_layers().without_sites(near)
-    budgets = budgets_in_game(game, strategy)
-    search = find_value(SearchProblem(game, budgets, SECURED_SLACK, deadline, judged=deadline))
+    budget = budget_in_game(game, strategy)
+    search = find_value(SearchProblem(game, budget, SECURED_SLACK, deadline, judged=deadline))
     kept, enough = np.ones(len(game.sites), dtype=bool), search.lp.bound * (1.0 - ROUNDING)
-    bound, _ = search.proof(game, kept, budgets, enough)
+    bound, _ = search.proof(game, kept, budget, enough)
     return None if search.problem.late or search.reason != 'stalled' else min(bound, strategy.value)

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Budgets: limits on the mean length or exposure of the routes."""
+"""The budget: a limit on the mean length of the routes."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
-from ..arrays import ROUNDING, FloatArray, IndexArray
+from ..arrays import ROUNDING, FloatArray
 from ..errors import BudgetInfeasible
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
@@ -26,28 +24,26 @@ BUDGET_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """A limit on the mean cost of the route: its length, or its exposure.
+    """A limit on the mean length of the route, in m or s.
 
     Parameters
     ----------
     game
         Where the convoy may drive.
     cost : (M,)
-        Cost of each edge, >= 0.
+        Length of each edge, >= 0.
     limit
-        Largest mean cost; ``inf``: no limit. It is raised to leave the least slack.
+        Largest mean length; ``inf``: no limit. It is raised to leave the least slack.
     least
-        Cost of the best route of the whole network, or of the shortest way over the ground.
-    name, unit
-        For messages, as in BudgetInfeasible if the best playable route exceeds the limit.
+        Length of the shortest route of the whole network, or of the shortest way over the ground.
+
+    Raises BudgetInfeasible if the shortest playable route exceeds the limit.
     """
 
     game: Game
     cost: FloatArray
     limit: float
     least: float
-    name: str
-    unit: str
 
     @classmethod
     def length(cls, game: Game, factor: float) -> Budget:
@@ -59,26 +55,17 @@ class Budget:
         network = game.network
         shortest = least_cost(network, network.travel_costs)
         least = network.ground_length or shortest
-        return cls(game, network.travel_costs, max(_times(factor, least), shortest), least,
-                   'length', network.travel_unit)
-
-    @classmethod
-    def exposure(cls, game: Game, factor: float) -> Budget:
-        """A budget of ``factor`` times the network's least exposure."""
-        network = game.network
-        least = least_cost(network, network.edge_exposure)
-        return cls(game, network.edge_exposure, _times(factor, least), least, 'exposure',
-                   'loss x m')
+        return cls(game, network.travel_costs, max(_times(factor, least), shortest), least)
 
     def __post_init__(self) -> None:
         if not self.binds:
             return
         best = float(self._behind[self.game.network.source])
         if best > self.limit * (1.0 + ROUNDING):
+            unit = self.game.network.travel_unit
             raise BudgetInfeasible(
-                f'the best playable route has {self.name} {best:.6g} {self.unit}, more than the '
-                f'budget of {self.limit:.6g} {self.unit}; raise {self.option}, or '
-                'alpha_threshold'
+                f'the shortest playable route has length {best:.6g} {unit}, more than the budget '
+                f'of {self.limit:.6g} {unit}; raise max_detour, or alpha_threshold'
             )
         scale = best or float(self.cost.max(initial=0.0)) or 1.0
         object.__setattr__(self, 'limit', max(self.limit, best + LEAST_SLACK * scale))
@@ -86,11 +73,6 @@ class Budget:
     @cached_property
     def _behind(self) -> FloatArray:
         return self.game.distances_to_target(self.cost)
-
-    @property
-    def option(self) -> str:
-        """The option that sets the limit."""
-        return 'max_detour' if self.name == 'length' else 'max_exposure'
 
     @property
     def binds(self) -> bool:
@@ -125,12 +107,6 @@ class Budget:
         """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
         used = p > 0.0
         return max(float(p[used] @ self.reduced_cost[used]) - self.slack, 0.0)
-
-
-def budget_rows(budgets: Sequence[Budget], edge: IndexArray) -> csr_matrix:
-    """Rows (B, m) of the budgets that bind: shares of the budget slack that edges (m,) take."""
-    rows = [b.reduced_cost[edge] / b.slack for b in budgets if b.binds]
-    return csr_matrix(np.reshape(rows, (len(rows), len(edge))))
 
 
 def least_cost(network: Network, cost: FloatArray) -> float:

@@ -100,7 +100,7 @@ def find_chain(search: Search) -> Incumbent | None:
         distribution.measure(search.caps())
         best = search.better(best, distribution)
         grew, before = distribution.entropy > before * (1.0 + CHAIN.growth), distribution.entropy
-        kept = best is not None and best.good  # one that was over a budget is not
+        kept = best is not None and best.good  # one that was over the budget is not
         if distribution.good and (distribution.exact or kept and not grew):
             break
     if best and not best.good:
@@ -121,7 +121,7 @@ def _around_flow(search: Search) -> RouteDistribution:
     assert part is not None  # it contains the flow
     network = acyclic_network(game.network, np.flatnonzero(part.playable), position)
     exact = game.entries_are_hits
-    distribution = RouteDistribution(network, flow[network.edge], problem.budgets, game.ambushers,
+    distribution = RouteDistribution(network, flow[network.edge], problem.budget, game.ambushers,
                                      search.slack, exact, problem.deadline, rough=True)
     distribution.add_sites(search.entering, search.loss)
     distribution.measure(search.caps())
@@ -129,10 +129,12 @@ def _around_flow(search: Search) -> RouteDistribution:
 
 
 def _noticeable(search: Search, flow: FloatArray) -> Game:
-    """The game without edges that the budgets leave to less than ``NEGLIGIBLE`` of the routes.
+    """The game without edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes.
 
-    So all best routes for a budget that allows no others are in one order of the nodes.
+    So all shortest routes for a budget that allows no others are in one order of the nodes.
     """
-    game, binding = search.game, [b for b in search.problem.budgets if b.binds]
-    used = [game.through(b.reduced_cost) <= b.slack / NEGLIGIBLE for b in binding]
-    return game.restricted_to(np.all([game.playable, *used], axis=0) | (flow > 0.0)) or game
+    game, budget = search.game, search.problem.budget
+    if not budget.binds:
+        return game
+    used = game.through(budget.reduced_cost) <= budget.slack / NEGLIGIBLE
+    return game.restricted_to((game.playable & used) | (flow > 0.0)) or game

@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import NEGLIGIBLE, FloatArray
 from ..errors import BudgetInfeasible, NoRoute
 from .ambusher import Ambusher, at_nodes
-from .budget import Budget, least_cost
+from .budget import Budget
 from .certificate.certificate import Certificate, lower_bound
 from .faces import Circulation
 from .game import Game, SecuredPlace, make_game
@@ -20,20 +20,13 @@ from .slack import CERTIFICATE_TOLERANCE, ceiling
 from .strategy import Strategy, StrategyOptions, within_slack
 
 
-def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
-    """The strategy's budgets in another game on its network, as multiples of the best routes.
+def budget_in_game(game: Game, strategy: Strategy) -> Budget:
+    """The strategy's budget in another game on its network.
 
-    Raises BudgetInfeasible if the best playable route exceeds a budget.
+    Raises BudgetInfeasible if the shortest playable route exceeds it.
     """
-    network, most = game.network, strategy.exposure_budget
-    length = Budget(game, network.travel_costs, strategy.length_budget, strategy.shortest_length,
-                    'length', network.travel_unit)
-    least = strategy.least_exposure
-    if math.isfinite(most) and network is not strategy.network:
-        factor = most / least if least > 0.0 else 1.0
-        least = least_cost(network, network.edge_exposure)
-        most = factor * least
-    return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
+    return Budget(game, game.network.travel_costs, strategy.length_budget,
+                  strategy.shortest_length)
 
 
 def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) -> Certificate:
@@ -41,19 +34,19 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
 
     ``p`` (M,) replaces the strategy's edge probabilities; the value of p = 0 is infinite. The
     bound follows from the strategy's ambusher, and is as near as the strategy's if he proves that.
-    Without a playable route within the budgets, the value is infinite.
+    Without a playable route within the budget, the value is infinite.
     """
     p = strategy.edge_probability if p is None else p
     network = replace(strategy.network, alpha=alpha)
     try:
         game = make_game(network, strategy.game.options)
-        budgets = budgets_in_game(game, strategy)
+        budget = budget_in_game(game, strategy)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
     value = worst_loss(game, p) if p.any() else math.inf
     as_near = value * strategy.lower_bound / strategy.value if strategy.value > 0.0 else math.inf
-    bound = lower_bound(game, strategy.ambusher, budgets, enough=as_near)
-    return Certificate(value, min(bound, value))  # p may exceed the budgets now
+    bound = lower_bound(game, strategy.ambusher, budget, enough=as_near)
+    return Certificate(value, min(bound, value))  # p may exceed the budget now
 
 
 def bound_if_held(strategy: Strategy, places: tuple[SecuredPlace, ...]) -> float:
@@ -75,8 +68,8 @@ def bound_if_held(strategy: Strategy, places: tuple[SecuredPlace, ...]) -> float
         q, by_leg = at_nodes(game, game.at_sites(q)) * share, None
     elif by_leg is not None:
         by_leg = np.where(game.loss > 0.0, by_leg, 0.0) / share
-    others = Ambusher(q / share, tuple(price / share for price in ambusher.prices), by_leg, flows)
-    return lower_bound(game, others, budgets_in_game(game, strategy))
+    others = Ambusher(q / share, ambusher.price / share, by_leg, flows)
+    return lower_bound(game, others, budget_in_game(game, strategy))
 
 
 def open_gap(strategy: Strategy, options: StrategyOptions) -> float:

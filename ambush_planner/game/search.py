@@ -81,7 +81,7 @@ class ValueLP(Protocol):
 
     @property
     def flow(self) -> FloatArray:
-        """An acyclic strategy (M,); within the budgets unless the LP is a cut."""
+        """An acyclic strategy (M,); within the budget unless the LP is a cut."""
 
     @property
     def caps(self) -> FloatArray:
@@ -90,10 +90,6 @@ class ValueLP(Protocol):
     @property
     def q(self) -> FloatArray:
         """How likely the ambusher who proves the bound waits at each site (S,)."""
-
-    @property
-    def prices(self) -> FloatArray:
-        """His prices of the budgets that bind."""
 
     def solve(self) -> None:
         """Find the least value."""
@@ -111,14 +107,14 @@ class ValueLP(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SearchProblem:
-    """A game, its budgets, and how far and how long to search.
+    """A game, its budget, and how far and how long to search.
 
     The search ends at ``deadline`` and the judge at ``judged`` (``time.monotonic``). ``progress``
     is called with the value and the bound so far.
     """
 
     game: Game
-    budgets: tuple[Budget, Budget]
+    budget: Budget
     slack: float
     deadline: float
     site_search: SiteSearch | None = None
@@ -129,16 +125,6 @@ class SearchProblem:
     def late(self) -> bool:
         """Whether the time is up."""
         return time.monotonic() > self.deadline
-
-    @property
-    def binding(self) -> tuple[Budget, ...]:
-        """The budgets that bind."""
-        return tuple(b for b in self.budgets if b.binds)
-
-    def keeps_budgets(self, p: FloatArray) -> bool:
-        """Whether p (M,) is within all budgets."""
-        return all(b.keeps(p) for b in self.budgets)
-
 
 @dataclass(frozen=True, eq=False)
 class Incumbent:
@@ -229,10 +215,10 @@ class Search:
 
     def better(self, best: Incumbent | None, distribution: RouteDistribution,
                layers: LayeredGraph | None = None) -> Incumbent | None:
-        """A distribution as the best strategy if it is better; a strategy over a budget is not."""
+        """A distribution as the best strategy if it is better; one over the budget is not."""
         chain, value, good = distribution.chain, distribution.value, distribution.good
         rating = good, distribution.entropy if good else -value
-        if best and rating <= best.rating or not self.problem.keeps_budgets(
+        if best and rating <= best.rating or not self.problem.budget.keeps(
                 chain.uses(len(self.game.playable))):
             return best
         self.problem.progress(value, self.lp.bound)
@@ -254,32 +240,30 @@ class Search:
         if best.worst >= 0:
             kept[best.worst] = True
         added = np.flatnonzero(kept & ~own)
-        game, p, budgets = self.game, best.chain.uses(len(self.game.playable)), self.problem.budgets
+        game, p, budget = self.game, best.chain.uses(len(self.game.playable)), self.problem.budget
         entering = self.entering[added]
         if best.layers:
             edge = best.layers.edge
             game, p = best.layers.unrolled(best.chain)
             entering = entering[:, edge]
-            length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in budgets)
-            budgets = length, exposure
+            budget = replace(budget, game=game, cost=budget.cost[edge])
         game = game.with_sites(self.points[added], self.loss[added], csr_matrix(entering))
-        bound, ambusher = self.proof(game, kept, budgets, best.value / ceiling(1.0, self.slack))
-        found = replace(strategy_of(game, p, ambusher, budgets, bound),
+        bound, ambusher = self.proof(game, kept, budget, best.value / ceiling(1.0, self.slack))
+        found = replace(strategy_of(game, p, ambusher, budget, bound),
                         iterations=self.evaluations, entropy_bound=best.entropy_bound)
         if within(found.value, found.lower_bound, self.problem.slack + CERTIFICATE_TOLERANCE):
             return found
         return replace(found, reason='time' if self.problem.late else self.reason)
 
-    def proof(self, game: Game, kept: BoolArray, budgets: tuple[Budget, Budget],
+    def proof(self, game: Game, kept: BoolArray, budget: Budget,
               enough: float) -> tuple[float, Ambusher]:
         """The best bound that an ambusher proves, and he; a bound of ``enough`` will do."""
         found = []
         for prover in self.lp.provers:
             ambusher = prover.ambusher(game, kept)
-            ambusher = replace(ambusher, prices=self._of_all_budgets(np.array(ambusher.prices)))
             bound = 0.0
             if self.lp.bound > 0.0:  # else a search for what he proves can take minutes
-                bound = lower_bound(game, ambusher, budgets, prover.faces, self.problem.judged,
+                bound = lower_bound(game, ambusher, budget, prover.faces, self.problem.judged,
                                     enough)
             found.append((bound, ambusher))
             if bound >= enough:
@@ -301,8 +285,3 @@ class Search:
             value, worst = float(found.mean_loss[0]), len(self.loss)
             self._add(found)
         return replace(best, value=value, worst=worst)
-
-    def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
-        """Numbers of the budgets that bind, with 0 for the others."""
-        number = iter(binding.tolist())
-        return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.problem.budgets)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solve the game: the least value within the budgets, then the most unpredictable routes.
+"""Solve the game: the least value within the budget, then the most unpredictable routes.
 
 One of three linear programs (LPs) finds the least value (``value``): a cut without a reach if its
-flow keeps the budgets, or nearly; face potentials on a planar network whose links cost the same
+flow keeps the budget, or nearly; face potentials on a planar network whose links cost the same
 both ways; whole routes otherwise. A search makes a strategy of it: a chain (``chain_search``), or
 one on a layered graph (``trip_search``) on a trip, or if a chain costs more than whole routes. The
 paper's linear programs are another choice.
@@ -17,12 +17,13 @@ import numpy as np
 from ..errors import InvalidNetwork, TimeLimit, warn
 from ..maps.risk_map import MAX_LOSS, MIN_LOSS
 from ..network.network import Network
+from .budget import Budget
 from .chain_search import find_chain, find_flow
 from .faces import make_faces
 from .game import Game, GameOptions, make_game
 from .search import Search, SearchProblem, SiteSearch
 from .slack import MIN_SLACK
-from .strategy import Strategy, StrategyOptions, make_budgets
+from .strategy import Strategy, StrategyOptions
 from .trip_search import find_legs, find_mixture, find_trip
 from .value.cut import Cut
 from .value.linear_program import linear_program_strategy
@@ -31,10 +32,10 @@ from .value.routes import Progress, Routes, no_progress
 
 # Optimality gaps of an LP in potentials, and of one over routes [slacks].
 POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
-# Largest share by which the flow of a cut exceeds a budget if a distribution is sought around it,
-# which then keeps the budget in nearly all games, without a loss of entropy.
+# Largest share by which the flow of a cut exceeds the budget if a distribution is sought around it,
+# which then keeps it in nearly all games, without a loss of entropy.
 MAX_OVERRUN = 0.07
-# Cap at which an LP in potentials begins, as a multiple of the value without budgets.
+# Cap at which an LP in potentials begins, as a multiple of the value without a budget.
 FIRST_CAP = 2.0
 # A search ends before its time limit by a share of it or by a time [s], whichever is less. Its
 # judge, which takes seconds on a trip, ends by half of the first share or time after the limit,
@@ -57,7 +58,7 @@ def solve(network: Network, game: GameOptions | None = None,
     game
         What the ambusher can do.
     options
-        The budgets, the solver, the time limit.
+        The budget, the solver, the time limit.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def solve(network: Network, game: GameOptions | None = None,
     NoRoute
         No route leads from the source to the target.
     BudgetInfeasible
-        Every playable route is longer, or more exposed, than the budget.
+        Every playable route is longer than the budget.
     TimeLimit
         The time limit passed before the value was within the slack of its bound; the error's
         ``strategy`` is the best so far.
@@ -111,7 +112,8 @@ def solve_game(game: Game, options: StrategyOptions, site_search: SiteSearch | N
     if options.solver != 'max_entropy':
         _check_losses(game.network)
         deadline = time.monotonic() + options.time_limit
-        return linear_program_strategy(game, options, make_budgets(game, options), deadline)
+        return linear_program_strategy(game, options, Budget.length(game, options.max_detour),
+                                       deadline)
     problem = make_problem(game, options, site_search, progress)
     return _in_time(_most_unpredictable(problem), options)
 
@@ -122,8 +124,8 @@ def make_problem(game: Game, options: StrategyOptions, site_search: SiteSearch |
     _check_losses(game.network)
     deadline, judged = _search_ends(time.monotonic() + options.time_limit, options,
                                     game.network)
-    return SearchProblem(game, make_budgets(game, options), options.risk_slack, deadline,
-                         site_search, progress, judged)
+    return SearchProblem(game, Budget.length(game, options.max_detour), options.risk_slack,
+                         deadline, site_search, progress, judged)
 
 
 def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
@@ -133,9 +135,9 @@ def finish(search: Search, options: StrategyOptions, end: float) -> Strategy:
 
 
 def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
-    """Find the least value within the budgets, and an ambusher who nearly proves it.
+    """Find the least value within the budget, and an ambusher who nearly proves it.
 
-    A cut's flow may exceed a budget by the share ``overrun``: its value is then a lower bound.
+    A cut's flow may exceed the budget by the share ``overrun``: its value is then a lower bound.
     """
     slack = max(problem.slack, MIN_SLACK)
     if problem.game.network.legs > 1:
@@ -143,7 +145,7 @@ def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
         search = Search(problem, routes, slack)
         (find_legs if routes.planar else find_mixture)(search, routes)
         return search
-    cut = Cut(problem.game, problem.binding) if problem.game.entries_are_hits else None
+    cut = Cut(problem.game, problem.budget) if problem.game.entries_are_hits else None
     if cut and cut.overrun <= overrun:
         return Search(problem, cut, slack)
     first = FIRST_CAP * cut.bound if cut else np.inf
@@ -156,17 +158,17 @@ def find_value(problem: SearchProblem, overrun: float = 0.0) -> Search:
 def _most_unpredictable(problem: SearchProblem) -> Strategy:
     """Find value and route distribution; at the deadline, the best strategy so far is returned.
 
-    Raises BudgetInfeasible if no strategy is within all budgets.
+    Raises BudgetInfeasible if no strategy is within the budget.
     """
     search = find_value(problem, MAX_OVERRUN)
     if not isinstance(search.lp, Cut):
         return _find_distribution(search)
     chain, found = find_chain(search), None
-    if chain or problem.keeps_budgets(search.lp.flow):
+    if chain or problem.budget.keeps(search.lp.flow):
         found = search.strategy(chain)
         if found.reason == 'complete' or problem.late:
             return found
-    # All distributions near the cut's flow exceed a budget, or cost more.
+    # All distributions near the cut's flow exceed the budget, or cost more.
     other = _find_distribution(find_value(problem, -np.inf))
     return found if found and found.value <= other.value and other.reason != 'complete' else other
 
@@ -213,11 +215,11 @@ def _in_time(strategy: Strategy, options: StrategyOptions) -> Strategy:
 
 
 def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> Potential | None:
-    """The LP in potentials if the network is planar and at most one budget binds."""
-    game, binding = problem.game, problem.binding
-    if game.ambushers > 1 or len(binding) > 1 or game.options.loads:
+    """The LP in potentials if the network is planar."""
+    game, budget = problem.game, problem.budget
+    if game.ambushers > 1 or game.options.loads:
         return None
-    faces, budget = make_faces(game), binding[0] if binding else problem.budgets[0]
+    faces = make_faces(game)
     if faces is None or not faces.same_both_ways(budget.cost):
         return None
     return Potential(faces, budget, POTENTIAL_GAP * slack, problem.deadline, first)
@@ -225,7 +227,7 @@ def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> P
 
 def _routes(problem: SearchProblem, slack: float, planar: Potential | None) -> Routes:
     """The LP over whole routes; its bound comes from potentials if there are any."""
-    return Routes(problem.game, problem.binding, ROUTES_GAP * slack, problem.deadline,
+    return Routes(problem.game, problem.budget, ROUTES_GAP * slack, problem.deadline,
                   problem.progress, planar)
 
 

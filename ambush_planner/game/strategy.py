@@ -17,7 +17,7 @@ from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_at_least
 from .ambusher import Ambusher
-from .budget import Budget
+from .budget import Budget, least_cost
 from .certificate.certificate import Certificate, certify
 from .game import Game
 from .route_sampler import RouteSampler, entropy, route_entropy
@@ -39,9 +39,6 @@ class StrategyOptions:
     max_detour
         Limit of the expected length, as a multiple of ``shortest_length``; ``inf``: no limit.
         The most unpredictable strategy usually uses all of it.
-    max_exposure
-        Limit of the expected exposure (the integral of alpha along the route), as a multiple of
-        the least; ``inf``: no limit ('max_entropy' only).
     risk_slack
         Accept values up to (1 + risk_slack) times the least; 0: within 1e-5 of the bound. The
         linear programs ignore it.
@@ -58,7 +55,6 @@ class StrategyOptions:
 
     solver: str = 'max_entropy'
     max_detour: float = 1.2
-    max_exposure: float = math.inf
     risk_slack: float = 0.01
     length_weight: float = 0.0
     time_limit: float = math.inf
@@ -67,7 +63,6 @@ class StrategyOptions:
         if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InvalidOption(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
         check_at_least('max_detour', self.max_detour, 1.0, finite=False)
-        check_at_least('max_exposure', self.max_exposure, 1.0, finite=False)
         check_at_least('risk_slack', self.risk_slack, 0.0)
         check_at_least('length_weight', self.length_weight, 0.0)
         check_at_least('time_limit', self.time_limit, 0.0, 's', finite=False)
@@ -79,10 +74,6 @@ class StrategyOptions:
             raise InvalidOption(
                 f'length_weight {self.length_weight} needs the solver interior_point or simplex; '
                 'max_entropy limits the length with max_detour'
-            )
-        if self.solver != 'max_entropy' and math.isfinite(self.max_exposure):
-            raise InvalidOption(
-                f'max_exposure {self.max_exposure} needs the solver max_entropy, got {self.solver}'
             )
 
     @property
@@ -102,7 +93,9 @@ class Strategy(Shown):
     edge_probability : (M,)
         p: expected uses of each edge; probabilities where the strategy is acyclic.
     ambusher : Ambusher
-        The best one: where he waits, and what the budgets are worth to him.
+        The best one: where he waits, and what the budget is worth to him.
+    budget : Budget
+        The limit of the mean length.
     iterations : int
         Evaluations of the Gibbs distribution, or iterations of interior point or simplex method.
     reason : str
@@ -114,7 +107,7 @@ class Strategy(Shown):
     game: Game
     edge_probability: FloatArray
     ambusher: Ambusher
-    budgets: tuple[Budget, Budget]
+    budget: Budget
     certificate: Certificate
     iterations: int = 0
     entropy_bound: float = math.nan
@@ -131,7 +124,7 @@ class Strategy(Shown):
 
     @property
     def lower_bound(self) -> float:
-        """No strategy within the budgets has a smaller value, counted in the same way."""
+        """No strategy within the budget has a smaller value, counted in the same way."""
         return self.certificate.bound
 
     @property
@@ -185,7 +178,7 @@ class Strategy(Shown):
     @cached_property
     def expected_length(self) -> float:
         """Mean length [m], or [s] if the network has driving times (``travel_costs``)."""
-        return self.budgets[0].mean(self.edge_probability)
+        return self.budget.mean(self.edge_probability)
 
     @property
     def shortest_length(self) -> float:
@@ -193,37 +186,27 @@ class Strategy(Shown):
 
         The latter if that over the ground is not known (``Network.ground_length``).
         """
-        return self.budgets[0].least
+        return self.budget.least
 
     @property
     def length_budget(self) -> float:
         """Largest mean length [m or s]; with ``length_weight`` the strategy's own; inf: any."""
-        return self.budgets[0].limit
+        return self.budget.limit
 
     @property
     def length_price(self) -> float:
         """Decrease of the value per unit of increase of the length budget."""
-        return self.ambusher.prices[0]
+        return self.ambusher.price
 
     @cached_property
     def expected_exposure(self) -> float:
         """Mean integral of alpha along the route [loss x m]."""
-        return self.budgets[1].mean(self.edge_probability)
+        return float(self.edge_probability @ self.network.edge_exposure)
 
-    @property
+    @cached_property
     def least_exposure(self) -> float:
         """Least exposure of any route [loss x m]."""
-        return self.budgets[1].least
-
-    @property
-    def exposure_budget(self) -> float:
-        """Largest mean exposure [loss x m]; inf: unlimited."""
-        return self.budgets[1].limit
-
-    @property
-    def exposure_price(self) -> float:
-        """Decrease of the value per unit of increase of the exposure budget."""
-        return self.ambusher.prices[1]
+        return least_cost(self.network, self.network.edge_exposure)
 
     def _summary(self) -> dict[str, str]:
         return {
@@ -282,22 +265,14 @@ class Strategy(Shown):
         return mean
 
 
-def strategy_of(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, Budget],
+def strategy_of(game: Game, p: FloatArray, ambusher: Ambusher, budget: Budget,
                 bound: float | None = None) -> Strategy:
     """The strategy p (M,) with its certificate; ``bound`` is the ambusher's, if it is known.
 
     Raises SolverFailed if p or the ambusher is not valid; see ``certify``.
     """
-    return Strategy(game, frozen_array(p, np.float64), ambusher, budgets,
-                    certify(game, p, ambusher, budgets, bound))
-
-
-def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
-    """The budgets of length and exposure, as multiples of the whole network's best routes.
-
-    Raises BudgetInfeasible if the best playable route exceeds a budget.
-    """
-    return Budget.length(game, options.max_detour), Budget.exposure(game, options.max_exposure)
+    return Strategy(game, frozen_array(p, np.float64), ambusher, budget,
+                    certify(game, p, ambusher, budget, bound))
 
 
 def within_slack(strategy: Strategy, options: StrategyOptions) -> bool:

@@ -113,7 +113,7 @@ def _around(search: Search, lp: Routes, count: int
             ) -> tuple[RouteDistribution, LayeredGraph, Mixtures, FloatArray] | None:
     """A distribution on layers around the best ``count`` routes; these routes, and their shares.
 
-    None if these routes cost too much more than all of them, or exceed a budget.
+    None if these routes cost too much more than all of them, or exceed the budget.
     """
     game, slack, deadline = search.game, search.slack, search.problem.deadline
     few = lp.mixtures.among(np.argsort(-lp.shares, kind='stable')[:count])
@@ -126,7 +126,7 @@ def _around(search: Search, lp: Routes, count: int
     flow = conserved_strategy(game, few.flow(shares, len(game.playable)), NEGLIGIBLE)
     assert flow is not None  # one route of n has a share of 1 / n or more
     layers = LayeredGraph(game, flow, few.routes, shares, max(TRIP.width // count, 1))
-    distribution = RouteDistribution(layers.network, layers.p, search.problem.budgets,
+    distribution = RouteDistribution(layers.network, layers.p, search.problem.budget,
                                      few.ambushers, slack, False, deadline)
     distribution.add_sites(lp.entering, lp.loss)
     return distribution, layers, few, shares

@@ -120,10 +120,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _STRATEGY.max_detour,
         'Maximum expected length, as a multiple of the shortest path; .inf: any. It is a target as '
         'well as a limit: longer routes are harder to guess.', 1.0),
-    'strategy.max_exposure': Declaration(
-        _STRATEGY.max_exposure,
-        'Maximum expected exposure (integral of the loss along the route), as a multiple of the '
-        'minimum; .inf: any. Only for the solver max_entropy.', 1.0),
     'strategy.risk_slack': Declaration(
         _STRATEGY.risk_slack, 'Share of the value to give up for less predictable routes.'),
     'strategy.length_weight': Declaration(

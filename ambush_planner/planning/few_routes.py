@@ -48,7 +48,7 @@ JOIN, LEAVE = 4, 3
 # Maximum number of rounds of exchanges and judgements on the map.
 ROUNDS = 5
 # Temperatures of the soft maximum over sites for equal shares, from first to last, as shares of
-# the value; and the penalty weight of a budget's overrun, in values.
+# the value; and the penalty weight of the budget's overrun, in values.
 SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 1e3
 
 _Valued = TypeVar('_Valued', PathMixture, BestShares)
@@ -103,14 +103,14 @@ class FewRoutes:
 
 def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Generator | None = None,
                deadline: float = math.inf) -> FewRoutes:
-    """The best mixture that we can find of at most ``most`` routes within the plan's budgets.
+    """The best mixture that we can find of at most ``most`` routes within the plan's budget.
 
     With ``equal`` shares there are exactly ``most`` routes. ``rng`` draws the candidates, by
     default from the operating system's entropy. At the ``deadline`` (``time.monotonic``) it is the
     best mixture so far, and the curve has no smaller numbers of routes that were not tried.
 
     Raises InvalidOption if there are fewer different routes, and as PathMixtures; BudgetInfeasible
-    if no equal shares are within the budgets; TimeLimit, with the plan's strategy, if there is no
+    if no equal shares are within the budget; TimeLimit, with the plan's strategy, if there is no
     mixture at the deadline.
     """
     if not plan.strategy.value > 0.0:
@@ -125,11 +125,9 @@ def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Genera
         paths = driven_paths(plan.corridors, routes, plan.spacing,
                              plan.options.drive.turning_radius)
         if plan.network.seconds is None:
-            costs[0] = path_lengths(paths)
-        binding = [k for k, budget in enumerate(plan.strategy.budgets) if budget.binds]
-        limits = np.array([budget.limit for budget in plan.strategy.budgets])[binding, None]
-        search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths), costs[binding] / limits,
-                               equal, deadline)
+            costs = path_lengths(paths)
+        search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths),
+                               costs[None] / plan.strategy.length_budget, equal, deadline)
         found = search.best([*(k for k in CURVE if k < most), most])
     except TimeLimit as late:
         raise TimeLimit('the time limit (strategy.time_limit) passed before a mixture of few '
@@ -139,7 +137,7 @@ def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Genera
     return FewRoutes(tuple(paths[k] for k in chosen),
                      frozen_array(mixture.shares[chosen], np.float64),
                      mixture.value, mixture.worst_xy, min(search.bound, mixture.value),
-                     len(paths), frozen_array(costs[0][chosen], np.float64),
+                     len(paths), frozen_array(costs[chosen], np.float64),
                      tuple({min(size, len(chosen)): each.value  # more do not lower it
                             for size, each in found.items()}.items()),
                      tuple(frozen_array(routes[k], np.int64) for k in chosen))
@@ -153,20 +151,19 @@ def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:
 
 def _promising(plan: Plan, routes: list[IndexArray], most: int,
                deadline: float) -> tuple[list[IndexArray], FloatArray]:
-    """Some routes, those of the best mixture on the network first, and their costs (2, K)."""
-    game, network, budgets = plan.strategy.game, plan.network, plan.strategy.budgets
+    """Some routes, those of the best mixture on the network first, and their lengths (K,)."""
+    game, network, budget = plan.strategy.game, plan.network, plan.strategy.budget
     edges = [route_edges(network, route) for route in routes]
     route = np.repeat(np.arange(len(edges)), list(map(len, edges)))
     uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
                       (len(network.edges), len(edges)))
     hit = csr_matrix(game.entering @ uses)
     hit.data[:] = 1.0  # however often a route comes back
-    costs = np.array([budget.cost @ uses for budget in budgets])
-    limits = np.array([[budget.limit] for budget in budgets])
+    costs = budget.cost @ uses
     losses = hit.multiply(game.loss[game.sites][:, None]).tocsr()
-    best = SharesLP(losses, costs / limits, deadline).solve()
+    best = SharesLP(losses, costs[None] / budget.limit, deadline).solve()
     order = np.argsort(-best.shares, kind='stable')[:most]
-    return [routes[k] for k in order], costs[:, order]
+    return [routes[k] for k in order], costs[order]
 
 
 class _ColumnSearch:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The convoy's best response to an ambusher's mixed strategy when each site hits a route once.
 
-For q >= 0 and prices of the budgets, the least of
+For q >= 0 and a price of the length, the least of
 
-    sum over sites j that the route meets of q_j alpha_j + sum over budgets of price * reduced cost
+    sum over sites j that the route meets of q_j alpha_j + price * reduced cost
 
-over all routes, less price * budget slack, bounds from below what any strategy within the budgets
+over all routes, less price * budget slack, bounds from below what any strategy within the budget
 can reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
 node, label A dominates label B if A costs no more than B even after paying for every site that only
 B has met: whatever follows, A ends no worse. Many labels at a node may not dominate each other, so
@@ -43,13 +43,13 @@ SEARCHES = tuple((9.0**k, 3_000_000) for k in (0, 1, 2, math.inf))
 Searches = Sequence[tuple[float, int]]
 
 
-def best_response(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
+def best_response(game: Game, ambusher: Ambusher, budget: Budget,
                   deadline: float = math.inf, enough: float = math.inf) -> float:
     """A lower bound of what any strategy costs against an ambusher with each site counted once.
 
     It is as great as the searches prove until ``deadline`` (``time.monotonic``), or ``enough``.
     """
-    base, worth = ambusher.paid(game, budgets)
+    base, worth = ambusher.paid(game, budget)
     waits = ambusher.q[None] if ambusher.by_leg is None else ambusher.by_leg
     dual_weights = game.loss[game.sites] * [game.at_sites(each) for each in waits]
     least, _ = TripNetworks(game, game.entering).least_cost(base, dual_weights, SEARCHES, deadline,

@@ -2,18 +2,18 @@
 """The certificate: the worst mean loss of a strategy, and a bound that no strategy can beat.
 
 Each route counts once per site, however often it comes back into the site's reach. For any strategy
-p within the budgets, any q >= 0 that sums to the number of ambushers k with q_j <= 1, and
-prices >= 0,
+p within the budget, any q >= 0 that sums to the number of ambushers k with q_j <= 1, and
+a price >= 0,
 
     z(p) >= sum over j of q_j alpha_j P(hit_j)
          >= min over routes of sum over the sites j that it meets of q_j alpha_j
                                + sum over edges of price * reduced cost - price * slack,
 
-where an edge's reduced cost is how much it lengthens (or exposes) the route beyond the best one,
-and the slack is the budget minus the best route's cost. The left side follows from p (``hits``),
-the right side is a shortest path if no route can come back to a site, else labels
-(``best_response``) or closed curves (``curves``) bound it from below. Neither depends on the solver
-that found p, q and the prices.
+where an edge's reduced cost is how much it lengthens the route beyond the shortest one, and the
+slack is the budget minus the shortest route's length. The left side follows from p (``hits``), the
+right side is a shortest path if no route can come back to a site, else labels (``best_response``)
+or closed curves (``curves``) bound it from below. Neither depends on the solver
+that found p, q and the price.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from .curves import curve_bound
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """``value`` z(p) of a strategy, and the ``bound`` that no strategy within the budgets beats.
+    """``value`` z(p) of a strategy, and the ``bound`` that no strategy within the budget beats.
 
     Raises SolverFailed if the bound exceeds the value by more than rounding.
     """
@@ -51,53 +51,48 @@ class Certificate:
         object.__setattr__(self, 'bound', min(self.bound, self.value))
 
 
-def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, ...],
+def certify(game: Game, p: FloatArray, ambusher: Ambusher, budget: Budget,
             bound: float | None = None) -> Certificate:
     """Certify a strategy p (M,) and an ambusher; ``bound`` is his ``lower_bound``, if it is known.
 
-    Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, the
+    Raises SolverFailed if p is not a unit flow from source to target or exceeds the budget, the
     ambusher is none, or the bound exceeds the value.
     """
     _check_flow(game, p)
-    for budget in budgets:
-        if not budget.keeps(p):
-            raise SolverFailed(
-                f"the strategy's {budget.name} is {budget.mean(p):.9g} {budget.unit}, over the "
-                f"budget of {budget.limit:.9g}"
-            )
+    if not budget.keeps(p):
+        raise SolverFailed(f"the strategy's length is {budget.mean(p):.9g} "
+                           f'{game.network.travel_unit}, over the budget of {budget.limit:.9g}')
     value = worst_loss(game, p)
-    bound = lower_bound(game, ambusher, budgets) if bound is None else bound
-    # Rounding may put p over a budget; the bound then holds for strategies as far over it.
-    over = sum(price * budget.overrun(p)
-               for budget, price in zip(budgets, ambusher.prices, strict=True))
+    bound = lower_bound(game, ambusher, budget) if bound is None else bound
+    # Rounding may put p over the budget; the bound then holds for strategies as far over it.
+    over = ambusher.price * budget.overrun(p)
     return Certificate(value, max(bound - over, 0.0))
 
 
-def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...],
-                faces: Faces | None = None, deadline: float = math.inf,
-                enough: float = math.inf) -> float:
-    """Value that no strategy within the budgets can beat, as the ambusher proves it.
+def lower_bound(game: Game, ambusher: Ambusher, budget: Budget, faces: Faces | None = None,
+                deadline: float = math.inf, enough: float = math.inf) -> float:
+    """Value that no strategy within the budget can beat, as the ambusher proves it.
 
     By the closed curves of his circulation if he has one, else by the best response, as far as that
     is found by ``deadline`` (``time.monotonic``). ``faces`` are the network's, if they are known.
     The proof ends at a bound of ``enough``. Raises SolverFailed if he is no ambusher of the game.
     """
-    ambusher.check(game, budgets)
+    ambusher.check(game)
     game = game.without_layers()  # whatever can be driven can be driven on the trip's own nodes
     if game.entries_are_hits:
-        return entry_bound(game, ambusher, budgets)
+        return entry_bound(game, ambusher, budget)
     if ambusher.circulation is None:
-        return best_response(game, ambusher, budgets, deadline, enough)
+        return best_response(game, ambusher, budget, deadline, enough)
     same = faces is not None and len(faces.link) == len(game.network.edges)
     faces = replace(faces, game=game) if faces and same else make_faces(game)
-    if faces is None or np.count_nonzero(ambusher.prices) > 1:
-        raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
-    return curve_bound(faces, ambusher, ambusher.circulation, budgets, deadline, enough)
+    if faces is None:
+        raise SolverFailed('a circulation proves nothing where links cross')
+    return curve_bound(faces, ambusher, ambusher.circulation, budget, deadline, enough)
 
 
-def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
+def entry_bound(game: Game, ambusher: Ambusher, budget: Budget) -> float:
     """The bound by the route of least cost if every entry is counted: one Dijkstra."""
-    weights, paid = ambusher.paid(game, budgets)
+    weights, paid = ambusher.paid(game, budget)
     weights = weights + game.mean_loss_on_edges(ambusher.q)
     return max(float(game.distances_from_source(weights)[game.network.target]) - paid, 0.0)
 

@@ -40,18 +40,17 @@ MOST_SETS = 300
 
 
 def curve_bound(faces: Faces, ambusher: Ambusher, given: Circulation,
-                budgets: tuple[Budget, ...], deadline: float, enough: float) -> float:
-    """What an ambusher proves by a circulation about strategies within the budgets.
+                budget: Budget, deadline: float, enough: float) -> float:
+    """What an ambusher proves by a circulation about strategies within the budget.
 
-    At most one of these has a price. Flow beyond q_j alpha_j, or beyond a link's share of the
-    price, counts for nothing. How often curves count that wind more than once is found until
-    ``enough`` is proved, or to ``deadline`` (``time.monotonic``); the others count once. Raises
-    SolverFailed if the circulation is that of another network.
+    Flow beyond q_j alpha_j, or beyond a link's share of the price, counts for nothing. How often
+    curves count that wind more than once is found until ``enough`` is proved, or to ``deadline``
+    (``time.monotonic``); the others count once. Raises SolverFailed if the circulation is that of
+    another network.
     """
-    game, paid, worth = faces.game, np.zeros(len(faces.link)), 0.0
-    for budget, price in zip(budgets, ambusher.prices, strict=True):
-        if price > 0.0:
-            paid, worth = price * budget.cost, price * budget.limit
+    game, paid, worth = faces.game, ambusher.price * budget.cost, 0.0
+    if ambusher.price > 0.0:
+        worth = ambusher.price * budget.limit
     dual_weights = game.loss * ambusher.q
     given = given.at(dual_weights > 0.0)
     if len(given.through) != len(faces.left):

@@ -17,14 +17,13 @@ twice, the rows are exact for every chain, and one round does it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from ...arrays import FloatArray
-from ..budget import Budget, budget_rows
+from ..budget import Budget
 from ..slack import ceiling, sum_of_largest, within
 from .chain import NO_FLOW, MarkovChain
 from .entropy_search import Accuracy, maximize_entropy
@@ -53,12 +52,12 @@ class RouteDistribution:
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
     Sites have losses (S,) and edges (S, M) that enter their discs. ``caps`` (S,) are what each may
     cause; the k largest add up to the limit of the value. If rows are ``exact`` for every chain,
-    ``entropy_bound`` [nats] is the most that the whole slack and the budgets allow, else NaN. If it
+    ``entropy_bound`` [nats] is the most that the whole slack and the budget allow, else NaN. If it
     is ``rough``, rounds from a chain that is not within the slack are less accurate, as sites will
     join; on layers that costs more than it gains. ``evaluations`` are those of the latest round.
     """
 
-    def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
+    def __init__(self, network: AcyclicNetwork, p: FloatArray, budget: Budget,
                  ambushers: int, slack: float, exact: bool, deadline: float,
                  rough: bool = False) -> None:
         self.network, self.slack, self.exact = network, slack, exact
@@ -66,13 +65,14 @@ class RouteDistribution:
         self.deadline, self._k, self._rough = deadline, ambushers, rough
         self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
         self._tolerance = self._accuracy(DISTRIBUTION.accuracy).excess
-        binding = [b for b in budgets if b.binds]
-        # A distribution may exceed its limits by the tolerance, but not a budget.
-        self._budget_slack = np.array([b.slack * (1.0 - self._tolerance) for b in binding])
-        self._budget_rows = budget_rows(binding, network.edge) / (1.0 - self._tolerance)
+        # A distribution may exceed its limits by the tolerance, but not the budget.
+        self._budget_rows = csr_matrix((0, len(p)))
+        if budget.binds:
+            most = budget.slack * (1.0 - self._tolerance)
+            self._budget_rows = csr_matrix(budget.reduced_cost[network.edge] / most)
         self._entering = csr_matrix((0, len(p)))
         self._loss, self.caps = np.zeros(0), np.zeros(0)
-        self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
+        self.multipliers, self.prices = np.zeros(0), np.zeros(self._budget_rows.shape[0])
         self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:

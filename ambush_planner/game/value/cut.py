@@ -41,7 +41,7 @@ class CutSolution:
 
 
 def solve_by_min_cut(game: Game) -> CutSolution:
-    """Solve the game of one ambusher without a reach and budgets by a minimum node cut.
+    """Solve the game of one ambusher without a reach and a budget by a minimum node cut.
 
     On a trip of several legs, the nodes of a place count as different sites: the value is that of
     the costliest leg, a lower bound, and q is spread over these nodes. Raises SolverFailed if the
@@ -56,22 +56,22 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 
 
 class Cut:
-    """The least value without a reach and budgets; for several ambushers a lower bound.
+    """The least value without a reach and a budget; for several ambushers a lower bound.
 
     ``caps`` (S,) are what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
-    are optimal if ``overrun`` is 0: it is the largest share by which the flow exceeds a budget, or
+    are optimal if ``overrun`` is 0: it is the share by which the flow exceeds the budget, or
     infinite if some q exceeds 1.
     """
 
-    apart, deadline = 0.0, np.inf  # cuts take seconds at most
+    price, apart, deadline = 0.0, 0.0, np.inf  # cuts take seconds at most
     faces: Faces | None = None
 
-    def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
+    def __init__(self, game: Game, budget: Budget) -> None:
         cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
         self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
-        self.caps, self.prices = np.full(len(sites), cut.value), np.zeros(len(budgets))
-        over = [b.mean(self.flow) / b.limit - 1.0 for b in budgets if not b.keeps(self.flow)]
-        self.overrun = max(over, default=0.0) if self.q.max(initial=0.0) <= 1.0 else np.inf
+        self.caps = np.full(len(sites), cut.value)
+        over = 0.0 if budget.keeps(self.flow) else budget.mean(self.flow) / budget.limit - 1.0
+        self.overrun = over if self.q.max(initial=0.0) <= 1.0 else np.inf
 
     def solve(self) -> None:
         """Nothing: it is solved."""
@@ -86,7 +86,7 @@ class Cut:
 
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` sites."""
-        return Ambusher(at_nodes(game, self.q[kept]), tuple(self.prices.tolist()))
+        return Ambusher(at_nodes(game, self.q[kept]))
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:

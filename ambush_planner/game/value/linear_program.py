@@ -81,7 +81,7 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
-def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple[Budget, Budget],
+def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget,
                             deadline: float) -> Strategy:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
@@ -91,7 +91,6 @@ def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple
     as HiGHS reports.
     """
     whole, solver, length_weight = game, options.solver, options.length_weight
-    length, exposure = budgets
     if game.ambushers > 1:
         raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
@@ -110,8 +109,8 @@ def linear_program_strategy(game: Game, options: StrategyOptions, budgets: tuple
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
-    found = replace(strategy_of(whole, p, Ambusher(q, (price, 0.0)),
-                                (length if limited else own, exposure)), iterations=int(result.nit))
+    found = replace(strategy_of(whole, p, Ambusher(q, price),
+                                length if limited else own), iterations=int(result.nit))
     if within_slack(found, options):
         return found
     return replace(found, reason='solver' if game.entries_are_hits else 'stalled')
@@ -191,7 +190,7 @@ def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> floa
     longer = length.reduced_cost[length.reduced_cost > ROUNDING * length.limit]
     enough = entry_value(game, shortest_route_strategy(game)) / longer.min(initial=np.inf)
     return max((price, float(enough)),
-               key=lambda each: entry_bound(game, Ambusher(q, (each,)), (length,)))
+               key=lambda each: entry_bound(game, Ambusher(q, each), length))
 
 
 def _run(lp: LinearProgram, solver: str, deadline: float) -> OptimizeResult:

@@ -2,11 +2,11 @@
 """The linear program over mixtures of known routes.
 
     minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,
-                                             mean reduced cost <= 1 (in budget slacks),
+                                             mean reduced cost <= 1 (in slacks of the budget),
                                              the shares are a unit flow through the stops,
 
 each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
-also from stop to stop. The duals are the ambusher's strategy and the prices of the budgets. HiGHS'
+also from stop to stop. The duals are the ambusher's strategy and the price of the budget. HiGHS'
 interior point method without crossover gives *central* duals, which price many routes at once; a
 vertex jumps from one extreme ambusher to another, but he waits at few sites.
 """
@@ -35,39 +35,40 @@ NEAR = 0.9
 
 
 class Mixture(NamedTuple):
-    """Its value, the shares (C,) of the routes, and the duals: q (groups, S), prices (B,)."""
+    """Its value, the shares (C,) of the routes, and the duals: q (groups, S), and the price."""
 
     value: float
     shares: FloatArray
     q: FloatArray
-    prices: FloatArray
+    price: float
 
 
 class _Column(NamedTuple):
     """A route, given by its edges, in a group.
 
-    ``met`` are the sites that it meets, ``counts`` what each of them counts, ``reduced_cost`` (B,)
-    is in budget slacks. It leads ``between`` two stops, numbered from the source on; no leg ends at
-    the source.
+    ``met`` are the sites that it meets, ``counts`` what each of them counts, ``reduced_cost``
+    is in slacks of the budget. It leads ``between`` two stops, numbered from the source on; no leg
+    ends at the source.
     """
 
     route: IndexArray
     met: IndexArray
     counts: FloatArray
-    reduced_cost: FloatArray
+    reduced_cost: float
     group: int
     between: tuple[int, int]
 
 
 class Mixtures:
-    """Routes in groups, each with the sites (S,) that it meets and its reduced costs (B,).
+    """Routes in groups, each with the sites (S,) that it meets and its reduced cost.
 
     Sites have shares of their own for each group: the first, second, ... legs of trips; or there is
-    one group of whole routes.
+    one group of whole routes. Mean reduced costs are at most 1 if they are ``limited``.
     """
 
-    def __init__(self, groups: int) -> None:
-        self.loss, self.ambushers, self.limit, self._groups = np.zeros(0), 0, 1.0, groups
+    def __init__(self, groups: int, limited: bool) -> None:
+        self.loss, self.ambushers, self._groups = np.zeros(0), 0, groups
+        self._limited = limited
         self._unit, self._near = 0.0, np.zeros((groups, 0), dtype=bool)
         self._columns: list[_Column] = []
         self._known: set[bytes] = set()
@@ -77,7 +78,7 @@ class Mixtures:
         """The routes, as edges."""
         return [each.route for each in self._columns]
 
-    def add(self, route: IndexArray, met: FloatArray, reduced_cost: FloatArray, group: int = 0,
+    def add(self, route: IndexArray, met: FloatArray, reduced_cost: float, group: int = 0,
             between: tuple[int, int] = (0, 1)) -> bool:
         """Add a route, given by its edges and what each site counts; return whether it is new."""
         key = route.tobytes()
@@ -136,17 +137,6 @@ class Mixtures:
         routes = self.routes[: len(shares)]
         return sums(np.concatenate(routes), np.repeat(shares, list(map(len, routes))), edges)
 
-    def of_least_reduced_cost(self) -> Mixture:
-        """The mixture whose greatest reduced cost is least: that is its value.
-
-        Its prices are how much each budget counts in it.
-        """
-        costs = csr_matrix(self._reduced_costs)
-        result = self._solve_on(costs, 1, costs[:0], highs.OPTIMALITY[0], math.inf)
-        weights = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
-        return Mixture(float(result.fun), np.maximum(result.x[:-1], 0.0),
-                       np.zeros((self._groups, len(self.loss))), weights)
-
     def solve(self, precision: float, deadline: float = math.inf,
               vertex: bool = False) -> Mixture:
         """The mixture of least value, to a relative gap of ``precision``, with central duals.
@@ -156,7 +146,7 @@ class Mixtures:
         (``time.monotonic``), or SolverFailed.
         """
         group = np.array([each.group for each in self._columns])
-        near, cap, costs = self._near.ravel(), math.inf, csr_matrix(self._reduced_costs)
+        near, cap, costs = self._near.ravel(), math.inf, self._budget_row
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > NEGLIGIBLE * most else most
@@ -175,13 +165,14 @@ class Mixtures:
         self._near = (losses > NEAR * cap).reshape(self._groups, -1)
         self._unit = float(result.fun) * unit
         duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
-        q[near], prices = np.split(duals, [np.count_nonzero(near)])
-        return Mixture(self._unit, shares, q.reshape(self._groups, -1), prices * unit)
+        q[near], price = np.split(duals, [np.count_nonzero(near)])
+        return Mixture(self._unit, shares, q.reshape(self._groups, -1), float(price.sum()) * unit)
 
     @property
-    def _reduced_costs(self) -> FloatArray:
-        """The reduced costs (B, C) of the routes."""
-        return np.array([each.reduced_cost for each in self._columns]).T
+    def _budget_row(self) -> csr_matrix:
+        """The reduced costs (1, C) of the routes, or no row (0, C) if they are not limited."""
+        costs = csr_matrix([[each.reduced_cost for each in self._columns]])
+        return costs if self._limited else costs[:0]
 
     def _hits(self, group: IndexArray) -> csr_matrix:
         """The loss (groups * S, C) that each route has at each site of its group."""
@@ -191,13 +182,13 @@ class Mixtures:
         return csr_matrix((losses, (group[column] * count + sites, column)),
                           (self._groups * count, len(met)))
 
-    def _solve_on(self, hit: csr_matrix, ambushers: int, reduced_costs: csr_matrix,
+    def _solve_on(self, hit: csr_matrix, ambushers: int, budget_row: csr_matrix,
                   precision: float, deadline: float, vertex: bool = False) -> OptimizeResult:
-        """Solve the LP with the rows (R, C) of some sites, and those of the budgets (B, C)."""
+        """Solve the LP with the rows (R, C) of some sites, and that of the budget, if any."""
         (rows, count), extra = hit.shape, hit.shape[0] * (ambushers > 1)
         limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
                                     -identity(rows, format='csr')[:, :extra]]))
-        costs = reduced_costs.copy()
+        costs = budget_row.copy()
         costs.resize(costs.shape[0], limits.shape[1])
         begin, end = np.array([each.between for each in self._columns]).T
         stops, inner = end.max(), np.flatnonzero(end < end.max())
@@ -205,7 +196,7 @@ class Mixtures:
                            (np.append(begin, end[inner]), np.append(np.arange(count), inner))),
                           (stops, limits.shape[1]))
         objective = np.repeat([0.0, ambushers, 1.0], [count, 1, extra])
-        bounds = np.repeat([0.0, self.limit], [rows, costs.shape[0]])
+        bounds = np.repeat([0.0, 1.0], [rows, costs.shape[0]])
         return _solved(highs.LP(objective, csr_matrix(vstack([limits, costs])), bounds, flow,
                                 np.eye(1, stops)[0]), precision, deadline, vertex)
 
@@ -217,5 +208,5 @@ def _solved(lp: highs.LP, precision: float, deadline: float, vertex: bool) -> Op
     except SolverFailed:
         result = highs.run(lp, second, deadline)
     if result.x is None:
-        raise SolverFailed('no mixture of the known routes is within the budgets')
+        raise SolverFailed('no mixture of the known routes is within the budget')
     return result

@@ -48,9 +48,9 @@ POTENTIAL = PotentialSearch()
 class Potential:
     """The LP, at first with the game's sites; ``solve`` goes on from where it is.
 
-    ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
-    of the budget. ``caps`` (S,) are what each site may cause. The search begins at ``first``, or at
-    half the largest loss if that is less.
+    ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``price`` that
+    of the budget [loss per unit]. ``caps`` (S,) are what each site may cause. The search begins at
+    ``first``, or at half the largest loss if that is less.
     """
 
     apart = 0.0
@@ -138,7 +138,7 @@ class Potential:
             node = np.full(len(kept), -1)
             node[kept] = game.sites
             curves = replace(curves, site=node[curves.site])
-        return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()), self._by_leg(game, kept),
+        return Ambusher(at_nodes(game, q), self.price, self._by_leg(game, kept),
                         None if game.entries_are_hits else curves)
 
     def _by_leg(self, game: Game, kept: BoolArray) -> FloatArray | None:
@@ -155,11 +155,6 @@ class Potential:
     def caps(self) -> FloatArray:
         """Mean loss (S,) that each site may cause."""
         return np.full(len(self._loss), self.bound)
-
-    @property
-    def prices(self) -> FloatArray:
-        """Price of the budget [loss per unit], none if it is unlimited."""
-        return np.array([self.price] * self.budget.binds)
 
     @property
     def flow(self) -> FloatArray:

@@ -2,7 +2,7 @@
 """The least value by a linear program over whole routes, each hit once by each site.
 
 Column generation: the mixture of least value of the known routes gives an ambusher's strategy and
-prices of the budgets (``mixtures``); routes that cost less against these than the mixture's value
+the price of the budget (``mixtures``); routes that cost less against these than the mixture's value
 join. They are found leg by leg by Dijkstra's method with every entry counted, except where another
 leg meets the site; later also from routes of the mixture; last by label searches, which also prove
 bounds (``best_response``), against ambushers who wait at few sites. A trip's bound usually comes
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
 from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray, sums
-from ...errors import BudgetInfeasible, TimeLimit
+from ...errors import TimeLimit
 from ..ambusher import Ambusher, at_nodes, capped_at_one, on_nodes, padded
 from ..budget import Budget
 from ..certificate.best_response import SEARCHES, Searches, TripNetworks
@@ -74,44 +74,46 @@ class Routes:
     Attributes
     ----------
     bound : float
-        No strategy within the budgets has a smaller value.
+        No strategy within the budget has a smaller value.
     value : float
         That of the mixture found.
     by_leg : (stops + 1, S)
         The ambusher who proves the bound: how likely he waits at each site for each leg. What he
         proves is the ``best_response`` to him.
-    prices : (binding budgets,)
-        His prices of the budgets [loss per unit of cost].
+    price : float
+        His price of the budget [loss per unit of length].
     routes, shares
         The routes, as edges, and their probabilities (C,).
     deadline : float
         When searches end (``time.monotonic``): they raise TimeLimit, what was found by then counts.
-
-    Raises BudgetInfeasible if no strategy is within all budgets.
     """
 
     apart = ROUTES.apart
     faces: Faces | None = None
 
-    def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
+    def __init__(self, game: Game, budget: Budget, gap: float, deadline: float,
                  progress: Progress = no_progress, planar: Potential | None = None) -> None:
         self.game, self.gap, self.deadline = game, gap, deadline
-        self.budgets = binding = [b for b in budgets if b.binds]
+        self._slack = budget.slack
         self.planar, self._by_planar = planar, False
         self._progress = progress
         self._newest: Mixture | None = None  # of the legs
-        shares = [np.minimum(b.reduced_cost / b.slack, 1.0 / NEGLIGIBLE) for b in binding]
-        self.reduced_cost = np.reshape([np.where(game.playable, each, 0.0) for each in shares],
-                                       (len(binding), len(game.playable)))
+        self.reduced_cost = np.zeros(len(game.playable))  # in slacks of the budget
+        if budget.binds:
+            share = np.minimum(budget.reduced_cost / budget.slack, 1.0 / NEGLIGIBLE)
+            self.reduced_cost = np.where(game.playable, share, 0.0)
         legs = int(game.network.stops_before[-1]) + 1
-        self.mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
+        self.mixtures, self._of_legs = Mixtures(1, budget.binds), Mixtures(legs, budget.binds)
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
-        self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
+        self.by_leg, self._price = np.zeros((legs, 0)), 0.0
         self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
         self._add_sites(*(planar.sites if planar else (game.entering, game.loss[game.sites])))
         if planar and planar.bound > 0.0:
             self.bound, self._by_planar = planar.bound, True
-        self._begin()
+        # The shortest route is within the budget.
+        self._add(self._whole.shortest(budget.cost, np.zeros(len(self.loss))))
+        self.shares = np.ones(1)
+        self.value = self.mixtures.value(self.shares)
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
@@ -142,11 +144,11 @@ class Routes:
         return np.asarray(self.by_leg.sum(axis=0))
 
     @property
-    def prices(self) -> FloatArray:
-        """His prices of the budgets that bind [loss per unit of cost]."""
+    def price(self) -> float:
+        """His price of the budget [loss per unit of length]."""
         if self.planar and self._by_planar:
-            return self.planar.prices
-        return np.asarray(self._prices / np.array([b.slack for b in self.budgets]))
+            return self.planar.price
+        return self._price / self._slack
 
     @property
     def provers(self) -> list[Potential | Routes]:
@@ -157,7 +159,7 @@ class Routes:
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
         """He who proves the bound, in a game with the ``kept`` ones of the sites (S,)."""
         by_leg = padded(self.by_leg, len(kept))[:, kept]
-        return Ambusher(at_nodes(game, by_leg.sum(axis=0)), tuple(self.prices.tolist()),
+        return Ambusher(at_nodes(game, by_leg.sum(axis=0)), self.price,
                         on_nodes(game, by_leg) if len(by_leg) > 1 else None)
 
     @property
@@ -172,13 +174,12 @@ class Routes:
 
     @property
     def flow(self) -> FloatArray:
-        """The mixture as an acyclic strategy (M,) within the budgets."""
+        """The mixture as an acyclic strategy (M,) within the budget."""
         used = self.mixtures.flow(self.shares, len(self.game.playable))
-        over = np.maximum(self.reduced_cost @ used - self.mixtures.limit, 0.0)
-        if over.any():  # as far as the LP's precision allows
-            inside = self.mixtures.flow(self.mixtures.of_least_reduced_cost().shares, len(used))
-            room = np.maximum(self.mixtures.limit - self.reduced_cost @ inside, 0.0)[over > 0.0]
-            used = inside + float((room / (room + over[over > 0.0])).min()) * (used - inside)
+        most = float(self.reduced_cost @ used)
+        if most > 1.0:  # as far as the LP's precision allows; the first route is the shortest
+            shortest = self.mixtures.flow(np.ones(1), len(used))
+            used = shortest + (used - shortest) / most
         found = conserved_strategy(self.game, used, NEGLIGIBLE)
         assert found is not None  # one route of n has a share of 1 / n or more
         return found
@@ -240,36 +241,16 @@ class Routes:
             raise TimeLimit('the time limit passed before the value was proved')
         return False
 
-    def _begin(self) -> None:
-        """Add the best route for each budget, and others until a mixture is within all budgets."""
-        free = np.zeros(len(self.loss))
-        costs = self.reduced_cost if len(self.reduced_cost) else self.game.network.lengths[None]
-        for cost in costs:
-            self._add(self._whole.shortest(cost, free))
-        if len(self.reduced_cost) < 2:
-            self.shares = np.ones(1)
-            self.value = self.mixtures.value(self.shares)
-            return
-        least = self.mixtures.of_least_reduced_cost()
-        while least.value > 1.0 and self._add(
-                self._whole.shortest(least.prices @ self.reduced_cost, free)):
-            least = self.mixtures.of_least_reduced_cost()
-        if least.value > 1.0 + ROUNDING:
-            names = ' and '.join(b.option for b in self.budgets)
-            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
-        self.mixtures.limit = max(least.value, 1.0)
-        self.shares, self.value = least.shares, self.mixtures.value(least.shares)
-
     def _add(self, route: IndexArray) -> bool:
         return self.mixtures.add(route, self._whole.met(route),
-                                 self.reduced_cost[:, route].sum(axis=1))
+                                 float(self.reduced_cost[route].sum()))
 
     def _add_responses(self, mixture: Mixture, precision: float, prove: bool) -> int:
         """Add routes that cost less than the value, by the fastest way that finds any."""
-        q, prices = self._ambusher(mixture, 0.0)
-        base, dual_weights = prices @ self.reduced_cost, q[0] * self.loss
+        q, price = self._ambusher(mixture, 0.0)
+        base, dual_weights = price * self.reduced_cost, q[0] * self.loss
         for routes in self._responses(mixture, base, dual_weights, precision, prove):
-            most = self.value * (1.0 - self._least_gain) + float(prices.sum())
+            most = self.value * (1.0 - self._least_gain) + price
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, dual_weights) < most)
             if added or self._ended():
@@ -305,16 +286,16 @@ class Routes:
 
     def _search(self, mixture: Mixture, searches: Searches, negligible: float) -> list[IndexArray]:
         """Search the whole network for the route of least cost, and note the bound."""
-        q, prices = self._ambusher(mixture, negligible)
-        least, route = self._whole.least_cost(prices @ self.reduced_cost, q[0] * self.loss,
+        q, price = self._ambusher(mixture, negligible)
+        least, route = self._whole.least_cost(price * self.reduced_cost, q[0] * self.loss,
                                               searches, self.deadline)
         by_leg = np.zeros_like(self.by_leg)
         by_leg[0] = q[0]
-        self._note(least, by_leg, prices)
+        self._note(least, by_leg, price)
         return [] if route is None else [route]
 
-    def _ambusher(self, mixture: Mixture, negligible: float) -> tuple[FloatArray, FloatArray]:
-        """q (groups, S) without small dual weights, at most 1 at each site, and the prices (B,)."""
+    def _ambusher(self, mixture: Mixture, negligible: float) -> tuple[FloatArray, float]:
+        """q (groups, S) without small dual weights, at most 1 at each site, and the price."""
         q = mixture.q
         q = np.where(q * self.loss > negligible * (q * self.loss).max(), q, 0.0)
         # Where the mixture meets fewer sites than there are ambushers, each q is at most 1.
@@ -323,13 +304,13 @@ class Routes:
         capped = capped_at_one(total, self._ambushers)
         q = scale * q * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
         q[0] += np.where(total > 0.0, 0.0, capped)
-        return q, scale * mixture.prices
+        return q, scale * mixture.price
 
-    def _note(self, least: float, by_leg: FloatArray, prices: FloatArray) -> None:
+    def _note(self, least: float, by_leg: FloatArray, price: float) -> None:
         """Keep an ambusher who costs every route at least ``least`` if his bound is the best."""
-        bound = least - float(prices.sum())
+        bound = least - price
         if bound > self.bound:
-            self.bound, self.by_leg, self._prices, self._by_planar = bound, by_leg, prices, False
+            self.bound, self.by_leg, self._price, self._by_planar = bound, by_leg, price, False
 
     def _descend(self, base: FloatArray, dual_weights: FloatArray, start: int, trip: list[int],
                  ways: list[IndexArray] | None = None) -> IndexArray:
@@ -445,15 +426,15 @@ class Routes:
 
     def _add_entering_ways(self, mixture: Mixture) -> int:
         """Add each leg's way of least cost if every entry is counted."""
-        q, prices = self._ambusher(mixture, 0.0)
-        base, dual_weights = prices @ self.reduced_cost, q * self.loss
+        q, price = self._ambusher(mixture, 0.0)
+        base, dual_weights = price * self.reduced_cost, q * self.loss
         return sum(self._add_way(k, leg.network.shortest(base, dual_weights[leg.number]))
                    for k, leg in enumerate(self._legs))
 
     def _proof_by_legs(self, mixture: Mixture, end: float) -> int:
         """Note what a mixture's ambusher proves by ``end``; return the number of new ways."""
-        q, prices = self._ambusher(mixture, ROUTES.small_on_leg * (self.game.reach > 0.0))
-        base, dual_weights, added = prices @ self.reduced_cost, q * self.loss, 0
+        q, price = self._ambusher(mixture, ROUTES.small_on_leg * (self.game.reach > 0.0))
+        base, dual_weights, added = price * self.reduced_cost, q * self.loss, 0
 
         def cost(k: int) -> float:
             nonlocal added
@@ -462,13 +443,13 @@ class Routes:
             added += self._add_way(k, network.shortest(base, own) if way is None else way)
             return low
 
-        self._note(self._networks.least_trip(cost)[0], q, prices)
+        self._note(self._networks.least_trip(cost)[0], q, price)
         return added
 
     def _add_way(self, leg: int, way: IndexArray) -> bool:
         number, begin, end, _ = self._legs[leg]
         return self._of_legs.add(way, self._whole.met(way),
-                                 self.reduced_cost[:, way].sum(axis=1), number, (begin, end))
+                                 float(self.reduced_cost[way].sum()), number, (begin, end))
 
 
 class RouteMixture:
@@ -511,4 +492,4 @@ def _between(centre: Mixture, newest: Mixture) -> Mixture:
     International Transactions in Operational Research 4, 1997.
     """
     return newest._replace(q=(centre.q + newest.q) / 2.0,
-                           prices=(centre.prices + newest.prices) / 2.0)
+                           price=(centre.price + newest.price) / 2.0)

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that went, and what to do instead, for parameters, commands and recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from .errors import InvalidOption
+
+
+class _Gone(NamedTuple):
+    """What to do instead of an option, and its value ``without`` effect."""
+
+    remedy: str
+    without: object = None
+
+
+_GONE = {
+    'strategy.max_exposure': _Gone(
+        'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
+}
+
+
+def remedy_for(name: str) -> str:
+    """Say that an option went, and what to do instead; '' if there never was one of this name."""
+    return f'{name} went: {_GONE[name].remedy}' if name in _GONE else ''
+
+
+def check_none_gone(values: Mapping[str, Any]) -> None:
+    """Raise InvalidOption if one of the values sets an option that went to some effect."""
+    for name, gone in _GONE.items():
+        if values.get(name, gone.without) != gone.without:
+            raise InvalidOption(remedy_for(name))
