@@ -18,6 +18,9 @@ class _Gone(NamedTuple):
 
 
 _GONE = {
+    'game.ambushers': _Gone(
+        'leave it out: k ambushers at different places cause at most k times the value '
+        '(docs/theory.md, 2.3)', 1),
     'strategy.max_exposure': _Gone(
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
 }

@@ -20,7 +20,7 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.ambusher import Ambusher, capped_at_one
+from ambush_planner.game.ambusher import Ambusher
 from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.certificate import certify, lower_bound
 from ambush_planner.game.game import make_game
@@ -109,13 +109,6 @@ def test_weak_duality_holds_for_any_q_and_price(network, seed, price, detour):
     assert bound == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-6)
     value = solve(network, options=StrategyOptions(max_detour=detour)).value
     assert bound <= value * (1 + 1e-9) + 1e-7 * price * budget.limit
-
-
-@examples(30)
-@given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
-def test_capped_probabilities_keep_their_sum(masses, count):
-    q = capped_at_one(np.array(masses), count)
-    assert q.sum() == pytest.approx(count) and q.max() <= 1.0 + 1e-9 and q.min() >= 0.0
 
 
 # The budget.

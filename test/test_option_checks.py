@@ -41,7 +41,7 @@ def test_numpy_numbers_are_accepted(record):
     (StrategyOptions, 'risk_slack', [-0.1, np.inf]),
     (StrategyOptions, 'length_weight', [-0.1, 1.0]), (StrategyOptions, 'time_limit', [0.0]),
     (GameOptions, 'ambush_radius', [np.inf]), (GameOptions, 'secured_radius', [-0.1]),
-    (GameOptions, 'ambushers', [0, 1.5]), (GameOptions, 'ambush_in_obstacles', ['yes']),
+    (GameOptions, 'ambush_in_obstacles', ['yes']),
     (NetworkOptions, 'method', ['hexagons']), (NetworkOptions, 'spacing', [-1.0, np.inf]),
     (NetworkOptions, 'clearance', [-0.1]), (NetworkOptions, 'target_nodes', [1]),
     (OccupancyOptions, 'alpha_min', [-1.0, np.nan, 1e-310]),

@@ -20,20 +20,20 @@ EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
 @examples(90)
-@given(st.integers(1, 3), st.integers(0, 10**6), st.floats(0.2, 1.5),
+@given(st.integers(0, 10**6), st.floats(0.2, 1.5),
        st.sampled_from([-1.0, 0.0, 0.5, 2.0]), st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
 def test_value_and_bound_enclose_the_value_over_all_routes(
-    ambushers, seed, reach, secured, detour, inside
+    seed, reach, secured, detour, inside
 ):
     """And the bound is that value, up to the LP's precision."""
     network = planar_network(seed, inside)
     routes = routes_of(network)
     assume(0 < len(routes) <= 1000)
-    game = GameOptions(ambush_radius=reach, secured_radius=secured, ambushers=ambushers)
+    game = GameOptions(ambush_radius=reach, secured_radius=secured)
     strategy = solve(network, game, StrategyOptions(max_detour=detour))
     near = reached(network, reach, game.secured_distance)
     limits = [(network.lengths, strategy.length_budget)]
-    once = value_by_routes(network.alpha, near, routes, limits, ambushers)
+    once = value_by_routes(network.alpha, near, routes, limits)
     assert strategy.lower_bound <= once * (1 + 1e-7) + 1e-9
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1 - 2e-6) - 1e-9
@@ -75,8 +75,7 @@ def test_a_route_that_comes_back_to_a_disc_is_hit_once():
     assert strategy.value == pytest.approx(3.0) and strategy.lower_bound == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize('ambushers', [1, 2])
-def test_routes_that_share_a_bridge_remember_which_way_they_came(ambushers):
+def test_routes_that_share_a_bridge_remember_which_way_they_came():
     """An ambush on either side reaches the ways before and after the bridge.
 
     So routes stay on their side: a chain, which forgets it, would be hit in 3 of 4 trips.
@@ -84,24 +83,17 @@ def test_routes_that_share_a_bridge_remember_which_way_they_came(ambushers):
     points = [(-2, 0), (1.5, 2), (1.5, -2), (2, 0), (2.5, 2), (2.5, -2), (6, 0)]
     edges = [(0, 1), (0, 2), (1, 3), (2, 3), (3, 4), (3, 5), (4, 6), (5, 6)]
     network = Network(points, [0, 1, 1, 0, 1, 1, 0], edges, 0, 6)
-    strategy = solve(network, GameOptions(ambush_radius=1.2, secured_radius=0.0,
-                                          ambushers=ambushers))
+    strategy = solve(network, GameOptions(ambush_radius=1.2, secured_radius=0.0))
     assert strategy.reason == 'complete'
-    assert strategy.lower_bound == pytest.approx(0.5 * ambushers)
-    assert strategy.value <= 0.5 * ambushers * 1.01 + 1e-9
+    assert strategy.lower_bound == pytest.approx(0.5)
+    assert strategy.value <= 0.5 * 1.01 + 1e-9
     np.testing.assert_allclose(strategy.shown_probability[:8], 0.5, atol=0.01)
 
 
-@pytest.mark.parametrize(('seed', 'method', 'cells', 'reach', 'ambushers'), [
-    (5, 'uniform_delaunay', 30, 5.0, 2),
-    (1, 'uniform_delaunay', 30, 3.0, 2),
-    (3, 'uniform_grid8', 40, 3.0, 4),
-    (4, 'uniform_grid8', 40, 3.0, 4),
-])
-def test_label_searches_close_the_gap(seed, method, cells, reach, ambushers):
-    """Against an ambusher at many sites they proved 0.1 to 5 % too little here."""
-    network = terrain_network(seed, method, cells)
-    strategy = solve(network, GameOptions(ambush_radius=reach, ambushers=ambushers),
+@pytest.mark.parametrize('seed', [3, 4])
+def test_label_searches_close_the_gap(seed):
+    network = terrain_network(seed, 'uniform_grid8', 40)
+    strategy = solve(network, GameOptions(ambush_radius=3.0),
                      StrategyOptions(risk_slack=1e-3))
     assert strategy.reason == 'complete'
 

@@ -66,15 +66,15 @@ def check_strategy(strategy, options=OPTIONS) -> None:
 
 
 @examples(6)
-@given(st.data(), st.sampled_from((0.0, 1.5)), st.sampled_from((1, 2)), st.booleans())
-def test_records_of_any_network(data, reach, ambushers, timed):
+@given(st.data(), st.sampled_from((0.0, 1.5)), st.booleans())
+def test_records_of_any_network(data, reach, timed):
     terrain = st.builds(terrain_network, st.integers(0, 10**6), cells=st.just(8))
     network = data.draw(networks() | terrain)
     rng = np.random.default_rng(len(network.edges))
     if timed:
         network = replace(network, seconds=network.lengths * rng.uniform(1.0, 3.0, len(
             network.lengths)))
-    game = GameOptions(ambush_radius=reach, ambushers=min(ambushers, len(network.points)))
+    game = GameOptions(ambush_radius=reach)
     strategy = solve(network, game, OPTIONS)
     check_strategy(strategy)
     bound = secured_bound(strategy, find_bottleneck(strategy).distance)

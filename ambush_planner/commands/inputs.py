@@ -101,7 +101,7 @@ def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
     parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
                         'cross without a shared vertex (network.node_crossings)')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
-                        help='other options: network.spacing=50 game.ambushers=2')
+                        help='other options: network.spacing=50 strategy.time_limit=300')
 
 
 def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, PlanningOptions]:

@@ -80,12 +80,11 @@ def _optimality(section: Section) -> str:
 
 def _assumptions(strategy: Strategy) -> str:
     game, radius = strategy.game, strategy.game.options.ambush_radius
-    places = 'one place' if game.ambushers == 1 else f'{game.ambushers} places'
     hits = (f'every route that passes within {distance(game.reach)} (his reach of '
             f'{distance(radius)}, and {distance(game.reach - radius)} by which the path and his '
             'place may be off)' if radius > 0.0 else
             'only routes through his node, since no reach is set (game.ambush_radius)')
-    return (f'This assumes that he waits at {places} per departure, chosen before the route is '
+    return (f'This assumes that he waits at one place per departure, chosen before the route is '
             f'drawn, hits {hits}, and causes the loss of the risk map there.')
 
 
@@ -106,7 +105,6 @@ def tiles(section: Section) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
     strategy, rows = section.strategy, evaluate(section.strategy)
     fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
-    several = strategy.game.ambushers > 1
     different = len({each.path_poses.round(1).tobytes() for each in section.departures})
     driven = path_lengths([each.path_poses for each in section.departures])
     ratio = rounded(strategy.expected_length / strategy.shortest_length)
@@ -116,7 +114,6 @@ def tiles(section: Section) -> list[tuple[str, str]]:
         (rounded(section.bounds[0]), 'mean loss per departure from the best ambush'
          f'{" (at one time)" * timed}, instead of {rounded(fixed.v_repeated)} if you always take '
          'the shortest route'),
-        (rounded(chance, 2), 'ambushes hit a departure, on average') if several else
         (percent(chance), f'of departures are hit by the best ambush{" at the right time" * timed},'
          f' instead of {percent(fixed.p_repeated)} on a fixed route that he has learnt'),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),

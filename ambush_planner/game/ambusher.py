@@ -21,7 +21,7 @@ class Ambusher:
     Attributes
     ----------
     q : (N,)
-        How likely he waits at each node; sums to the number of ambushers.
+        How likely he waits at each node; sums to 1.
     price : float
         Decrease of the bound per unit of the length budget.
     by_leg : (stops + 1, N) or None
@@ -43,10 +43,10 @@ class Ambusher:
     def check(self, game: Game) -> None:
         """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""
         q, most = self.q, 1.0 + ROUNDING
-        if not (q >= 0.0).all() or not (game.at_places(q) <= most).all():
+        if not (q >= 0.0).all() or not (q <= most).all():
             raise SolverFailed(f'q must be in [0, 1] at each place, got {q.min()} to {q.max()}')
-        if not abs(q.sum() - game.ambushers) <= ROUNDING * game.ambushers:
-            raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')
+        if not abs(q.sum() - 1.0) <= ROUNDING:
+            raise SolverFailed(f'q must sum to 1, got {q.sum()}')
         if self.by_leg is not None and not (
             (self.by_leg >= 0.0).all()
             and (game.at_places(self.by_leg.sum(axis=0)) <= game.at_places(q) * most).all()
@@ -76,32 +76,12 @@ def on_nodes(game: Game, shares: FloatArray) -> FloatArray:
 
 
 def at_nodes(game: Game, q: FloatArray) -> FloatArray:
-    """q (N,) of an ambusher with shares q (S,) of the sites, each capped at 1.
+    """q (N,) of an ambusher with shares q (S,) of the sites, scaled to sum to 1.
 
-    It sums to the number of ambushers. If there are fewer sites, or no share at all, the others
-    are spread over all places.
+    Without any share it is spread over all sites, or over all places if there is no site.
     """
-    few = len(game.sites) < game.ambushers
-    among = game.network.representatives if few else game.sites
-    shares = on_nodes(game, q)
     nodes = np.zeros(game.node_count)
-    nodes[among] = capped_at_one(shares[among], game.ambushers)
-    return nodes
-
-
-def capped_at_one(q: FloatArray, ambushers: int) -> FloatArray:
-    """Cap q (K,) at 1 everywhere and give it the sum ``ambushers``."""
-    top = q.max(initial=0.0)
-    q = q / top if top > 0.0 else np.ones(len(q))  # the sum may be too small to divide by
-    q = q * (ambushers / q.sum())
-    for _ in range(len(q)):
-        over = q >= 1.0
-        missing, rest = ambushers - float(np.minimum(q, 1.0).sum()), float(q[~over].sum())
-        q = np.minimum(q, 1.0)
-        if missing <= ROUNDING * ambushers:
-            break
-        if rest > 0.0:
-            q[~over] *= 1.0 + missing / rest
-        else:
-            q[~over] += missing / max(int((~over).sum()), 1)
-    return q
+    nodes[game.sites if len(game.sites) else game.network.representatives] = 1.0
+    if (top := q.max(initial=0.0)) > 0.0:  # the sum may be too small to divide by
+        nodes = on_nodes(game, q / top)
+    return np.asarray(nodes / nodes.sum())

@@ -93,11 +93,11 @@ def find_chain(search: Search) -> Incumbent | None:
             with search.keep_incumbent():
                 lp.solve()
         if not feasible or (found and lp.bound == 0.0):
-            # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
+            # The flow keeps to the cap at all sites: begin again there, and if the bound is 0,
             # without edges that they hit.
             distribution = _around_flow(search)
             continue
-        distribution.measure(search.caps())
+        distribution.measure(search.cap())
         best = search.better(best, distribution)
         grew, before = distribution.entropy > before * (1.0 + CHAIN.growth), distribution.entropy
         kept = best is not None and best.good  # one that was over the budget is not
@@ -121,10 +121,10 @@ def _around_flow(search: Search) -> RouteDistribution:
     assert part is not None  # it contains the flow
     network = acyclic_network(game.network, np.flatnonzero(part.playable), position)
     exact = game.entries_are_hits
-    distribution = RouteDistribution(network, flow[network.edge], problem.budget, game.ambushers,
+    distribution = RouteDistribution(network, flow[network.edge], problem.budget,
                                      search.slack, exact, problem.deadline, rough=True)
     distribution.add_sites(search.entering, search.loss)
-    distribution.measure(search.caps())
+    distribution.measure(search.cap())
     return distribution
 
 

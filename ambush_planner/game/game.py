@@ -21,7 +21,7 @@ from ..errors import InvalidOption, NoRoute
 from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
-from ..option_checks import check_at_least, check_flag, check_whole, none_for
+from ..option_checks import check_at_least, check_flag, none_for
 from .discs import ExposedEdges, SecuredArea, secured_area
 
 # Position and radius (x, y, radius) [m] of a disc of a secured area.
@@ -48,8 +48,6 @@ class GameOptions:
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
-    ambushers
-        Number of different sites where the ambusher waits at once; their losses add up.
     ambush_in_obstacles
         With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
         without edges.
@@ -72,7 +70,6 @@ class GameOptions:
     ambush_radius: float = 0.0
     secured_radius: float | None = None
     alpha_threshold: float = math.inf
-    ambushers: int = 1
     ambush_in_obstacles: bool = False
     tube: float = 0.0
     widened: float = 0.0
@@ -87,7 +84,6 @@ class GameOptions:
         check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('widened', self.widened, 0.0, 'm')
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
-        check_whole('ambushers', self.ambushers, 1)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
         object.__setattr__(self, 'loads', tuple(self.loads))
         for before, load in zip((1.0, *self.loads), self.loads, strict=False):
@@ -146,11 +142,6 @@ class Game:
     def reach(self) -> float:
         """Distance from a drawn route within which an ambush hits [m]; 0: at nodes only."""
         return self.options.reach
-
-    @property
-    def ambushers(self) -> int:
-        """Number of sites where the ambusher waits at once."""
-        return self.options.ambushers
 
     @property
     def entries_are_hits(self) -> bool:
@@ -289,13 +280,8 @@ def make_game(network: Network, options: GameOptions) -> Game:
     """Apply the options to the network.
 
     Raises NoRoute if no route leads from the source to the target, perhaps because of
-    ``alpha_threshold``, and InvalidOption if there are more ambushers than nodes.
+    ``alpha_threshold``.
     """
-    if options.ambushers > network.place_count:
-        raise InvalidOption(
-            f'{options.ambushers} ambushers need as many different sites, but the network has '
-            f'only {network.place_count} nodes'
-        )
     if options.loads and (network.legs == 1 or len(options.loads) != network.legs):
         raise InvalidOption(f'loads are for trips with stops, one for each leg: got '
                             f'{len(options.loads)} for {network.legs}')

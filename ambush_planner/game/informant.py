@@ -4,9 +4,7 @@
 An informant at site i tells the ambusher whether the route comes within reach of i; only then does
 he choose where to wait (docs/theory.md, Proposition 5.7). With the published strategy he causes
 
-    max over j of alpha_j P(hit j and i)  +  max over j of alpha_j P(hit j, not i),
-
-the k largest instead of the largest if he waits at k sites.
+    max over j of alpha_j P(hit j and i)  +  max over j of alpha_j P(hit j, not i).
 """
 
 from __future__ import annotations
@@ -51,14 +49,14 @@ def worst_informant(strategy: Strategy) -> Informant | None:
     some = some[:: -(-len(some) // MAX_PLACES) or 1]
     if not len(some):
         return None
-    losses = [_loss(chain, rows, alpha, hits, site, game.ambushers) for site in some.tolist()]
+    losses = [_loss(chain, rows, alpha, hits, site) for site in some.tolist()]
     worst = int(np.argmax(losses))
     x, y = game.network.points[game.sites[some[worst]]].tolist()
     return Informant(x, y, losses[worst], losses[worst] / strategy.value)
 
 
-def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatArray, site: int,
-          ambushers: int) -> float:
+def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatArray,
+          site: int) -> float:
     """Mean loss if the ambusher knows whether ``site`` is hit.
 
     ``rows`` (S, m) are what edges count that enter each disc, ``hits`` (S,) what it is hit.
@@ -74,5 +72,5 @@ def _loss(chain: MarkovChain, rows: csr_matrix, alpha: FloatArray, hits: FloatAr
     # Entries bound the hits.
     without = np.minimum(rows @ (share * clear.p), share)
     along = np.minimum(rows @ np.maximum(chain.p - share * clear.p, 0.0), 1.0 - share)
-    return sum(float(largest(alpha * most, exact, ambushers)[0].sum())
+    return sum(largest(alpha * most, exact)
                for most, exact in ((without, missed), (along, passed)))

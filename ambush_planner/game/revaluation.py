@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import NEGLIGIBLE, FloatArray
 from ..errors import BudgetInfeasible, NoRoute
-from .ambusher import Ambusher, at_nodes
+from .ambusher import Ambusher
 from .budget import Budget
 from .certificate.certificate import Certificate, lower_bound
 from .faces import Circulation
@@ -58,15 +58,13 @@ def bound_if_held(strategy: Strategy, places: tuple[SecuredPlace, ...]) -> float
     unused = old.at_places(ambusher.q)[old.network.places] == 0.0
     game = make_game(old.network, replace(old.options, held_places=places)).without_sites(unused)
     q = np.where(game.loss > 0.0, ambusher.q, 0.0)
-    share = float(q.sum()) / game.ambushers
+    share = float(q.sum())
     if share == 0.0:
         return 0.0
     flows, by_leg = ambusher.circulation, ambusher.by_leg
     if flows is not None:
         flows = Circulation(flows.through / share, flows.site, flows.face, flows.flow / share)
-    if game.ambushers > 1:
-        q, by_leg = at_nodes(game, game.at_sites(q)) * share, None
-    elif by_leg is not None:
+    if by_leg is not None:
         by_leg = np.where(game.loss > 0.0, by_leg, 0.0) / share
     others = Ambusher(q / share, ambusher.price / share, by_leg, flows)
     return lower_bound(game, others, budget_in_game(game, strategy))

@@ -24,7 +24,7 @@ from .faces import Faces
 from .game import Game
 from .hits import worst_loss
 from .layered_graph import LayeredGraph
-from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, sum_of_largest, within
+from .slack import CERTIFICATE_TOLERANCE, Reason, ceiling, within
 from .strategy import Strategy, strategy_of
 from .value.routes import Progress, no_progress
 
@@ -84,8 +84,8 @@ class ValueLP(Protocol):
         """An acyclic strategy (M,); within the budget unless the LP is a cut."""
 
     @property
-    def caps(self) -> FloatArray:
-        """Caps (S,): loss that each site may cause; the k largest add up to the value."""
+    def cap(self) -> float:
+        """Loss that each site may cause."""
 
     @property
     def q(self) -> FloatArray:
@@ -203,15 +203,10 @@ class Search:
         self.entering = csr_matrix(vstack((self.entering, found.entering)))
         self.loss = np.append(self.loss, found.alpha)
 
-    def caps(self) -> FloatArray:
-        """What each site (S,) may cause; the k largest add up to the value at a slack of 0."""
-        caps = self.lp.caps
-        if not caps.any():
-            return caps
-        value = sum_of_largest(caps, self.game.ambushers)
-        least = ceiling(value, FLOW_SLACK * self.slack) / ceiling(1.0, self.slack)
-        most = max(self.lp.bound, least)
-        return caps * (most / value)
+    def cap(self) -> float:
+        """What each site may cause at a slack of 0."""
+        least = ceiling(self.lp.cap, FLOW_SLACK * self.slack) / ceiling(1.0, self.slack)
+        return max(self.lp.bound, least)
 
     def better(self, best: Incumbent | None, distribution: RouteDistribution,
                layers: LayeredGraph | None = None) -> Incumbent | None:

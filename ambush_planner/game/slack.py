@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ambushes cost together, and when that counts as near enough to its lower bound."""
+"""Why a search ended, and when a value counts as near enough to its lower bound."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-
-from ..arrays import ROUNDING, FloatArray
+from ..arrays import ROUNDING
 
 # Why a search ended: its value is within the slack of the bound, the time was up, a numerical
 # solver failed, or no method finds a better strategy or bound.
@@ -20,11 +18,6 @@ ROUNDS = 25
 CERTIFICATE_TOLERANCE = 1e-5
 # Least slack of a search, so that it ends within the tolerance if none is asked for.
 MIN_SLACK = 0.5 * CERTIFICATE_TOLERANCE
-
-
-def sum_of_largest(losses: FloatArray, count: int) -> float:
-    """The sum of the ``count`` largest losses (S,): what that many ambushers cause."""
-    return float(np.sort(losses)[max(len(losses) - count, 0) :].sum())
 
 
 def ceiling(bound: float, slack: float) -> float:

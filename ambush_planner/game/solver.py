@@ -97,7 +97,7 @@ def solve(network: Network, game: GameOptions | None = None,
     if not found.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
              'secured area (secured_radius)')
-    elif found.reason == 'complete' and found.game.options.ambushers == 1 and certain.any():
+    elif found.reason == 'complete' and certain.any():
         warn(f'an ambush at node {int(certain.argmax())} hits every route: it always succeeds and '
              f'costs {found.value:.4g}')
     return found
@@ -217,7 +217,7 @@ def _in_time(strategy: Strategy, options: StrategyOptions) -> Strategy:
 def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> Potential | None:
     """The LP in potentials if the network is planar."""
     game, budget = problem.game, problem.budget
-    if game.ambushers > 1 or game.options.loads:
+    if game.options.loads:
         return None
     faces = make_faces(game)
     if faces is None or not faces.same_both_ways(budget.cost):

@@ -147,7 +147,7 @@ class Strategy(Shown):
     def ambush_probability(self) -> FloatArray:
         """q (N,): the ambusher's equilibrium strategy at the first node of each place.
 
-        It sums to the number of ambushers. On trips, ``ambusher.by_leg`` says for which leg he
+        It sums to 1. On trips, ``ambusher.by_leg`` says for which leg he
         waits there.
         """
         return self.ambusher.q

@@ -127,7 +127,7 @@ def _around(search: Search, lp: Routes, count: int
     assert flow is not None  # one route of n has a share of 1 / n or more
     layers = LayeredGraph(game, flow, few.routes, shares, max(TRIP.width // count, 1))
     distribution = RouteDistribution(layers.network, layers.p, search.problem.budget,
-                                     few.ambushers, slack, False, deadline)
+                                     slack, False, deadline)
     distribution.add_sites(lp.entering, lp.loss)
     return distribution, layers, few, shares
 
@@ -139,8 +139,7 @@ def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers:
     slack = search.slack
     limit = max(ceiling(lp.bound, slack), ceiling(few.value(shares), FLOW_SLACK * slack))
     for _ in range(ROUNDS):
-        share = limit / ceiling(few.value(shares), slack)  # it grows with the sites
-        distribution.measure(few.caps(shares, lp.gap) * share)
+        distribution.measure(limit / ceiling(1.0, slack))
         best = search.better(best, distribution, layers)
         done = distribution.rounds and distribution.good
         if done or search.problem.late:
@@ -152,5 +151,4 @@ def _rounds(search: Search, lp: Routes, distribution: RouteDistribution, layers:
         found = search.join_worst(distribution.chain, limit, ROUTES.apart)
         if found:
             distribution.add_sites(found.entering, found.alpha)
-            few.add_sites(found.entering, found.alpha)
     return best

@@ -109,8 +109,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'start tolerance.', AUTOMATIC),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
-    'game.ambushers': Declaration(
-        _GAME.ambushers, 'Number of sites ambushed at once; their losses add up.', 1, 100),
     'game.ambush_in_obstacles': Declaration(
         _GAME.ambush_in_obstacles,
         'Whether an ambush with an ambush_radius may also be in obstacle cells.'),

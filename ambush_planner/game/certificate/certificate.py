@@ -2,7 +2,7 @@
 """The certificate: the worst mean loss of a strategy, and a bound that no strategy can beat.
 
 Each route counts once per site, however often it comes back into the site's reach. For any strategy
-p within the budget, any q >= 0 that sums to the number of ambushers k with q_j <= 1, and
+p within the budget, any q >= 0 that sums to 1, and
 a price >= 0,
 
     z(p) >= sum over j of q_j alpha_j P(hit_j)

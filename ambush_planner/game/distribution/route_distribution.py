@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The route distribution: the most unpredictable strategy whose losses keep to caps.
+"""The route distribution: the most unpredictable strategy whose losses keep to a cap.
 
 P(hit) of each site, every route counted once, is a smooth function of the Markov chain. So the
 distribution of greatest entropy is found by rounds. Each one limits the hits by rows that are exact
@@ -24,7 +24,7 @@ from scipy.sparse import csr_matrix, diags, vstack
 
 from ...arrays import FloatArray
 from ..budget import Budget
-from ..slack import ceiling, sum_of_largest, within
+from ..slack import ceiling, within
 from .chain import NO_FLOW, MarkovChain
 from .entropy_search import Accuracy, maximize_entropy
 from .gibbs import AcyclicNetwork
@@ -50,19 +50,18 @@ class RouteDistribution:
     """Rounds on one acyclic network, from a first strategy p (m,).
 
     ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
-    Sites have losses (S,) and edges (S, M) that enter their discs. ``caps`` (S,) are what each may
-    cause; the k largest add up to the limit of the value. If rows are ``exact`` for every chain,
+    Sites have losses (S,) and edges (S, M) that enter their discs. ``cap`` is what each may
+    cause at a slack of 0. If rows are ``exact`` for every chain,
     ``entropy_bound`` [nats] is the most that the whole slack and the budget allow, else NaN. If it
     is ``rough``, rounds from a chain that is not within the slack are less accurate, as sites will
     join; on layers that costs more than it gains. ``evaluations`` are those of the latest round.
     """
 
-    def __init__(self, network: AcyclicNetwork, p: FloatArray, budget: Budget,
-                 ambushers: int, slack: float, exact: bool, deadline: float,
-                 rough: bool = False) -> None:
+    def __init__(self, network: AcyclicNetwork, p: FloatArray, budget: Budget, slack: float,
+                 exact: bool, deadline: float, rough: bool = False) -> None:
         self.network, self.slack, self.exact = network, slack, exact
         self.chain = MarkovChain(network, p)
-        self.deadline, self._k, self._rough = deadline, ambushers, rough
+        self.deadline, self._rough = deadline, rough
         self._aim = DISTRIBUTION.aim if exact else DISTRIBUTION.early_aim
         self._tolerance = self._accuracy(DISTRIBUTION.accuracy).excess
         # A distribution may exceed its limits by the tolerance, but not the budget.
@@ -71,7 +70,7 @@ class RouteDistribution:
             most = budget.slack * (1.0 - self._tolerance)
             self._budget_rows = csr_matrix(budget.reduced_cost[network.edge] / most)
         self._entering = csr_matrix((0, len(p)))
-        self._loss, self.caps = np.zeros(0), np.zeros(0)
+        self._loss, self.cap = np.zeros(0), 0.0
         self.multipliers, self.prices = np.zeros(0), np.zeros(self._budget_rows.shape[0])
         self.rounds, self.evaluations, self.entropy_bound = 0, 0, np.nan
 
@@ -81,10 +80,9 @@ class RouteDistribution:
         self._loss = np.append(self._loss, loss)
         self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
-    def measure(self, caps: FloatArray) -> None:
-        """Find the value of p, and rows that are exact at p, for new ``caps`` (S,)."""
-        self.caps, limit = caps, caps / self._loss
-        self._capped_value = sum_of_largest(caps, self._k)
+    def measure(self, cap: float) -> None:
+        """Find the value of p, and rows that are exact at p, for a new ``cap``."""
+        self.cap, limit = cap, cap / self._loss
         self._could = np.flatnonzero((self._entering.getnnz(axis=1) > 0) & (limit < 1.0))
         hits = np.asarray(np.minimum(self._entering @ self.chain.p, 1.0))
         self._near = near = self._could[hits[self._could] > DISTRIBUTION.near * limit[self._could]]
@@ -92,7 +90,7 @@ class RouteDistribution:
         if not self.exact:
             hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
         losses, self.entropy = self._loss * hits, self.chain.entropy
-        self.value = sum_of_largest(losses, self._k)
+        self.value = float(losses.max(initial=0.0))
         self.worst = int(losses.argmax()) if len(losses) else -1
 
     def _accuracy(self, relative: Accuracy) -> Accuracy:
@@ -100,8 +98,8 @@ class RouteDistribution:
 
     @property
     def good(self) -> bool:
-        """Whether the value is within the slack of what the caps allow."""
-        return within(self.value, self._capped_value, self.slack)
+        """Whether the value is within the slack of the cap."""
+        return within(self.value, self.cap, self.slack)
 
     def round(self) -> bool:
         """The distribution of greatest entropy, near the one before, within rows exact at p.
@@ -109,7 +107,7 @@ class RouteDistribution:
         Returns False if no distribution is within the rows.
         """
         self.evaluations, near = 0, self._near
-        most = self.caps * ceiling(1.0, self._aim * self.slack) / self._loss
+        most = ceiling(self.cap, self._aim * self.slack) / self._loss
         sites = np.append(near, np.setdiff1d(self._could, near))
         if not most[sites].all():  # an LP that proved nothing allows no hits
             return False

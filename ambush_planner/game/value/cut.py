@@ -41,7 +41,7 @@ class CutSolution:
 
 
 def solve_by_min_cut(game: Game) -> CutSolution:
-    """Solve the game of one ambusher without a reach and a budget by a minimum node cut.
+    """Solve the game without a reach and a budget by a minimum node cut.
 
     On a trip of several legs, the nodes of a place count as different sites: the value is that of
     the costliest leg, a lower bound, and q is spread over these nodes. Raises SolverFailed if the
@@ -56,22 +56,20 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 
 
 class Cut:
-    """The least value without a reach and a budget; for several ambushers a lower bound.
+    """The least value without a reach and a budget.
 
-    ``caps`` (S,) are what each site may cause, ``flow`` (M,) an acyclic strategy within that. Both
-    are optimal if ``overrun`` is 0: it is the share by which the flow exceeds the budget, or
-    infinite if some q exceeds 1.
+    ``flow`` (M,) is an acyclic strategy of that value. It is optimal if ``overrun`` is 0, the share
+    by which the flow exceeds the budget.
     """
 
     price, apart, deadline = 0.0, 0.0, np.inf  # cuts take seconds at most
     faces: Faces | None = None
 
     def __init__(self, game: Game, budget: Budget) -> None:
-        cut, k, sites = solve_by_min_cut(game), game.ambushers, game.sites
-        self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
-        self.caps = np.full(len(sites), cut.value)
-        over = 0.0 if budget.keeps(self.flow) else budget.mean(self.flow) / budget.limit - 1.0
-        self.overrun = over if self.q.max(initial=0.0) <= 1.0 else np.inf
+        cut = solve_by_min_cut(game)
+        self.bound = self.cap = cut.value
+        self.q, self.flow = cut.q[game.sites], cut.p
+        self.overrun = (0.0 if budget.keeps(cut.p) else budget.mean(cut.p) / budget.limit - 1.0)
 
     def solve(self) -> None:
         """Nothing: it is solved."""

@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
 from ...arrays import NEGLIGIBLE, ROUNDING, FloatArray, IndexArray
-from ...errors import BudgetInfeasible, InvalidOption
+from ...errors import BudgetInfeasible
 from ..ambusher import Ambusher, at_nodes
 from ..budget import BUDGET_TOLERANCE, Budget
 from ..certificate.certificate import entry_bound
@@ -87,12 +87,9 @@ def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget
 
     The budget's row is added only if the solution without it is too long; otherwise the LP is
     the paper's own. With a length weight, the budget is the solution's own expected length. Raises
-    InvalidOption if the game has several ambushers, and BudgetInfeasible, TimeLimit or SolverFailed
-    as HiGHS reports.
+    BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
     """
     whole, solver, length_weight = game, options.solver, options.length_weight
-    if game.ambushers > 1:
-        raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
         game = _avoiding_all_sites(game, length) or game
     lp = linear_program(game, length_weight, np.inf, _loss_unit(game))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The linear program over mixtures of known routes.
 
-    minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,
-                                             mean reduced cost <= 1 (in slacks of the budget),
-                                             the shares are a unit flow through the stops,
+    minimise b   subject to   mean loss at site j <= b,
+                              mean reduced cost <= 1 (in slacks of the budget),
+                              the shares are a unit flow through the stops,
 
 each route hit once by each site. Whole routes flow from the source to the target, the legs of trips
 also from stop to stop. The duals are the ambusher's strategy and the price of the budget. HiGHS'
@@ -18,18 +18,15 @@ from copy import copy
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix, hstack, identity, vstack
+from scipy.sparse import csr_matrix, hstack, vstack
 
 from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
-from ..slack import sum_of_largest
 from . import highs
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
-# Uniform floor of all sites' caps, as a share of the value per relative gap.
-EVEN = 0.3
 # Share of the value from which on a site's losses are near it.
 NEAR = 0.9
 
@@ -67,7 +64,7 @@ class Mixtures:
     """
 
     def __init__(self, groups: int, limited: bool) -> None:
-        self.loss, self.ambushers, self._groups = np.zeros(0), 0, groups
+        self.loss, self._groups = np.zeros(0), groups
         self._limited = limited
         self._unit, self._near = 0.0, np.zeros((groups, 0), dtype=bool)
         self._columns: list[_Column] = []
@@ -116,21 +113,9 @@ class Mixtures:
         return self.loss * sums(np.concatenate([each.met for each in known]), weight,
                                 len(self.loss))
 
-    def caps(self, shares: FloatArray, gap: float) -> FloatArray:
-        """Caps (S,): loss that each site may cause; the k largest add up to the mixture's value.
-
-        With several ambushers the mixture may miss a site altogether, which no route distribution
-        can; so all sites may cause a small share of the value alike, which grows with the relative
-        ``gap``.
-        """
-        losses, even = self.losses(shares), EVEN * gap
-        largest = np.sort(losses)[-self.ambushers :]
-        caps = np.maximum(losses, largest.min(initial=math.inf))
-        return np.asarray((1.0 - even) * caps + even * largest.sum() / max(self.ambushers, 1))
-
     def value(self, shares: FloatArray) -> float:
-        """The sum of the k largest losses."""
-        return sum_of_largest(self.losses(shares), self.ambushers)
+        """The largest loss."""
+        return float(self.losses(shares).max(initial=0.0))
 
     def flow(self, shares: FloatArray, edges: int) -> FloatArray:
         """Expected uses (M,) of the edges."""
@@ -153,10 +138,9 @@ class Mixtures:
         hit, shares = self._hits(group) / unit, 1.0 / np.bincount(group)[group]
         losses = hit @ shares
         while True:
-            largest = np.sort(losses)[-self.ambushers :]
             if cap < math.inf or not near.any():
-                near = near | (losses > min(NEAR * largest.min(initial=math.inf), cap))
-            result = self._solve_on(hit[near], self.ambushers, costs, precision, deadline, vertex)
+                near = near | (losses > min(NEAR * losses.max(initial=0.0), cap))
+            result = self._solve_on(hit[near], costs, precision, deadline, vertex)
             shares, cap = np.maximum(result.x[: len(group)], 0.0), float(result.x[len(group)])
             shares /= np.bincount(group, shares)[group]
             losses = hit @ shares
@@ -182,12 +166,11 @@ class Mixtures:
         return csr_matrix((losses, (group[column] * count + sites, column)),
                           (self._groups * count, len(met)))
 
-    def _solve_on(self, hit: csr_matrix, ambushers: int, budget_row: csr_matrix,
-                  precision: float, deadline: float, vertex: bool = False) -> OptimizeResult:
+    def _solve_on(self, hit: csr_matrix, budget_row: csr_matrix, precision: float,
+                  deadline: float, vertex: bool = False) -> OptimizeResult:
         """Solve the LP with the rows (R, C) of some sites, and that of the budget, if any."""
-        (rows, count), extra = hit.shape, hit.shape[0] * (ambushers > 1)
-        limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1))),
-                                    -identity(rows, format='csr')[:, :extra]]))
+        rows, count = hit.shape
+        limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((rows, 1)))]))
         costs = budget_row.copy()
         costs.resize(costs.shape[0], limits.shape[1])
         begin, end = np.array([each.between for each in self._columns]).T
@@ -195,7 +178,7 @@ class Mixtures:
         flow = csr_matrix((np.append(np.ones(count), -np.ones(len(inner))),
                            (np.append(begin, end[inner]), np.append(np.arange(count), inner))),
                           (stops, limits.shape[1]))
-        objective = np.repeat([0.0, ambushers, 1.0], [count, 1, extra])
+        objective = np.append(np.zeros(count), 1.0)
         bounds = np.repeat([0.0, 1.0], [rows, costs.shape[0]])
         return _solved(highs.LP(objective, csr_matrix(vstack([limits, costs])), bounds, flow,
                                 np.eye(1, stops)[0]), precision, deadline, vertex)

@@ -49,7 +49,7 @@ class Potential:
     """The LP, at first with the game's sites; ``solve`` goes on from where it is.
 
     ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``price`` that
-    of the budget [loss per unit]. ``caps`` (S,) are what each site may cause. The search begins at
+    of the budget [loss per unit]. ``cap`` is what each site may cause. The search begins at
     ``first``, or at half the largest loss if that is less.
     """
 
@@ -152,9 +152,9 @@ class Potential:
         return on_nodes(game, padded(waits, len(kept))[:, kept])
 
     @property
-    def caps(self) -> FloatArray:
-        """Mean loss (S,) that each site may cause."""
-        return np.full(len(self._loss), self.bound)
+    def cap(self) -> float:
+        """Mean loss that each site may cause."""
+        return self.bound
 
     @property
     def flow(self) -> FloatArray:

@@ -23,7 +23,7 @@ from scipy.sparse import csr_matrix, vstack
 
 from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import TimeLimit
-from ..ambusher import Ambusher, at_nodes, capped_at_one, on_nodes, padded
+from ..ambusher import Ambusher, at_nodes, on_nodes, padded
 from ..budget import Budget
 from ..certificate.best_response import SEARCHES, Searches, TripNetworks
 from ..distribution.chain import conserved_strategy
@@ -128,11 +128,9 @@ class Routes:
         for mixtures in (self.mixtures, self._of_legs):
             mixtures.add_sites(entering, loss)
         self.loss = self.mixtures.loss
-        self._ambushers = self.mixtures.ambushers = min(self.game.ambushers, len(self.loss))
-        self._of_legs.ambushers = self._ambushers
         self.by_leg = np.pad(self.by_leg, ((0, 0), (0, len(loss))))
         if self.bound == 0.0:  # any ambusher proves that
-            self.by_leg[0] = self._ambushers / max(len(self.loss), 1)
+            self.by_leg[0] = 1.0 / max(len(self.loss), 1)
         if len(self.shares):
             self.value = self.mixtures.value(self.shares)
 
@@ -168,9 +166,9 @@ class Routes:
         return self.mixtures.routes
 
     @property
-    def caps(self) -> FloatArray:
-        """Loss (S,) that each site may cause; the k largest add up to the value."""
-        return self.mixtures.caps(self.shares, self.gap)
+    def cap(self) -> float:
+        """Loss that each site may cause."""
+        return self.value
 
     @property
     def flow(self) -> FloatArray:
@@ -295,16 +293,11 @@ class Routes:
         return [] if route is None else [route]
 
     def _ambusher(self, mixture: Mixture, negligible: float) -> tuple[FloatArray, float]:
-        """q (groups, S) without small dual weights, at most 1 at each site, and the price."""
+        """q (groups, S) without small dual weights, and the price."""
         q = mixture.q
         q = np.where(q * self.loss > negligible * (q * self.loss).max(), q, 0.0)
-        # Where the mixture meets fewer sites than there are ambushers, each q is at most 1.
-        scale = min(self._ambushers / q.sum(), 1.0 / q.sum(axis=0).max())
-        total = scale * q.sum(axis=0)
-        capped = capped_at_one(total, self._ambushers)
-        q = scale * q * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
-        q[0] += np.where(total > 0.0, 0.0, capped)
-        return q, scale * mixture.price
+        total = q.sum()
+        return q / total, float(mixture.price / total)
 
     def _note(self, least: float, by_leg: FloatArray, price: float) -> None:
         """Keep an ambusher who costs every route at least ``least`` if his bound is the best."""
