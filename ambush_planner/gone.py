@@ -17,10 +17,13 @@ class _Gone(NamedTuple):
     without: object = None
 
 
+_LOADS = 'leave it out: the value counts the whole loss on every leg'
 _GONE = {
+    '--load': _Gone(_LOADS),
     'game.ambushers': _Gone(
         'leave it out: k ambushers at different places cause at most k times the value '
         '(docs/theory.md, 2.3)', 1),
+    'game.loads': _Gone(_LOADS, ()),
     'strategy.max_exposure': _Gone(
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
 }

@@ -48,11 +48,3 @@ def test_two_ways_that_are_driven_alike_are_known_to_who_sees_one():
     assert (found.loss, found.factor) == pytest.approx((3.0, 2.0), rel=1e-4)
     one_way = Network([(0, 0), (1, 1), (2, 0)], [0, 3, 0], [(0, 1), (1, 2)], 0, 2)
     assert worst_informant(solve(one_way)) is None
-
-
-def test_who_sees_every_trip_pass_learns_nothing_however_little_is_aboard():
-    road = np.column_stack((np.arange(5.0), np.zeros(5)))
-    trip = Network(np.tile(road, (2, 1)), np.tile([0.0, 2.0, 0.0, 3.0, 0.0], 2),
-                   [(0, 1), (1, 7), (7, 8), (8, 9)], 0, 9, np.tile(np.arange(5), 2),
-                   np.repeat([0, 1], 5))
-    assert worst_informant(solve(trip, GameOptions(loads=(1.0, 0.5), secured_radius=0.0))) is None

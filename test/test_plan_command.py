@@ -268,7 +268,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
     (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
     (('--set', 'game.ambushers=2'), 2, 'game.ambushers went: leave it out: k ambushers'),
-    (('--routes', 3, '--reach', 30, '--load', 0.5), 2, '--load must be empty'),
+    (('--load', 0.5), 2, '--load went: leave it out'),
     (('--routes', 100, '--reach', 30, '--detour', 1, '--set', 'network.spacing=60',
       'network.refine=0'), 2,
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),

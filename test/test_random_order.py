@@ -180,8 +180,6 @@ def test_few_routes_in_both_orders(risk_map, plan):
     ([*STOPS, (100.0, 100.0), (50.0, 50.0)], OPTIONS, InvalidOption, 'at most 4 stops, got 5'),
     ([STOPS[0], STOPS[1], STOPS[0]], OPTIONS, InvalidNetwork, 'position of another'),
     ([STOPS[0], START, STOPS[1]], OPTIONS, InvalidNetwork, 'position of another'),
-    (STOPS[:1], PlanningOptions(game=GameOptions(loads=(1.0, 0.5))), InvalidOption,
-     "order must be 'given', got 'random'"),
 ])
 def test_what_has_no_random_order_is_refused(risk_map, stops, options, error, words):
     with pytest.raises(error, match=words):

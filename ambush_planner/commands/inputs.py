@@ -44,7 +44,7 @@ DEFAULTS: dict[str, Any] = {
     'map': OccupancyOptions(), 'network': NetworkOptions(), 'game': GameOptions(),
     'strategy': StrategyOptions(time_limit=60.0), 'route': DriveOptions()}
 # Options that a plan or an argument of its own sets.
-SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads')
+SET_BY_PLAN = ('game.tube', 'game.widened')
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
@@ -70,7 +70,7 @@ _PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
             ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)':
             ' (--set strategy.time_limit=SECONDS)',
-            'max_planning_time': 'strategy.time_limit', 'game.loads': '--load'}
+            'max_planning_time': 'strategy.time_limit'}
 # Qualified names, and those that are no ordinary words.
 _NAMED = re.compile(rf"(?<!--set )(?<!')(?<![.\w])((?:{'|'.join(DEFAULTS)})\.)?"
                     rf"({'|'.join(_TYPED)})(?!\w)")

@@ -75,8 +75,6 @@ def parser() -> argparse.ArgumentParser:
                       'shares')
     made.add_argument('--order', choices=ORDERS, default='given',
                       help='order of the stops (default: given); random: drawn with each route')
-    made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
-                      help='with --via: share of the loss that is aboard on each leg')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
@@ -97,7 +95,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
     check_outputs(arguments.output, console)
-    planning = replace(planning, game=replace(planning.game, loads=tuple(arguments.load)))
     risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
                 if arguments.terrain else read_risk_map(arguments.map, of_map))
     rng = np.random.default_rng(arguments.seed)

@@ -60,9 +60,8 @@ def secured_area(network: Network, radius: float,
 class ExposedEdges:
     """The parts of edges, by default all, outside the secured area, and the discs they enter."""
 
-    def __init__(self, network: Network, secured: SecuredArea, edges: IndexArray | None = None,
-                 counts: FloatArray | None = None) -> None:
-        self._counts = np.ones(len(network.edges)) if counts is None else counts
+    def __init__(self, network: Network, secured: SecuredArea,
+                 edges: IndexArray | None = None) -> None:
         edges = np.arange(len(network.edges)) if edges is None else edges
         self._count = len(network.edges)
         self._parts = parts = _exposed_parts(network, edges, secured)
@@ -83,7 +82,7 @@ class ExposedEdges:
         self._at_tails = np.bincount(index[0], ~self._at_tail, len(places)) == 0.0
 
     def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
-        """(K, M): what edges count that bring a route into the discs of radius ``reach`` [m].
+        """(K, M): the edges that bring a route into the discs of radius ``reach`` [m].
 
         An edge counts if its exposed part meets the disc, unless the edge before it has brought the
         route there. A route is hit exactly if it uses one of the row's edges; the sum of the row
@@ -97,8 +96,7 @@ class ExposedEdges:
             places = site[enters], self._parts.edge[part[enters]]
             rows.append(csr_matrix((np.ones(len(places[0])), places), (len(some), self._count)))
         found = csr_matrix(vstack(rows))
-        found.data[:] = self._counts[found.indices]  # once, however many exposed parts
-        found.eliminate_zeros()
+        found.data[:] = 1.0  # once, however many exposed parts
         return found
 
     def _close_pairs(self, centres: FloatArray,

@@ -57,9 +57,6 @@ class GameOptions:
     widened
         How far from a site the ambusher may wait instead [m]. It adds to the reach, so that the
         sites stand for all places around them. A plan sets it.
-    loads
-        What share of the loss is aboard on each leg of a trip, 0 to 1; (): all of it. It must not
-        grow, as an ambusher at a place that is passed twice would then wait for the second time.
 
     Raises
     ------
@@ -73,7 +70,6 @@ class GameOptions:
     ambush_in_obstacles: bool = False
     tube: float = 0.0
     widened: float = 0.0
-    loads: tuple[float, ...] = ()
     held_places: tuple[SecuredPlace, ...] = ()
 
     def __post_init__(self) -> None:
@@ -85,12 +81,6 @@ class GameOptions:
         check_at_least('widened', self.widened, 0.0, 'm')
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
-        object.__setattr__(self, 'loads', tuple(self.loads))
-        for before, load in zip((1.0, *self.loads), self.loads, strict=False):
-            check_at_least('loads', load, 0.0)
-            if load > before:
-                raise InvalidOption(f'loads must be at most 1 and not grow from leg to leg, got '
-                                    f'{load:g} after {before:g}')
         object.__setattr__(self, 'held_places', _checked_places(self.held_places))
 
     @property
@@ -166,7 +156,7 @@ class Game:
 
     @cached_property
     def entering(self) -> csr_matrix:
-        """(S, M): the edges by which a route enters each site's reach, with the load aboard, or 1.
+        """(S, M): the edges by which a route enters each site's reach.
 
         These are the edges into the node if the radius is 0, else those that enter the disc. So
         ``entering @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
@@ -179,20 +169,12 @@ class Game:
         edge = np.flatnonzero(site >= 0)
         row = site[edge]
         shape = (len(self.sites), len(self.network.edges))
-        found = csr_matrix((self._aboard[edge], (row, edge)), shape=shape)
-        found.eliminate_zeros()  # nothing is aboard: no hit
-        return found
-
-    @cached_property
-    def _aboard(self) -> FloatArray:
-        """The load (M,) on each edge."""
-        loads = np.array(self.options.loads or np.ones(self.network.legs))
-        return np.asarray(loads[self.network.leg[self.network.tails]])
+        return csr_matrix((np.ones(len(edge)), (row, edge)), shape=shape)
 
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
         """The parts of edges, by default all, outside the secured area."""
         secured = self.secured.shrunk(self.options.tube)
-        return ExposedEdges(self.network, secured, edges, self._aboard)
+        return ExposedEdges(self.network, secured, edges)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
@@ -282,9 +264,6 @@ def make_game(network: Network, options: GameOptions) -> Game:
     Raises NoRoute if no route leads from the source to the target, perhaps because of
     ``alpha_threshold``.
     """
-    if options.loads and (network.legs == 1 or len(options.loads) != network.legs):
-        raise InvalidOption(f'loads are for trips with stops, one for each leg: got '
-                            f'{len(options.loads)} for {network.legs}')
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(network, options, frozen_array(np.ones(len(network.edges)), np.bool_),
                       network.alpha)

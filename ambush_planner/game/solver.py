@@ -217,8 +217,6 @@ def _in_time(strategy: Strategy, options: StrategyOptions) -> Strategy:
 def _potential(problem: SearchProblem, slack: float, first: float = np.inf) -> Potential | None:
     """The LP in potentials if the network is planar."""
     game, budget = problem.game, problem.budget
-    if game.options.loads:
-        return None
     faces = make_faces(game)
     if faces is None or not faces.same_both_ways(budget.cost):
         return None

@@ -127,8 +127,6 @@ def check_judged(options: GameOptions) -> None:
     if options.ambush_radius == 0.0:
         raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by what '
                             'an ambush reaches')
-    if options.loads:
-        raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
 
 
 def side_by_side(inner: Sequence[int]) -> tuple[IndexArray, IndexArray]:

@@ -151,8 +151,6 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
         field = kind.removesuffix('Options').lower()
         raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
                             f'PlanningOptions({field}={kind}(...))')
-    if options.game.loads and order != 'given':
-        raise InvalidOption(f"loads belong to legs, so order must be 'given', got {order!r}")
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     trip = _Trip(risk_map, start_xy, goal_xy, [asked[k] for k in place], order, options, progress)

@@ -48,7 +48,7 @@ from .recording_file import RecordingFile, decode, read_recording
 # Options that the node has no parameter for.
 BEYOND: Mapping[str, Any] = {
     'game.held_places': tuple[tuple[float, float, float], ...],
-    'game.loads': tuple[float, ...], 'network.seed': int}
+    'network.seed': int}
 
 
 @dataclass(frozen=True, eq=False)

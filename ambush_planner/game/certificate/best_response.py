@@ -163,7 +163,7 @@ class Subnetwork:
         self.out = np.searchsorted(self.tail, np.arange(self.count + 1))
         self.hits, self.entering = hits, csr_matrix(hits[:, self.edge])
         by_edge = hits.tocsc()
-        self._met_by = by_edge.indices, by_edge.data, by_edge.indptr.tolist()
+        self._met_by = by_edge.indices, by_edge.indptr.tolist()
         self.exact = exact
         self.first = self.last = np.arange(0)
 
@@ -174,15 +174,11 @@ class Subnetwork:
                                    for each in (first, last))
         return other
 
-    def met(self, route: IndexArray) -> FloatArray:
-        """What each site (S,) counts that a route, given by its edges (K,), meets; 0 for others.
-
-        The first entry decides: none after it counts more.
-        """
-        met, (sites, counts, first) = np.zeros(self.hits.shape[0]), self._met_by
-        for edge in reversed(route.tolist()):
-            own = slice(first[edge], first[edge + 1])
-            met[sites[own]] = counts[own]
+    def met(self, route: IndexArray) -> BoolArray:
+        """The sites (S,) that a route, given by its edges (K,), meets."""
+        met, (sites, first) = np.zeros(self.hits.shape[0], dtype=bool), self._met_by
+        for edge in route.tolist():
+            met[sites[first[edge] : first[edge + 1]]] = True
         return met
 
     def cost(self, route: IndexArray, base: FloatArray, dual_weights: FloatArray) -> float:
@@ -243,11 +239,8 @@ class _Labels:
         rows = np.argsort(-dual_weights, kind='stable')
         rows = rows[dual_weights[rows] > NEGLIGIBLE * dual_weights.max(initial=0.0)]
         self._met, hit = [0] * len(network.edge), network.entering[rows].tocoo()
-        self._counts = [1.0] * len(network.edge)  # the same for all sites that an edge meets
-        for row, k, counts in zip(hit.row.tolist(), hit.col.tolist(), hit.data.tolist(),
-                                  strict=True):
+        for row, k in zip(hit.row.tolist(), hit.col.tolist(), strict=True):
             self._met[k] |= 1 << row
-            self._counts[k] = counts
         self._edge, self._behind = network.edge, network.behind(base).tolist()
         self._first, self._head = network.out.tolist(), network.head.tolist()
         self._base, self._dual_weights = base[network.edge].tolist(), dual_weights[rows].tolist()
@@ -281,7 +274,7 @@ class _Labels:
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
-                after = cost + self._base[k] + self._counts[k] * self._with_dual_weights(0.0, new)
+                after = cost + self._base[k] + self._with_dual_weights(0.0, new)
                 both, there = met | new, settled.get(head, ())
                 comparisons -= len(there) + 1
                 if self._dominated(there, after, both):

@@ -8,8 +8,7 @@ function of p, and its derivative is a row over the edges (docs/theory.md, Propo
 
     d P(hit) / d p_e = u_tail  (if e enters)  +  (u_tail (unless e enters) - u_head) V_head.
 
-The row times p is P(hit) itself. An entry that counts less than 1, as on a leg of a trip with less
-aboard, counts that much in P(hit), wherever p_e or V meet it.
+The row times p is P(hit) itself.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class MarkovChain:
         """An upper bound (K,) of ``meets`` that is fast to find.
 
         P(hit) in a part of the network is at most the expected entries there, and how likely a
-        route is there, as no entry counts more than 1.
+        route is there.
         """
         part, begin = self.network.part, self.network.tail == 0
         weight = sums(part[begin], self.p[begin], int(part.max()) + 1)
@@ -83,7 +82,7 @@ class MarkovChain:
     def hits(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
         hit = np.zeros(rows.shape[0])
-        tails, weight = self.network.tail[rows.indices], self.share[rows.indices] * rows.data
+        tails, weight = self.network.tail[rows.indices], self.share[rows.indices]
         for site, own, _, _, arriving in self._each(rows):
             hit[site] = arriving[tails[own]] @ weight[own]
         return np.minimum(hit, 1.0)
@@ -94,13 +93,13 @@ class MarkovChain:
         hit, count = np.zeros(rows.shape[0]), np.zeros(rows.shape[0] + 1, dtype=np.int64)
         unhit = np.ones(self.network.count)
         for site, own, a, b, arriving in self._each(rows):
-            entering, counts = rows.indices[own], rows.data[own]
+            entering = rows.indices[own]
             unhit[a:b] = arriving[a:b] * self._per_visit[a:b] + self._unvisited[a:b]
-            edge, weight = entering, unhit[self.network.tail[entering]] * counts
+            edge, weight = entering, unhit[self.network.tail[entering]]
             hit[site] = weight @ self.p[entering]
             # Where the expected entries exceed P(hit) by rounding, the derivative there is 1.
-            if b > a and hit[site] < counts @ self.p[entering] - ROUNDING:
-                later, more = self._changes_later_hits(entering, counts, a, b, unhit)
+            if b > a and hit[site] < self.p[entering].sum() - ROUNDING:
+                later, more = self._changes_later_hits(entering, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
             unhit[a:b] = 1.0
             edges.append(edge)
@@ -145,14 +144,13 @@ class MarkovChain:
             yield site, own, a, b, arriving
             arriving[a:b] = self.visits[a:b]
 
-    def _changes_later_hits(self, entering: IndexArray, counts: FloatArray, a: int, b: int,
-                            unhit: FloatArray) -> tuple[IndexArray, FloatArray]:
+    def _changes_later_hits(self, entering: IndexArray, a: int, b: int, unhit: FloatArray
+                            ) -> tuple[IndexArray, FloatArray]:
         """The edges with (u_tail unless they enter - u_head) V_head, where that is not 0."""
         network, last = self.network, self.network.count - 1
         again = self._at_behind[entering]
         self._behind[again] = 0.0
-        backwards = sums(last - network.tail[entering], counts * self.share[entering],
-                         network.count)
+        backwards = sums(last - network.tail[entering], self.share[entering], network.count)
         network.backwards.add_rows(self._behind, backwards, last + 1 - b, last + 1 - a)
         self._behind[again] = self.share[entering]
         first, end = self._into[a], self._into[b]

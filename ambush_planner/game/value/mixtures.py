@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
 
-from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
+from ...arrays import NEGLIGIBLE, BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from . import highs
 
@@ -43,14 +43,12 @@ class Mixture(NamedTuple):
 class _Column(NamedTuple):
     """A route, given by its edges, in a group.
 
-    ``met`` are the sites that it meets, ``counts`` what each of them counts, ``reduced_cost``
-    is in slacks of the budget. It leads ``between`` two stops, numbered from the source on; no leg
-    ends at the source.
+    ``met`` are the sites that it meets, ``reduced_cost`` is in slacks of the budget. It leads
+    ``between`` two stops, numbered from the source on; no leg ends at the source.
     """
 
     route: IndexArray
     met: IndexArray
-    counts: FloatArray
     reduced_cost: float
     group: int
     between: tuple[int, int]
@@ -75,15 +73,14 @@ class Mixtures:
         """The routes, as edges."""
         return [each.route for each in self._columns]
 
-    def add(self, route: IndexArray, met: FloatArray, reduced_cost: float, group: int = 0,
+    def add(self, route: IndexArray, met: BoolArray, reduced_cost: float, group: int = 0,
             between: tuple[int, int] = (0, 1)) -> bool:
-        """Add a route, given by its edges and what each site counts; return whether it is new."""
+        """Add a route, given by its edges, and the sites (S,) it meets; return if it is new."""
         key = route.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
-        sites = np.flatnonzero(met)
-        self._columns.append(_Column(route, sites, met[sites], reduced_cost, group, between))
+        self._columns.append(_Column(route, np.flatnonzero(met), reduced_cost, group, between))
         return True
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -92,11 +89,8 @@ class Mixtures:
         self.loss = np.append(self.loss, loss)
         self._near = np.pad(self._near, ((0, 0), (0, len(loss))))
         for k, each in enumerate(self._columns):
-            some, counts = met_by[each.route], np.zeros(len(loss))
-            np.maximum.at(counts, some.indices, some.data)
-            met = np.flatnonzero(counts)
-            self._columns[k] = each._replace(met=np.append(each.met, count + met),
-                                             counts=np.append(each.counts, counts[met]))
+            met = np.unique(met_by[each.route].indices)
+            self._columns[k] = each._replace(met=np.append(each.met, count + met))
 
     def among(self, columns: IndexArray) -> Mixtures:
         """The LP over some of the routes, by their numbers."""
@@ -107,10 +101,8 @@ class Mixtures:
 
     def losses(self, shares: FloatArray) -> FloatArray:
         """Mean loss (S,) that each site causes a mixture."""
-        known = self._columns[: len(shares)]  # routes may have joined since
-        weight = np.concatenate([share * each.counts
-                                 for share, each in zip(shares, known, strict=True)])
-        return self.loss * sums(np.concatenate([each.met for each in known]), weight,
+        met = [each.met for each in self._columns[: len(shares)]]  # routes may have joined since
+        return self.loss * sums(np.concatenate(met), np.repeat(shares, list(map(len, met))),
                                 len(self.loss))
 
     def value(self, shares: FloatArray) -> float:
@@ -162,8 +154,7 @@ class Mixtures:
         """The loss (groups * S, C) that each route has at each site of its group."""
         met, count = [each.met for each in self._columns], len(self.loss)
         sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
-        losses = self.loss[sites] * np.concatenate([each.counts for each in self._columns])
-        return csr_matrix((losses, (group[column] * count + sites, column)),
+        return csr_matrix((self.loss[sites], (group[column] * count + sites, column)),
                           (self._groups * count, len(met)))
 
     def _solve_on(self, hit: csr_matrix, budget_row: csr_matrix, precision: float,

@@ -461,15 +461,11 @@ class RouteMixture:
         return np.asarray(np.minimum(rows @ self.uses(rows.shape[1]), 1.0))
 
     def meets(self, rows: csr_matrix) -> FloatArray:
-        """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, M).
-
-        An upper bound if entries of one site count differently, as with less aboard on some legs.
-        """
+        """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, M)."""
         one = np.ones(len(self._edge))
         along = csr_matrix((one, (self._edge, self._route)), (rows.shape[1], len(self._shares)))
         met = csr_matrix(rows @ along)
-        most = rows.max(axis=1).toarray().ravel() if len(rows.data) else np.zeros(rows.shape[0])
-        met.data = np.minimum(met.data, np.repeat(most, np.diff(met.indptr)))
+        met.data[:] = 1.0
         return np.asarray(met @ self._shares)
 
 
