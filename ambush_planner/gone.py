@@ -18,12 +18,15 @@ class _Gone(NamedTuple):
 
 
 _LOADS = 'leave it out: the value counts the whole loss on every leg'
+_ORDER = 'give the stops in the order in which they are to be visited'
 _GONE = {
+    '--order': _Gone(_ORDER),
     '--load': _Gone(_LOADS),
     'game.ambushers': _Gone(
         'leave it out: k ambushers at different places cause at most k times the value '
         '(docs/theory.md, 2.3)', 1),
     'game.loads': _Gone(_LOADS, ()),
+    'trip.order': _Gone(_ORDER, 'given'),
     'strategy.max_exposure': _Gone(
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
 }

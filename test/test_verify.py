@@ -271,7 +271,7 @@ def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
     assert plan.strategy.reason == 'complete' and plan.value < 2.1
     assert len(plan.network.points) > plan.network.place_count
     trip = RecordedTrip(start, goal)
-    assert network_problems(plan.strategy, risk_map, options, trip, 'given') == []
+    assert network_problems(plan.strategy, risk_map, options, trip) == []
     moved = replace(plan.network, alpha=plan.network.alpha * 2.0)
     other = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
-    assert network_problems(other, risk_map, options, trip, 'given')
+    assert network_problems(other, risk_map, options, trip)

@@ -16,7 +16,7 @@ from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
-from ..planning.trip import ORDERS, plan_trip
+from ..planning.trip import plan_trip
 from ..recordings.metadata import RecordedSlots
 from ..recordings.plan_file import saved_plan
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
@@ -73,8 +73,6 @@ def parser() -> argparse.ArgumentParser:
                       help='number of consecutive slots that an ambush lasts (default: 1)')
     made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
                       'shares')
-    made.add_argument('--order', choices=ORDERS, default='given',
-                      help='order of the stops (default: given); random: drawn with each route')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
@@ -104,8 +102,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting(what) as progress, warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
         plan = plan_trip(risk_map, start, goal, planning, stops=stops, progress=progress,
-                         order=arguments.order, routes=arguments.routes, equal=arguments.equal,
-                         rng=rng)
+                         routes=arguments.routes, equal=arguments.equal, rng=rng)
     day = None
     if slots:
         day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)
@@ -122,8 +119,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day and few is None:
         drawn = replace(drawn, slots=[day.drawn(rng) for _ in drawn.paths])
     write_routes(arguments.output, drawn,
-                 saved_plan(plan, of_map, arguments.order, day,
-                            None if arguments.terrain else arguments.map)
+                 saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map)
                  if len(quick) < len(arguments.output) else None)
     _tell(plan, day, arguments, console)
     if few:

@@ -24,8 +24,7 @@ class Network(Shown):
 
     Nodes stand for places, each node for one; several can stand for the same place. On a trip with
     stops, the convoy may come back to a place on another leg: each leg has nodes of its own, and
-    the edges that end a leg lead to the first node of the next. If routes may visit the stops in
-    any order, there is a leg for each set of stops visited so far, which begins at any of them.
+    the edges that end a leg lead to the first node of the next.
 
     Parameters
     ----------

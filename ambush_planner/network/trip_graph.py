@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drivable places of a trip, and the network for any order of its stops."""
+"""The drivable places of a trip, and the network of its legs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise, permutations
+from itertools import pairwise
 
 import numpy as np
 
@@ -28,7 +27,7 @@ Position = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class TripGraph:
-    """Directed graph of the drivable places of a trip, for any order of its stops.
+    """Directed graph of the drivable places of a trip.
 
     Parameters
     ----------
@@ -56,49 +55,23 @@ class TripGraph:
 
     def network(self, visits: Sequence[int]) -> Network:
         """The network for driving from each of these nodes to the next: all places for each leg."""
-        last = len(visits) - 2
-        return self._layered([visits], visits[0], visits[-1], [
-            ({source}, {target: min(leg + 1, last)})
-            for leg, (source, target) in enumerate(pairwise(visits))])
-
-    def network_in_any_order(self) -> Network:
-        """The network for any order of the stops: all places for each set of stops visited."""
-        source, *stops, target = self.visits
-        bits = {stop: 1 << k for k, stop in enumerate(stops)}
-        sets = sorted(range(1 << len(stops)), key=lambda visited: (visited.bit_count(), visited))
-        leg = {visited: k for k, visited in enumerate(sets)}
-        orders = [(source, *order, target) for order in permutations(stops)]
-        return self._layered(orders, source, target, [
-            ({stop for stop in stops if visited & bits[stop]} or {source},
-             {stop: leg[visited | bits[stop]] for stop in stops if not visited & bits[stop]}
-             or {target: leg[visited]}) for visited in sets])
-
-    def _layered(self, orders: Sequence[Sequence[int]], source: int, target: int,
-                 legs: Sequence[tuple[AbstractSet[int], Mapping[int, int]]]) -> Network:
-        """The network with all places for each leg, from where it begins to where others do.
-
-        ``orders`` are the sequences of start, stops and goal that its routes can follow.
-        """
-        count, layers, used = len(self.points), [], []
-        for leg, (begins, ends) in enumerate(legs):
-            inside = ~np.isin(self.edges[:, 0], list(ends))
-            if len(begins) == 1:  # a leg that begins elsewhere may pass the others
-                inside &= self.edges[:, 1] != min(begins)
-            used.append(np.flatnonzero(inside))
+        count, number, layers, used = len(self.points), len(visits) - 1, [], []
+        for leg, (begin, end) in enumerate(pairwise(visits)):
+            used.append(np.flatnonzero((self.edges[:, 0] != end) & (self.edges[:, 1] != begin)))
             edges = self.edges[used[-1]]
             layers.append(edges + leg * count)
-            for end, later in ends.items():
-                layers[-1][edges[:, 1] == end, 1] += (later - leg) * count
-        edges, number = np.concatenate(layers), len(legs)
+            if leg + 1 < number:
+                layers[-1][edges[:, 1] == end, 1] += count
+        edges = np.concatenate(layers)
         order = np.lexsort((edges[:, 1], edges[:, 0]))
         seconds = None if self.seconds is None else self.seconds[np.concatenate(used)[order]]
         shortest = None
         if self.ground is not None:
-            between = self.ground.between
-            shortest = min(sum(between(*pair) for pair in pairwise(visits)) for visits in orders)
+            shortest = sum(self.ground.between(*pair) for pair in pairwise(visits))
         return Network(np.tile(self.points, (number, 1)), np.tile(self.alpha, number), edges[order],
-                       source, target + (number - 1) * count, np.tile(np.arange(count), number),
-                       np.repeat(np.arange(number), count), seconds, self.refined, shortest)
+                       visits[0], visits[-1] + (number - 1) * count,
+                       np.tile(np.arange(count), number), np.repeat(np.arange(number), count),
+                       seconds, self.refined, shortest)
 
 
 def named(name: str, position: Position) -> str:

@@ -13,7 +13,6 @@ from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import METHODS, NetworkOptions
 from ..planning.options import DriveOptions
-from ..planning.trip import ORDERS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),
                                     StrategyOptions())
@@ -40,7 +39,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'plan': Declaration(
         '',
         'File of ambush plan -o FILE.plan to start from: its map, start, goal and stops, and its '
-        'options instead of the parameters map, network, game, strategy, route and trip.order, '
+        'options instead of the parameters map, network, game, strategy and route, '
         'except map.costmap, strategy.max_gap and route.path_spacing.',
         fixed=True),
     'map.alpha_min': Declaration(
@@ -176,12 +175,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         True,
         'Whether the path is published. If not, only responses of get_plan and results of the '
         'actions carry routes, and new_route is refused.', fixed=True),
-    'trip.order': Declaration(
-        'given',
-        'Order of the stops of via_poses: as given, or (best) the order of least value within the '
-        'length budget of the shortest order; with more than 7 stops, a short order; or (random) '
-        'drawn with each route, for at most 4 stops.',
-        choices=ORDERS),
     'recording.enabled': Declaration(True, 'Whether departures are recorded.', fixed=True),
     'recording.required': Declaration(
         False,

@@ -193,8 +193,7 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
     'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
     'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),
     'search_ended': lambda plan: plan.strategy.reason,
-    'stops': lambda plan: str(len(plan.order)),
-    'order': lambda plan: plan.order_found if plan.order else '',
+    'stops': lambda plan: str(len(plan.network.stops)),
     'solve_seconds': lambda plan: f'{plan.seconds:.3f}',
 }
 

@@ -54,8 +54,8 @@ class PlanRequest:
         How far a goal in an obstacle may be moved [m].
     options
         Network, game and strategy.
-    stops_xy, order
-        Stops [m] and their order, as ``plan_trip`` takes them.
+    stops_xy
+        Stops [m] in the order in which they are visited.
     warm
         A similar strategy to start the search from.
     """
@@ -67,7 +67,6 @@ class PlanRequest:
     goal_tolerance: float
     options: PlanningOptions
     stops_xy: tuple[tuple[float, float], ...] = ()
-    order: str = 'given'
     warm: WarmStart | None = None
 
 
@@ -80,10 +79,7 @@ class Plan(Shown):
     time.
     ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
     of few routes that departures draw from, None if they draw from the strategy.
-    ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
-    'best' or 'heuristic'. If it is 'random', ``order`` is the given one, and each route has its own
-    (``network.visited``). ``refinement`` has the rounds in which the network was refined; () if
-    it is plain.
+    ``refinement`` has the rounds in which the network was refined; () if it is plain.
     """
 
     strategy: Strategy
@@ -91,8 +87,6 @@ class Plan(Shown):
     options: PlanningOptions
     spacing: float
     seconds: float = 0.0
-    order: tuple[int, ...] = ()
-    order_found: str = 'given'
     risk_map: RiskMap | None = None
     few: FewRoutes | None = None
     refinement: tuple[Round, ...] = ()
@@ -235,11 +229,10 @@ class Plan(Shown):
         from .frontier import DETOURS, SLACKS, trip_frontier
 
         start = self.network.points[self.network.source]
-        order = 'random' if self.order_found == 'random' else 'given'
         return trip_frontier(self.own_map, start, self.goal_xy, self.options,
                              DETOURS if detours is None else detours,
                              SLACKS if slacks is None else slacks,
-                             stops=self.stops_xy, order=order, refined=self.network.refined)
+                             stops=self.stops_xy, refined=self.network.refined)
 
     @cached_property
     def driven_length(self) -> float:
@@ -272,7 +265,7 @@ class Plan(Shown):
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
-        """The stops as they are visited, or in the given order if it is random [m]."""
+        """The stops as they are visited [m]."""
         stops = self.network.points[self.network.stops].tolist()
         return tuple((x, y) for x, y in stops)
 

@@ -203,7 +203,7 @@ def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
     """
-    check_none_gone(values)
+    check_none_gone({**values, 'trip.order': 'given'})  # which says nothing of one leg
     kinds: dict[str, Any] = {
         name: list[str] if isinstance(each.default, list) else type(each.default)
         for name, each in PARAMETERS.items()}

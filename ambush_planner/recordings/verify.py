@@ -119,8 +119,7 @@ class Verifier:
         strategy, planning = departure.strategy, departure.parameters.planning
         problems = [
             *self._shared.once(network_problems, strategy, departure.risk_map, planning,
-                               departure.metadata.trip,
-                               departure.parameters.values['trip.order']),
+                               departure.metadata.trip),
             *certificate_problems(strategy, departure.stated, planning),
             *source_problems(departure),
         ]
@@ -199,10 +198,10 @@ def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
 
 
 def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions,
-                     trip: RecordedTrip, order: str) -> list[str]:
+                     trip: RecordedTrip) -> list[str]:
     """Build the network again and compare it bit for bit; then compare the game's budget."""
     recorded = strategy.network
-    laid = trip_network(risk_map, trip.start, trip.goal, planning, trip.stops, order,
+    laid = trip_network(risk_map, trip.start, trip.goal, planning, trip.stops,
                         recorded.refined)
     played = solved_game(risk_map, planning)
     network = add_hiding_places(laid, risk_map, planning, played)
