@@ -20,6 +20,7 @@ class _Gone(NamedTuple):
 _LOADS = 'leave it out: the value counts the whole loss on every leg'
 _ORDER = 'give the stops in the order in which they are to be visited'
 _GONE = {
+    '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
     '--order': _Gone(_ORDER),
     '--load': _Gone(_LOADS),
     'game.ambushers': _Gone(

@@ -71,8 +71,6 @@ def parser() -> argparse.ArgumentParser:
                       help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
                       help='number of consecutive slots that an ambush lasts (default: 1)')
-    made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
-                      'shares')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
@@ -87,8 +85,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
-    if arguments.equal and arguments.routes is None:
-        raise cli.UsageError('--equal needs --routes K')
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
@@ -102,7 +98,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting(what) as progress, warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
         plan = plan_trip(risk_map, start, goal, planning, stops=stops, progress=progress,
-                         routes=arguments.routes, equal=arguments.equal, rng=rng)
+                         routes=arguments.routes, rng=rng)
     day = None
     if slots:
         day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)

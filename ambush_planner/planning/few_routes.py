@@ -101,17 +101,16 @@ class FewRoutes:
         return [self.paths[k] for k in rng.choice(len(self.paths), n, p=self.shares)]
 
 
-def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Generator | None = None,
+def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
                deadline: float = math.inf) -> FewRoutes:
     """The best mixture that we can find of at most ``most`` routes within the plan's budget.
 
-    With ``equal`` shares there are exactly ``most`` routes. ``rng`` draws the candidates, by
-    default from the operating system's entropy. At the ``deadline`` (``time.monotonic``) it is the
-    best mixture so far, and the curve has no smaller numbers of routes that were not tried.
+    ``rng`` draws the candidates, by default from the operating system's entropy. At the
+    ``deadline`` (``time.monotonic``) it is the best mixture so far, and the curve has no smaller
+    numbers of routes that were not tried.
 
-    Raises InvalidOption if there are fewer different routes, and as PathMixtures; BudgetInfeasible
-    if no equal shares are within the budget; TimeLimit, with the plan's strategy, if there is no
-    mixture at the deadline.
+    Raises InvalidOption if there are fewer different routes, and as PathMixtures; TimeLimit, with
+    the plan's strategy, if there is no mixture at the deadline.
     """
     if not plan.strategy.value > 0.0:
         raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
@@ -127,7 +126,7 @@ def few_routes(plan: Plan, most: int, equal: bool = False, rng: np.random.Genera
         if plan.network.seconds is None:
             costs = path_lengths(paths)
         search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths),
-                               costs[None] / plan.strategy.length_budget, equal, deadline)
+                               costs[None] / plan.strategy.length_budget, deadline)
         found = search.best([*(k for k in CURVE if k < most), most])
     except TimeLimit as late:
         raise TimeLimit('the time limit (strategy.time_limit) passed before a mixture of few '
@@ -169,10 +168,9 @@ def _promising(plan: Plan, routes: list[IndexArray], most: int,
 class _ColumnSearch:
     """The choice among paths, the columns of a matrix of losses at the sites known so far."""
 
-    def __init__(self, mixtures: PathMixtures, costs: FloatArray, equal: bool,
+    def __init__(self, mixtures: PathMixtures, costs: FloatArray,
                  deadline: float) -> None:
-        self._mixtures, self._equal = mixtures, equal
-        self._count = costs.shape[1]
+        self._mixtures, self._count = mixtures, costs.shape[1]
         self._lp = SharesLP(mixtures.losses.toarray(), costs, deadline)
 
     def best(self, sizes: Sequence[int]) -> dict[int, PathMixture]:
@@ -195,10 +193,10 @@ class _ColumnSearch:
         for size in sizes:
             if size not in nested or (self._late and size < sizes[-1]):
                 continue
-            if self._equal or best is None or best.value > self._enough:
+            if best is None or best.value > self._enough:
                 improved = partial(self._improved, size=size)
                 mixture = self._settled(improved(nested[size]), improved)
-                best = _better_of([best, mixture]) if best and not self._equal else mixture
+                best = _better_of([best, mixture]) if best else mixture
             found[size] = best
         return found
 
@@ -243,13 +241,14 @@ class _ColumnSearch:
         return found
 
     def _improved(self, choice: BestShares, size: int) -> BestShares:
-        """Let one column join, and one leave if there are too many, while the value falls."""
-        if self._equal:
-            return self._of_equal_shares(choice.columns, size)
+        """Let one column join, and one leave if there are too many, while the value falls.
+
+        From this choice, or one that is good in equal shares (without that, values of 24 mixtures
+        rose by 1 % on average, and by up to 8 %).
+        """
         choice = self._solved_again(choice)
         with suppress(TimeLimit):
-            equal = self._of_equal_shares(choice.columns[:0], size)
-            choice = _better_of([choice, self._lp.solve(equal.columns)])
+            choice = _better_of([choice, self._lp.solve(self._good_in_equal_shares(size))])
             while choice.value > self._enough and (better := self._better(choice, size)):
                 choice = better
         return choice
@@ -271,8 +270,9 @@ class _ColumnSearch:
         return _better_of([self._lp.solve(np.delete(choice.columns, k))
                            for k in np.argsort(choice.shares)[:few]])
 
-    def _of_equal_shares(self, columns: IndexArray, size: int) -> BestShares:
-        """``size`` columns of equal shares: some join one by one, then they are exchanged."""
+    def _good_in_equal_shares(self, size: int) -> IndexArray:
+        """``size`` columns that join one by one, and are then exchanged, all in equal shares."""
+        columns = np.zeros(0, dtype=np.int64)
         while len(columns) < size:
             columns = np.append(columns, self._smooth(columns, SMOOTH[0]).argmin())
         while True:
@@ -280,10 +280,7 @@ class _ColumnSearch:
                 columns = self._exchanged_equal(columns, smooth)
             mean = self._lp.losses[:, columns].mean(axis=1)
             if not self._lp.misses(mean, float(mean[self._lp.sites].max())):
-                break
-        over = (self._lp.costs[:, columns].mean(axis=1) > 1.0 + MIN_SHARE).any()
-        return BestShares(columns, math.inf if over else float(mean.max()),
-                          np.full(size, 1.0 / size), np.zeros(0))
+                return columns
 
     def _exchanged_equal(self, chosen: IndexArray, smooth: float) -> IndexArray:
         """Exchange the best pair of columns until none lowers the smooth value."""

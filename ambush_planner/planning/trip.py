@@ -41,7 +41,7 @@ Position = tuple[float, float]
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
-              warm: WarmStart | None = None, routes: int | None = None, equal: bool = False,
+              warm: WarmStart | None = None, routes: int | None = None,
               rng: np.random.Generator | int | None = None,
               progress: Progress = no_progress) -> Plan:
     """Plan a trip from start to goal through stops.
@@ -61,10 +61,9 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         World positions [m], in the order in which they are visited.
     warm
         A similar strategy to start the search from.
-    routes, equal, rng
-        Departures draw from the best mixture found of at most so many routes, or of as many with
-        ``equal`` shares: ``Plan.few``. ``rng`` draws the candidates, or is a seed. The strategy
-        then gets ``PLANNED`` of the time limit.
+    routes, rng
+        Departures draw from the best mixture found of at most so many routes: ``Plan.few``. ``rng``
+        draws the candidates, or is a seed. The strategy then gets ``PLANNED`` of the time limit.
     progress
         Is called with the value and the lower bound so far; the value is ``inf`` before the first
         strategy.
@@ -117,7 +116,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         quick = with_time(options, begin + PLANNED * limit)
     made = plan_quietly(risk_map, start_xy, goal_xy, quick, list(stops), warm, progress)
     if routes is not None:
-        few = few_routes(made, routes, equal, np.random.default_rng(rng), begin + limit)
+        few = few_routes(made, routes, np.random.default_rng(rng), begin + limit)
         made = replace(made, options=options, few=few)
     for text in concerns(made):
         warn(text)
