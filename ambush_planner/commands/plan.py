@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 import warnings
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +25,7 @@ from . import cli
 from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .inputs import options_from, planner_parser
-from .positions import Position, places_on
+from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
@@ -45,8 +45,8 @@ shows each. The table on the console has the faces of one or two dice (a first a
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "driven_length", "shortest_route_loss", "informant": {{"x", "y", "loss",
-"factor"}}, "refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
+"shortest_length", "driven_length", "shortest_route_loss",
+"refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
 or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
 "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """
@@ -73,8 +73,8 @@ def parser() -> argparse.ArgumentParser:
                       help='number of consecutive slots that an ambush lasts (default: 1)')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
-    made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
-                      'all assumptions, and what an informant is worth')
+    made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound '
+                      'and all assumptions')
     return made
 
 
@@ -150,7 +150,6 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
                      'that were tried, mixed at best')
     if not arguments.verbose:
         console.fact('assumption', '; '.join(assumptions(plan)[:2]))
-    seen = plan.informant
     if arguments.verbose:
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
@@ -160,15 +159,6 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
             values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
             known = ', at a known time' * bool(day)
             console.fact('refined', f'{values} after each round{known}, before the final strategy')
-        if seen:
-            where: Position = arguments.start[0]
-            console.fact('informant', f'one at {where.like((seen.x, seen.y), plan.own_map)} who '
-                         f'sees whether you pass raises {strategy.value:.4g}'
-                         f'{", the value at a known time," * bool(day)} to {seen.loss:.4g}, '
-                         f'{seen.factor:.2f} times')
-        if (least := plan.secured_bound) is not None:
-            console.fact('ends', f'{least:.4g} at least if nobody could wait within '
-                         f'{distance(plan.bottleneck.distance)} of start, stops and goal')
         for text in assumptions(plan):
             console.fact('assumption', text)
     console.result = {
@@ -177,7 +167,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
         'value': value, 'lower_bound': bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
         'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
-        'informant': seen and asdict(seen), 'few': None, 'slots': None,
+        'few': None, 'slots': None,
     }
 
 

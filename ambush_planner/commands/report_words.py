@@ -7,7 +7,6 @@ import math
 
 from ..arrays import NEGLIGIBLE
 from ..game.strategy import Strategy
-from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..parameters.table import PARAMETERS
 from ..planning.evaluation import evaluate
 from ..planning.plan import path_lengths
@@ -28,7 +27,7 @@ OPTIMAL = 1e-5
 def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
-        _guarantee(section), *_informant(section), _optimality(section),
+        _guarantee(section), _optimality(section),
         ' '.join(filter(None, (_assumptions(section.strategy), secured(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
@@ -47,22 +46,8 @@ def _guarantee(section: Section) -> str:
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
             f'{rounded(value)} per departure, even if he knows the map, the probabilities '
             f'and all earlier routes.{when_known} This assumes that he does not know the next '
-            f'route{" and time" * timed}.')
-
-
-def _informant(section: Section) -> list[str]:
-    """What somebody is worth to him who sees whether the convoy passes; empty if nothing."""
-    if (seen := section.informant) is None:
-        return []
-    at = f'x {rounded(seen.x, 7)} m, y {rounded(seen.y, 7)} m'
-    try:
-        lat, lon = Coordinates(section.risk_map.crs or '').to_lat_lon((seen.x, seen.y))
-        at = f'{lat:.5f}, {lon:.5f}, {at}'
-    except InvalidCoordinates:
-        pass  # the map does not know its system
-    return [f'An informant can tell him more: one at the worst place, {at}, who reports whether '
-            f'the convoy passes before he chooses where to wait, raises the mean loss to '
-            f'{rounded(seen.loss)}, {rounded(seen.factor)} times as much.']
+            f'route{" and time" * timed}; an informant who tells him whether the convoy passes '
+            'raises the mean loss at most twofold.')
 
 
 def _optimality(section: Section) -> str:

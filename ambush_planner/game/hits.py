@@ -7,8 +7,6 @@ hits from above; the hits follow from the strategy's Markov chain (``chain``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
@@ -29,22 +27,11 @@ def worst_loss(game: Game, p: FloatArray) -> float:
         return float(losses.max(initial=0.0))
     chain = chain_of(game.network, p)
 
-    def exact(rows: IndexArray) -> FloatArray:
-        return np.asarray(game.loss[game.sites[rows]] * chain.meets(game.entering[rows]))
-
-    return largest(losses, exact)
-
-
-def largest(bounds: FloatArray, exact: Callable[[IndexArray], FloatArray]) -> float:
-    """The largest of some numbers >= 0.
-
-    ``bounds`` (N,) are at least as large; ``exact`` computes the numbers of given indices, which is
-    slow.
-    """
-    order, found, done = np.argsort(-bounds, kind='stable'), 0.0, 0
-    while done < len(order) and bounds[order[done]] > found:
+    order, found, done = np.argsort(-losses, kind='stable'), 0.0, 0
+    while done < len(order) and losses[order[done]] > found:
         some = order[done : 2 * done + 1]  # twice as many
-        found = max(found, float(exact(some).max()))
+        hit = game.loss[game.sites[some]] * chain.meets(game.entering[some])
+        found = max(found, float(hit.max()))
         done += len(some)
     return found
 

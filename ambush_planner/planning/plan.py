@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -15,8 +14,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
-from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
-from ..game.informant import Informant, worst_informant
+from ..game.bottleneck import Bottleneck, find_bottleneck
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
@@ -245,23 +243,6 @@ class Plan(Shown):
             return float(self.few.shares @ path_lengths(self.few.paths))
         rng = np.random.default_rng(0)
         return float(path_lengths(departure_paths(self, DRIVEN, self.spacing, rng)).mean())
-
-    @cached_property
-    def informant(self) -> Informant | None:
-        """What somebody at the worst place is worth who tells the ambusher whether you pass it."""
-        return worst_informant(self.strategy)
-
-    @cached_property
-    def secured_bound(self) -> float | None:
-        """A lower bound of the value if nobody could wait near the ends, where sites decide it.
-
-        Near is within ``bottleneck.distance``. None if no deciding site is in it, or if
-        nothing is proved within the time limit.
-        """
-        if not self.bottleneck.near_ends:
-            return None
-        deadline = time.monotonic() + self.options.strategy.time_limit
-        return secured_bound(self.strategy, self.bottleneck.distance, deadline)
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
