@@ -19,17 +19,18 @@ class _Gone(NamedTuple):
 
 _LOADS = 'leave it out: the value counts the whole loss on every leg'
 _ORDER = 'give the stops in the order in which they are to be visited'
+# By the names that are typed: flags of ambush plan, parameters and options of --set.
 _GONE = {
     '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
-    '--order': _Gone(_ORDER),
     '--load': _Gone(_LOADS),
+    '--order': _Gone(_ORDER),
     'game.ambushers': _Gone(
         'leave it out: k ambushers at different places cause at most k times the value '
         '(docs/theory.md, 2.3)', 1),
     'game.loads': _Gone(_LOADS, ()),
-    'trip.order': _Gone(_ORDER, 'given'),
     'strategy.max_exposure': _Gone(
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
+    'trip.order': _Gone(_ORDER, 'given'),
 }
 
 

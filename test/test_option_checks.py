@@ -5,6 +5,9 @@ import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
+from ambush_planner.commands import plan
+from ambush_planner.commands.inputs import options_of
+from ambush_planner.gone import check_none_gone
 from ambush_planner.maps import InvalidTerrain, OccupancyOptions, TerrainOptions, ViewOptions
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
@@ -26,6 +29,20 @@ def test_every_number_of_every_record_is_checked(record, value):
         with pytest.raises(InvalidOption, match=name) as caught:
             record(**{name: value})
         assert str(value) in str(caught.value)
+
+
+def test_an_option_that_went_is_refused_with_the_remedy(capsys):
+    for flag in '--equal', '--load', '--order':
+        with pytest.raises(SystemExit) as ended:
+            plan.main(['map.yaml', '--start', '1', '1', '--goal', '2', '2', '-o', 'r.csv', flag])
+        assert ended.value.code == 2 and f'{flag} went: ' in capsys.readouterr().err
+    for name, without in (('game.ambushers', 1), ('game.loads', ()), ('trip.order', 'given'),
+                          ('strategy.max_exposure', np.inf)):
+        with pytest.raises(InvalidOption, match=f'^{name} went: '):
+            options_of([f'{name}=2'])
+        with pytest.raises(InvalidOption, match=f'^{name} went: '):
+            check_none_gone({name: 2})
+        check_none_gone({name: without})  # as in a recording that did not use it
 
 
 @pytest.mark.parametrize('record', RECORDS)
