@@ -95,7 +95,7 @@ class NoRoute(AmbushPlannerError):
 
 
 class BudgetInfeasible(AmbushPlannerError):
-    """No strategy fits the budgets (``max_detour``, ``max_exposure``)."""
+    """No strategy fits the length budget (``max_detour``)."""
 
 
 class TimeLimit(AmbushPlannerError):

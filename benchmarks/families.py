@@ -21,9 +21,8 @@ from scipy.ndimage import gaussian_filter, label
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
 from ambush_planner.arrays import BoolArray, FloatArray
 
-# One leg with a reach, or without one; trips of one to four stops, crossing edges, two budgets,
-# two ambushers.
-KINDS = ('plan', 'nodes', 'trip', 'grid', 'budgets', 'two')
+# One leg with a reach, or without one; trips of one to four stops, crossing edges.
+KINDS = ('plan', 'nodes', 'trip', 'grid')
 DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line, least and most; larger maps have finer features, not more of them.
@@ -55,16 +54,13 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
     spacing = spacing_for(scenario.risk_map, int(nodes))
     reach, secured = _reach_and_secured(kind, rng, scenario, spacing)
     detour = scenario.detour or float(rng.choice(DETOURS))
-    count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
+    count = 1 + rng.integers(4) if kind == 'trip' else 0
     options = PlanningOptions(
         network=NetworkOptions(method='uniform_grid8' if kind == 'grid' else 'uniform_delaunay',
                                spacing=spacing, refine=0),
         game=GameOptions(ambush_radius=reach * spacing,
-                         secured_radius=None if secured < 0.0 else secured * spacing,
-                         ambushers=2 if kind == 'two' else 1),
-        strategy=StrategyOptions(max_detour=detour,
-                                 max_exposure=1.1 if kind == 'budgets' else math.inf,
-                                 time_limit=time_limit),
+                         secured_radius=None if secured < 0.0 else secured * spacing),
+        strategy=StrategyOptions(max_detour=detour, time_limit=time_limit),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {secured:.2g} detour {detour:.3g} '

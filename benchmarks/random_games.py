@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random valid games as users have them: does any fail, and is what is published right?
 
-Maps, networks, trips, roads, reaches, secured areas, budgets, thresholds and ambushers are drawn
+Maps, networks, trips, roads, reaches, secured areas, budgets and thresholds are drawn
 from a seed of each game's own: ``--first SEED --count 1`` repeats a game. All strategies are
 checked by invariants. Up to ``CHECKED`` nodes, values are computed again by geometry and recursions
 that are not the package's (test/games.py), and bounds are compared with HiGHS' dual simplex method.
@@ -58,7 +58,7 @@ from ambush_planner import (
 
 CHECKED = 1000  # nodes
 SAME = 1e-6  # relative difference of values that are computed twice
-LOOSE = 1e-5  # relative tolerance of HiGHS, and of budgets
+LOOSE = 1e-5  # relative tolerance of HiGHS, and of the budget
 ROUTES = 20  # drawn from each strategy
 LIMIT = 60.0  # for a game [s]; what has been found by then is checked, too
 SLOW = 30.0  # games that are printed [processor seconds]
@@ -144,11 +144,9 @@ def drawn_options(rng: np.random.Generator, network: Network,
                             p=[0.25, 0.25, 0.25, 0.22, 0.03]))
     above = float(np.quantile(network.alpha, rng.uniform(0.7, 0.99)))
     game = GameOptions(ambush_radius=reach, secured_radius=None if secured < 0.0 else secured,
-                       alpha_threshold=float(rng.choice([math.inf] * 3 + [above])),
-                       ambushers=int(rng.choice([1] * 6 + [2, 4])))
+                       alpha_threshold=float(rng.choice([math.inf] * 3 + [above])))
     strategy = StrategyOptions(
         max_detour=float(rng.choice([*DETOURS, 1.0 + rng.exponential(0.1)])),
-        max_exposure=float(rng.choice([math.inf] * 7 + [1.0, 1.1, 1.3])),
         risk_slack=float(rng.choice([0.0, 0.001, 0.01, 0.01, 0.01, 0.05, 0.3])),
         time_limit=LIMIT)
     options = PlanningOptions(network=network_options, game=game, strategy=strategy)
@@ -160,8 +158,7 @@ def words_of(seed: int, kind: str, network: Network, options: PlanningOptions) -
     return (f'seed {seed}: {kind} {options.network.method} {len(network.points)} nodes, '
             f'reach {game.ambush_radius / spacing:.2g} spacings, secured '
             f'{game.secured_distance / spacing:.2g}, threshold {game.alpha_threshold:.3g}, '
-            f'ambushers {game.ambushers}, detour {strategy.max_detour:.10g}, '
-            f'exposure {strategy.max_exposure:g}, slack {strategy.risk_slack:g}')
+            f'detour {strategy.max_detour:.10g}, slack {strategy.risk_slack:g}')
 
 
 def play(game: RandomGame, tally: Tally) -> None:
@@ -190,10 +187,6 @@ def play(game: RandomGame, tally: Tally) -> None:
 
 
 def kind_of(game: RandomGame) -> str:
-    if game.options.game.ambushers > 1:
-        return 'several ambushers'
-    if math.isfinite(game.options.strategy.max_exposure):
-        return 'two budgets'
     return f"{game.kind}, {'a' if game.options.game.ambush_radius > 0.0 else 'no'} reach"
 
 
@@ -207,12 +200,9 @@ def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
         return
     if strategy.lower_bound > strategy.value * (1.0 + 1e-9):
         yield f'bound {strategy.lower_bound:.12g} above value {strategy.value:.12g}'
-    for name, mean, budget in (
-        ('length', strategy.expected_length, strategy.length_budget),
-        ('exposure', strategy.expected_exposure, strategy.exposure_budget),
-    ):
-        if mean > budget * (1.0 + LOOSE):
-            yield f'{name} {mean:.12g} over the budget {budget:.12g}'
+    mean, budget = strategy.expected_length, strategy.length_budget
+    if mean > budget * (1.0 + LOOSE):
+        yield f'length {mean:.12g} over the budget {budget:.12g}'
     used = set(map(tuple, network.edges[p > 0.0].tolist()))
     for route in strategy.sample_routes(ROUTES, np.random.default_rng(0)):
         nodes = route.tolist()
@@ -248,8 +238,8 @@ def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
     else:
         hits = (network.points[network.heads] == network.points[site][:, None]).all(axis=2)
         entries = csr_matrix(hits.astype(float))
-    own = np.sort(network.alpha[site] * hit_once(network, p, hits))[-options.ambushers:].sum()
-    anywhere = game.scenario is not None and reach > 0.0 and options.ambushers == 1
+    own = (network.alpha[site] * hit_once(network, p, hits)).max(initial=0.0)
+    anywhere = game.scenario is not None and reach > 0.0
     if anywhere and game.scenario:
         points, alpha = standing_places(game.scenario.risk_map, network, secured)
         hits = meets(network, points, reach, secured)
@@ -263,8 +253,7 @@ def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
     usable = (network.alpha <= options.alpha_threshold)[network.edges].all(axis=1)
     found = highs(value_lp(
         network, csr_matrix(entries.multiply(network.alpha[site][:, None])),
-        [(network.travel_costs, strategy.length_budget),
-         (network.edge_exposure, strategy.exposure_budget)], options.ambushers, usable),
+        [(network.travel_costs, strategy.length_budget)], usable),
         primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10)
     # HiGHS counts entries, so its value is the optimum only if no site is entered twice.
     least = found.get('value', value)
@@ -283,7 +272,7 @@ def report(tally: Tally, first: int, games: int) -> str:
     slowest = max(result for each in tally.solved.values() for result in each)
     head = ('', 'games', 'seconds: median / 95 % / worst', 'within the slack', 'most over it [%]')
     return (f"{games} games, seeds from {first}, {tally.counts['refused']} of them without a route "
-            f"within threshold and budgets, {tally.counts['late']} ended by the limit of "
+            f"within threshold and budget, {tally.counts['late']} ended by the limit of "
             f"{LIMIT:g} s, {tally.counts['checked']} checked by recursion and HiGHS: "
             f"**{len(tally.failures)} failures**. {conditions('highspy')}.\n\n"
             f'{table(head, rows)}\n\nThe slowest: {slowest[2]}.'

@@ -40,7 +40,7 @@ from examples.demo import ground as demo_ground
 
 DOCS = Path(__file__).resolve().parent
 # The trip of docs/python.md [m].
-STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
+STOPS = ((8685.0, 23625.0), (21015.0, 8955.0), (25020.0, 16020.0))
 TRIP = PlanningOptions(game=GameOptions(secured_radius=2000.0))
 TRIPS_SHOWN = 6
 # The moving picture: pixels across, steps of a day, and times that they are shown [ms].
@@ -89,7 +89,7 @@ def routes(demo: Section) -> Figure:
 def trip(demo: Section) -> Figure:
     """One strategy over all legs on the left, departures on the right."""
     risk_map = ground(demo)
-    plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS, order='best')
+    plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS)
     network = plan.network
     known = evaluate(plan.strategy)['energy_efficient'].v_repeated
     figure = Figure((map_figures.WIDTH, 5.7), layout='compressed')

@@ -249,7 +249,7 @@ def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class LP:
-    """Minimise cost x; above x <= limits, balance x = supply, x in 0..most; x is p (M,), t, s."""
+    """Minimise cost x; above x <= limits, balance x = supply, x in 0..most; x is p (M,), t."""
 
     cost: np.ndarray
     above: csr_matrix
@@ -260,39 +260,36 @@ class LP:
 
 
 def value_lp(network: Network, losses: csr_matrix, budgets: Sequence[tuple[np.ndarray, float]],
-             ambushers: int = 1, usable: np.ndarray | None = None) -> LP:
-    """Minimise k t + sum s: ``losses`` (S, M) p <= t + s, one unit of flow p within ``budgets``.
+             usable: np.ndarray | None = None) -> LP:
+    """Minimise t: ``losses`` (S, M) p <= t, one unit of flow p within ``budgets``.
 
     Each budget is the costs (M,) of the edges and its limit; p is 0 on edges that are not
     ``usable`` (M,).
     """
     (tail, head), m, n = network.edges.T, len(network.edges), len(network.points)
     sites = losses.shape[0]
-    several = sites if ambushers > 1 else 0  # one ambusher's largest loss is t alone
     ends = np.r_[tail, head], np.tile(np.arange(m), 2)
-    balance = coo_matrix((np.repeat([1.0, -1.0], m), ends), (n, m + 1 + several))
+    balance = coo_matrix((np.repeat([1.0, -1.0], m), ends), (n, m + 1))
     supply = np.zeros(n)
     supply[network.source], supply[network.target] = 1.0, -1.0
-    beyond = csr_matrix((-np.ones(several), (np.arange(several),) * 2), (sites, several))
-    rows = [hstack((losses, csr_matrix(-np.ones((sites, 1))), beyond))]
-    rows += [csr_matrix(np.r_[cost / limit, np.zeros(1 + several)]) for cost, limit in budgets
+    rows = [hstack((losses, csr_matrix(-np.ones((sites, 1)))))]
+    rows += [csr_matrix(np.r_[cost / limit, 0.0]) for cost, limit in budgets
              if 0.0 < limit < np.inf]
-    most = np.full(m + 1 + several, np.inf)
+    most = np.full(m + 1, np.inf)
     if usable is not None:
         most[:m][~usable] = 0.0
-    return LP(np.r_[np.zeros(m), ambushers, np.ones(several)], csr_matrix(vstack(rows)),
+    return LP(np.r_[np.zeros(m), 1.0], csr_matrix(vstack(rows)),
               np.r_[np.zeros(sites), np.ones(len(rows) - 1)], csr_matrix(balance), supply, most)
 
 
-def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf,
-             ambushers: int = 1) -> float:
+def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf) -> float:
     """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
     """
     if hits is None:
         into = network.heads, np.arange(len(network.edges))
         hits = csr_matrix((np.ones(len(into[0])), into), (len(network.points), len(into[0])))
     lp = value_lp(network, hits.multiply(network.alpha[:, None]),
-                  [(network.travel_costs, budget)], ambushers)
+                  [(network.travel_costs, budget)])
     tolerances = {'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10}
     found = linprog(lp.cost, lp.above, lp.limits, lp.balance, lp.supply, method='highs-ds',
                     options=tolerances)
@@ -321,8 +318,8 @@ def drawn_routes(network: Network, p: np.ndarray) -> dict[tuple[int, ...], float
     return {tuple(route): float(share[route].prod()) for route in routes_of(network, p > 0.0)}
 
 
-def value_by_routes(loss: np.ndarray, hits: np.ndarray, routes, limits=(),
-                    ambushers: int = 1) -> float | None:
+def value_by_routes(loss: np.ndarray, hits: np.ndarray, routes,
+                    limits=()) -> float | None:
     """Least value of any mixture of routes, each hit once by each site; None if none is allowed.
 
     ``loss`` (S,) of each site, and how hard it hits an edge, ``hits`` (S, M): the hardest of a
@@ -330,22 +327,21 @@ def value_by_routes(loss: np.ndarray, hits: np.ndarray, routes, limits=(),
     """
     losses = np.array([hits[:, route].max(axis=1) for route in routes]).T * loss[:, None]
     return least_value(losses, [([cost[route].sum() for route in routes], limit)
-                                for cost, limit in limits], ambushers)
+                                for cost, limit in limits])
 
 
-def least_value(losses: np.ndarray, limits=(), ambushers: int = 1) -> float | None:
+def least_value(losses: np.ndarray, limits=()) -> float | None:
     """Value of the game with ``losses`` [site, route]; None if no mixture is within ``limits``.
 
-    ``limits``: costs of the routes, each with the largest mean. The sum of the k largest losses is
-    the least k t + sum s with losses of at most t + s; that of the largest one is t alone.
+    ``limits``: costs of the routes, each with the largest mean.
     """
-    (sites, routes), k = losses.shape, min(ambushers, len(losses))
-    over = np.hstack((np.ones((sites, 1)), np.eye(sites)[:, : sites if k > 1 else 0]))
-    none, limits = np.zeros(over.shape[1]), [each for each in limits if np.isfinite(each[1])]
-    rows = [np.hstack((losses, -over)), *(np.r_[cost, none][None] for cost, _ in limits)]
-    found = linprog(np.r_[np.zeros(routes), k, none[1:] + 1.0], np.vstack(rows),
+    sites, routes = losses.shape
+    limits = [each for each in limits if np.isfinite(each[1])]
+    rows = [np.hstack((losses, -np.ones((sites, 1)))),
+            *(np.r_[cost, 0.0][None] for cost, _ in limits)]
+    found = linprog(np.r_[np.zeros(routes), 1.0], np.vstack(rows),
                     np.r_[np.zeros(sites), [limit for _, limit in limits]],
-                    np.r_[np.ones(routes), none][None], [1.0], method='highs-ds')
+                    np.r_[np.ones(routes), 0.0][None], [1.0], method='highs-ds')
     return float(found.fun) if found.status == 0 else None
 
 

@@ -150,16 +150,6 @@ def test_an_observer_by_hand(two_ways):
     assert result.value == pytest.approx(1.2, rel=1e-5)
 
 
-def test_two_ambushers_wait_at_two_places():
-    """Three ways: the two that were driven first are watched from then on."""
-    network = Network([[0, 0], [1, 1], [1, 0], [1, -1], [2, 0]], [0, 2, 2, 2, 0],
-                      [(0, 1), (0, 2), (0, 3), (1, 4), (2, 4), (3, 4)], 0, 4)
-    strategy = solve(network, GameOptions(ambushers=2), StrategyOptions(max_detour=np.inf))
-    result = run(strategy, [[0, node, 4] for node in (1, 2, 1, 2, 3, 1)])
-    assert result.observer_losses.tolist() == [0.0, 2.0, 2.0, 0.0, 2.0]
-    assert strategy.value == pytest.approx(4.0 / 3.0, rel=0.02)
-
-
 def test_watching_honest_draws_brings_about_the_value():
     """He chooses before the draw, so by 5 standard errors he gets at most the value."""
     strategy = solve(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))

@@ -20,28 +20,27 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.ambusher import Ambusher, capped_at_one
+from ambush_planner.game.ambusher import Ambusher
 from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.certificate import certify, lower_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.game.slack import CERTIFICATE_TOLERANCE
-from ambush_planner.game.strategy import make_budgets
 
 SLACK = StrategyOptions().risk_slack
 
 
 def case(detour=1.2, network=None, **game):
-    """The arguments of ``certify`` for a solved game: game, p, ambusher, budgets."""
+    """The arguments of ``certify`` for a solved game: game, p, ambusher, budget."""
     network = network or terrain_network(4, cells=10)
     options = StrategyOptions(max_detour=detour)
     found = solve(network, GameOptions(**game), options)
-    return found.game, found.edge_probability.copy(), found.ambusher, found.budgets
+    return found.game, found.edge_probability.copy(), found.ambusher, found.budget
 
 
 def test_a_wrong_q_is_refused():
-    game, p, ambusher, budgets = case()
+    game, p, ambusher, budget = case()
     q, at = ambusher.q, np.arange(len(ambusher.q))
     entries = ((q.argmax(), np.nan), (q.argmax(), np.inf), (q.argmin(), -1e-3))
     for wrong, words in [
@@ -49,26 +48,26 @@ def test_a_wrong_q_is_refused():
         *((np.where(at == k, entry, q), 'must be in') for k, entry in entries),
     ]:
         with pytest.raises(SolverFailed, match=words):
-            certify(game, p, replace(ambusher, q=wrong), budgets)
+            certify(game, p, replace(ambusher, q=wrong), budget)
 
 
 def test_a_wrong_p_is_refused():
-    game, p, ambusher, budgets = case()
+    game, p, ambusher, budget = case()
     used = int(np.argmax(p))
     for change, words in ((-2.0, '>= 0'), (np.nan, '>= 0'), (0.01, 'not a flow')):
         wrong = p.copy()
         wrong[used] += change
         with pytest.raises(SolverFailed, match=words):
-            certify(game, wrong, ambusher, budgets)
+            certify(game, wrong, ambusher, budget)
     for wrong in (0.999 * p, np.zeros_like(p)):
         with pytest.raises(SolverFailed, match='not a flow'):
-            certify(game, wrong, ambusher, budgets)
+            certify(game, wrong, ambusher, budget)
     closed = game.playable.copy()
     closed[used] = False
     with pytest.raises(SolverFailed, match='not playable'):
-        certify(replace(game, playable=closed), p, ambusher, budgets)
+        certify(replace(game, playable=closed), p, ambusher, budget)
     game, p, ambusher, _ = case(2.0)
-    tight = make_budgets(game, StrategyOptions(max_detour=1.1))
+    tight = Budget.length(game, 1.1)
     with pytest.raises(SolverFailed, match=r'length is .* over the budget'):
         certify(game, p, ambusher, tight)
 
@@ -76,26 +75,25 @@ def test_a_wrong_p_is_refused():
 @pytest.mark.parametrize('trip', [False, True])
 def test_a_proof_that_time_cuts_short_is_a_lower_one(trip):
     roads = roads_of(5, int(trip), 12)
-    game, _, ambusher, budgets = case(1.5, roads.network(roads.visits), ambush_radius=1.2,
+    game, _, ambusher, budget = case(1.5, roads.network(roads.visits), ambush_radius=1.2,
                                       secured_radius=1.0)
     ambusher = replace(ambusher, circulation=None)
-    whole = lower_bound(game, ambusher, budgets)
-    short = lower_bound(game, ambusher, budgets, deadline=-math.inf)
+    whole = lower_bound(game, ambusher, budget)
+    short = lower_bound(game, ambusher, budget, deadline=-math.inf)
     assert 0.0 <= short <= whole
 
 
 @pytest.mark.parametrize('price', [-1e-9, -1.0, np.nan])
 def test_a_wrong_price_is_refused(price):
-    game, p, ambusher, budgets = case()
-    for prices in ((price, 0.0), (0.0, price)):
-        with pytest.raises(SolverFailed, match='price'):
-            certify(game, p, replace(ambusher, prices=prices), budgets)
+    game, p, ambusher, budget = case()
+    with pytest.raises(SolverFailed, match='price'):
+        certify(game, p, replace(ambusher, price=price), budget)
 
 
 def test_a_bound_above_the_value_is_refused():
-    game, p, ambusher, budgets = case()
+    game, p, ambusher, budget = case()
     with pytest.raises(SolverFailed, match='above the value'):
-        certify(game, p, ambusher, budgets, 1.0001 * worst_loss(game, p))
+        certify(game, p, ambusher, budget, 1.0001 * worst_loss(game, p))
 
 
 @examples(25)
@@ -103,34 +101,27 @@ def test_a_bound_above_the_value_is_refused():
 def test_weak_duality_holds_for_any_q_and_price(network, seed, price, detour):
     """Checked by an independent Dijkstra."""
     game = make_game(network, GameOptions())
-    budgets = make_budgets(game, StrategyOptions(max_detour=detour))
+    budget = Budget.length(game, detour)
     q = np.random.default_rng(seed).dirichlet(np.ones(game.node_count))
-    bound = lower_bound(game, Ambusher(q, (price, 0.0)), budgets)
+    bound = lower_bound(game, Ambusher(q, price), budget)
     weights = (q * network.alpha)[network.heads] + price * network.lengths
-    expected = least_weight(network, weights) - price * budgets[0].limit
+    expected = least_weight(network, weights) - price * budget.limit
     assert bound == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-6)
     value = solve(network, options=StrategyOptions(max_detour=detour)).value
-    assert bound <= value * (1 + 1e-9) + 1e-7 * price * budgets[0].limit
+    assert bound <= value * (1 + 1e-9) + 1e-7 * price * budget.limit
 
 
-@examples(30)
-@given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
-def test_capped_probabilities_keep_their_sum(masses, count):
-    q = capped_at_one(np.array(masses), count)
-    assert q.sum() == pytest.approx(count) and q.max() <= 1.0 + 1e-9 and q.min() >= 0.0
-
-
-# Budgets.
+# The budget.
 
 
 def test_a_budget_below_the_best_route_is_infeasible():
     game = make_game(paper_example(), GameOptions())
     lengths = game.network.lengths
     with pytest.raises(BudgetInfeasible, match=r'length 3 .*raise max_detour'):
-        Budget(game, lengths, 2.9, 3.0, 'length', 'm')
+        Budget(game, lengths, 2.9, 3.0)
     shortest = Budget.length(game, 1.0)
     assert 0.0 < shortest.slack < 1e-9 and shortest.keeps(shortest_route_strategy(game))
-    nothing = Budget(game, 0.0 * lengths, 0.0, 0.0, 'exposure', 'loss x m')
+    nothing = Budget(game, 0.0 * lengths, 0.0, 0.0)
     assert 0.0 < nothing.slack < 1e-9 and nothing.keeps(shortest_route_strategy(game))
     unlimited = Budget.length(game, np.inf)
     assert not unlimited.binds and unlimited.least == pytest.approx(3.0)

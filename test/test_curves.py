@@ -30,15 +30,15 @@ from ambush_planner.game.value.potential import Potential
 
 
 def proof(game, detour):
-    """The ambusher whom the LP in potentials finds, the budgets, and the LP's bound."""
+    """The ambusher whom the LP in potentials finds, the budget, and the LP's bound."""
     budget = Budget.length(game, detour)
     lp = Potential(make_faces(game), budget, 1e-3, math.inf)
     lp.solve()
-    curves, prices = lp.circulation, tuple(lp.prices) or (0.0,)
+    curves = lp.circulation
     if curves is not None:
         curves = replace(curves, site=game.sites[curves.site])
-    ambusher = Ambusher(at_nodes(game, lp.q), prices, circulation=curves)
-    return ambusher, (budget,), lp.bound
+    ambusher = Ambusher(at_nodes(game, lp.q), lp.price, circulation=curves)
+    return ambusher, budget, lp.bound
 
 
 class Case:
@@ -52,22 +52,22 @@ class Case:
             return
         self.game = make_game(network, GameOptions(ambush_radius=reach))
         self.near = reached(network, reach, self.game.options.secured_distance)
-        self.ambusher, self.budgets, self.bound = proof(self.game, detour)
+        self.ambusher, self.budget, self.bound = proof(self.game, detour)
         self.met = np.array([self.near[:, route].any(axis=1) for route in routes])
         self.length = np.array([network.lengths[route].sum() for route in routes])
         self.once = value_by_routes(network.alpha, self.near, routes,
-                                    [(network.lengths, self.budgets[0].limit)])
+                                    [(network.lengths, self.budget.limit)])
 
     def least_cost(self, ambusher: Ambusher) -> float:
         """The best response among all routes, less what the budget is worth."""
-        (price,), limit = ambusher.prices, self.budgets[0].limit
+        price, limit = ambusher.price, self.budget.limit
         costs = self.met @ (ambusher.q * self.game.network.alpha) + price * self.length
         return float(costs.min()) - (price * limit if price > 0.0 else 0.0)
 
     def bound_of(self, ambusher: Ambusher) -> float:
         """What the ambusher proves; 0 if he is refused."""
         try:
-            return lower_bound(self.game, ambusher, self.budgets)
+            return lower_bound(self.game, ambusher, self.budget)
         except SolverFailed:
             return 0.0
 
@@ -86,8 +86,8 @@ def test_a_circulation_proves_what_its_program_says_and_never_more_than_the_opti
 
 
 def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
-    """The ambusher with something changed: his q, his prices, or his circulation."""
-    q, (price,), curves = ambusher.q.copy(), ambusher.prices, ambusher.circulation
+    """The ambusher with something changed: his q, his price, or his circulation."""
+    q, price, curves = ambusher.q.copy(), ambusher.price, ambusher.circulation
     kind = rng.integers(0, 8)
     sites = game.sites
     if kind == 0:
@@ -111,7 +111,7 @@ def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
         count, faces = 60, make_faces(game)
         curves = Circulation(rng.normal(size=len(curves.through)), rng.choice(sites, count),
                              rng.integers(0, faces.count, count), rng.normal(size=count))
-    return Ambusher(q, (price,), circulation=curves)
+    return Ambusher(q, price, circulation=curves)
 
 
 @examples(20)
@@ -130,18 +130,17 @@ def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, se
 
 def test_the_circulation_of_another_network_is_refused():
     game = make_game(terrain_network(3, cells=14), GameOptions(ambush_radius=2.0))
-    ambusher, budgets, _ = proof(game, 1.2)
+    ambusher, budget, _ = proof(game, 1.2)
     curves = ambusher.circulation
     for wrong in (replace(curves, through=curves.through[:-1]),
                   replace(curves, site=curves.site + len(game.loss))):
         with pytest.raises(SolverFailed, match='another network'):
-            lower_bound(game, replace(ambusher, circulation=wrong), budgets)
+            lower_bound(game, replace(ambusher, circulation=wrong), budget)
     crossing = make_game(terrain_network(5, 'uniform_grid8', 14), GameOptions(ambush_radius=2.0))
     q = np.zeros(crossing.node_count)
     q[crossing.sites[0]] = 1.0
     with pytest.raises(SolverFailed, match='links cross'):
-        lower_bound(crossing, Ambusher(q, (0.0,), circulation=curves),
-                    (Budget.length(crossing, 1.2),))
+        lower_bound(crossing, Ambusher(q, circulation=curves), Budget.length(crossing, 1.2))
 
 
 def nearly_two_secured_radii_apart(seed):
@@ -170,12 +169,12 @@ def test_a_curve_does_not_lead_through_a_secured_area_that_cuts_a_disc_in_two():
     faces = make_faces(game)
     discs = faces.discs(game.entering)
     assert len(np.unique(discs.part)) > len(np.unique(discs.disc))
-    ambusher, (budget,), bound = proof(game, detour)
+    ambusher, budget, bound = proof(game, detour)
     dual_weights = (game.loss * ambusher.q)[None, game.sites]
-    base = ambusher.prices[0] * budget.reduced_cost
+    base = ambusher.price * budget.reduced_cost
     _, route = TripNetworks(game, game.entering).least_cost(base, dual_weights, SEARCHES)
     met = game.entering[:, route].getnnz(axis=1) > 0
     cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
-    cost += ambusher.prices[0] * (budget.cost[route].sum() - budget.limit)
+    cost += ambusher.price * (budget.cost[route].sum() - budget.limit)
     assert ambusher.circulation is not None
-    assert bound * (1.0 - 1e-6) <= lower_bound(game, ambusher, (budget,)) <= max(cost, 0.0) + 1e-9
+    assert bound * (1.0 - 1e-6) <= lower_bound(game, ambusher, budget) <= max(cost, 0.0) + 1e-9

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact value by minimum cut: laws, exact rational arithmetic, a linear program, tiny games.
-
-Several ambushers share the sites of cuts.
-"""
+"""The exact value by minimum cut: laws, exact rational arithmetic, a linear program, tiny games."""
 
 import numpy as np
 import pytest
@@ -21,7 +18,7 @@ from games import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import GameOptions, Network, SolverFailed, StrategyOptions, solve
+from ambush_planner import GameOptions, SolverFailed
 from ambush_planner.game.game import make_game
 from ambush_planner.game.value.cut import CutSolution, solve_by_min_cut
 
@@ -98,28 +95,3 @@ def test_a_tiny_flow_needs_several_rounds_of_integers():
 def test_a_game_with_a_reach_is_refused():
     with pytest.raises(SolverFailed, match='without a reach'):
         solve_by_min_cut(make_game(line([0, 1, 1, 1, 0]), GameOptions(ambush_radius=1.0)))
-
-
-def parallel(alphas) -> Network:
-    """Parallel ways of one node each."""
-    n = len(alphas)
-    edges = [(0, k + 1) for k in range(n)] + [(k + 1, n + 1) for k in range(n)]
-    return line([0, *alphas, 0], edges)
-
-
-@pytest.mark.parametrize(('network', 'ambushers', 'value'), [
-    # Three equal parallel nodes, two ambushers: each way has 1/3, and two of them are held.
-    (parallel([3, 3, 3]), 2, 2.0),
-    # As many ambushers as ways.
-    (parallel([3, 3]), 2, 3.0),
-    # k q_j <= 1 fails for the cheap one. All routes through it cost 1 in total; any share x
-    # elsewhere costs more: 1 - x + 10 x / 2.
-    (parallel([1, 10, 10]), 2, 1.0),
-    # A corridor is held once by each ambusher.
-    (line([0, 2, 7, 3, 0]), 1, 7.0), (line([0, 2, 7, 3, 0]), 2, 10.0),
-    (line([0, 2, 7, 3, 0]), 3, 12.0),
-])
-def test_several_ambushers_by_hand(network, ambushers, value):
-    strategy = solve(network, GameOptions(ambushers=ambushers), StrategyOptions(risk_slack=0.0))
-    assert strategy.value == pytest.approx(value, rel=2e-5)
-    assert strategy.lower_bound == pytest.approx(value, rel=2e-5)

@@ -7,7 +7,7 @@ from games import examples, networks, routes_of
 from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
-from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
+from ambush_planner import GameOptions, Network, NoRoute, StrategyOptions, solve
 from ambush_planner.game.game import make_game
 
 
@@ -87,11 +87,6 @@ def test_with_a_reach_sites_may_be_on_forbidden_ground():
 def test_a_disc_that_contains_or_touches_an_end_is_not_a_site():
     assert losses_at(road(aside=()), ambush_radius=2.0) == {}
     assert losses_at(road(aside=()), ambush_radius=1.9) == {2: 1.0}
-
-
-def test_more_ambushers_than_nodes_are_refused():
-    with pytest.raises(InvalidOption, match='7 ambushers .* 6 nodes'):
-        make_game(road(), GameOptions(ambushers=7))
 
 
 # Games within games.

@@ -51,7 +51,7 @@ def planning(refine, reach=4.0, spacing=5.0, **strategy):
 
 
 def network_of(risk_map, options, refined=NONE):
-    return trip_network(risk_map, START, GOAL, options, (), 'given', refined)
+    return trip_network(risk_map, START, GOAL, options, (), refined)
 
 
 def test_the_network_is_fine_around_the_secured_area_and_refined_places():

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from test_routes import games
 
 from ambush_planner import GameOptions, Network, StrategyOptions
-from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
+from ambush_planner.game.hits import hit_probabilities, worst_loss
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Search, SearchProblem
 from ambush_planner.game.solver import solve
@@ -22,21 +22,21 @@ from ambush_planner.game.value.routes import Routes
 SLACK = 0.02
 
 
-def distribution_around(game, budgets, routes):
+def distribution_around(game, budget, routes):
     """The distribution on layers around the routes of an LP."""
-    search = Search(SearchProblem(game, budgets, SLACK, math.inf), routes, SLACK)
+    search = Search(SearchProblem(game, budget, SLACK, math.inf), routes, SLACK)
     return find_trip(search, routes)
 
 
-def solved(seed, reach, detour, ambushers=1):
-    """A trip's game, its budgets, its routes, and the distribution on layers around some."""
-    game, budgets = games(seed, 1, reach, detour, math.inf, ambushers)
-    routes = Routes(game, budgets, 0.3 * SLACK, math.inf)
+def solved(seed, reach, detour):
+    """A trip's game, its budget, its routes, and the distribution on layers around some."""
+    game, budget = games(seed, 1, reach, detour)
+    routes = Routes(game, budget, 0.3 * SLACK, math.inf)
     routes.solve()
     assume(routes.bound > 0.0)  # else nothing can be lost
-    found = distribution_around(game, budgets, routes)
+    found = distribution_around(game, budget, routes)
     assume(found is not None)  # rounding where the budget just fits
-    return game, budgets, routes, found
+    return game, budget, routes, found
 
 
 def hit_loss(game, p, row):
@@ -46,10 +46,9 @@ def hit_loss(game, p, row):
 
 @examples(25)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
-       detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
-def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour,
-                                                                      ambushers):
-    game, budgets, routes, found = solved(seed, reach, detour, ambushers)
+       detour=st.sampled_from([1.05, 1.3, math.inf]))
+def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour):
+    game, budget, routes, found = solved(seed, reach, detour)
     unrolled, p = found.layers.unrolled(found.chain)
     network, base, edge = unrolled.network, game.network, found.layers.edge
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
@@ -63,14 +62,13 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     assert np.array_equal(network.first_edge, edge)
     assert unrolled.playable[p > 0.0].all() and is_acyclic(network, p)
     assert unbalanced(network, p) < 1e-8
-    for budget in budgets:
-        assert not budget.binds or p @ budget.cost[edge] <= budget.limit * (1.0 + 1e-6)
+    assert not budget.binds or p @ budget.cost[edge] <= budget.limit * (1.0 + 1e-6)
     assert np.array_equal(unrolled.sites, game.sites)
     assert np.array_equal(unrolled.entering.toarray(), game.entering.toarray()[:, edge])
     # The value is an upper bound, nearly exact for the sites that matter.
-    worst, largest = worst_loss(unrolled, p), largest_losses(unrolled, p)[0][0]
+    worst = worst_loss(unrolled, p)
     assert worst * (1.0 - 1e-9) <= found.value <= worst * (1.0 + 1e-3)
-    assert hit_loss(unrolled, p, found.worst) == pytest.approx(largest, rel=1e-3)
+    assert hit_loss(unrolled, p, found.worst) == pytest.approx(worst, rel=1e-3)
     assert found.value >= routes.bound * (1.0 - 1e-9)
     limit = max(routes.bound * (1.0 + SLACK), routes.value * (1.0 + SLACK))
     assert found.value <= limit * (1.0 + 1e-3) or len(routes.routes) == 1

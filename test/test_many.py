@@ -81,12 +81,11 @@ def test_results_are_those_of_solve_in_the_problems_order(executor):
 def test_the_default_answer_is_the_plan(executor, tmp_path):
     """With its map, also of a trip with stops."""
     assert solve_many([], executor) == []
-    each = replace(problem(field(), 3), stops=[(105.0, 155.0), (155.0, 55.0)], order='best')
+    each = replace(problem(field(), 3), stops=[(105.0, 155.0), (155.0, 55.0)])
     (result,) = solve_many([each], executor)
     assert isinstance(result.answer, Plan) and result.error is None
-    plan = plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options, stops=each.stops,
-                     order='best')
-    assert numbers(result.answer) == numbers(plan) and result.answer.order == plan.order
+    plan = plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options, stops=each.stops)
+    assert numbers(result.answer) == numbers(plan)
     (path,) = result.answer.save(tmp_path / 'r.csv')
     assert path[0, :2].tolist() == list(each.start_xy)
 

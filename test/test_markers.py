@@ -101,7 +101,7 @@ def test_network_draws_each_pair_once(strategy):
 def plan():
     """A round trip whose ambusher waits at each of his sites equally often on both legs."""
     options = PlanningOptions(network=NetworkOptions(spacing=1.6 * SPACING),
-                              game=GameOptions(secured_radius=SECURED, ambushers=2))
+                              game=GameOptions(secured_radius=SECURED))
     risk_map = risk_from_occupancy(occupancy(), 5.0)
     made = plan_trip(risk_map, START, START, options, stops=[GOAL])
     ambusher = made.strategy.ambusher
@@ -117,9 +117,9 @@ def total(plan):
     return strategy.game.at_places(out + back)
 
 
-def test_shares_of_places_add_up_to_the_number_of_ambushers(plan, total):
+def test_shares_of_places_add_up_to_1(plan, total):
     np.testing.assert_allclose(plan.strategy.ambush_at_places, total, atol=1e-12)
-    assert total.sum() == pytest.approx(plan.strategy.game.ambushers)
+    assert total.sum() == pytest.approx(1.0)
 
 
 def test_markers_and_report_show_each_site_once(plan, total):

@@ -43,18 +43,13 @@ def meets(path, stop):
 
 @pytest.fixture(scope='module')
 def runs(tmp_path_factory):
-    """Departures via three stops, via the best order of them, via none, and by get_plan."""
+    """Departures via three stops, via none, and by get_plan."""
     folder = tmp_path_factory.mktemp('trips')
     with stage(folder, SPACING) as running:
         client = running.give()
         assert client.call('new_route').success
         given = depart(client, STOPS)
-        running.use({'trip.order': 'best'})
-        assert client.call('new_route').success
-        client.diagnostics(order='best', stops='3')
-        running.use({'trip.order': 'random'})
-        assert client.call('new_route').success
-        client.diagnostics(order='random', stops='3')
+        client.diagnostics(stops='3')
         asked = path_from_ros(client.get_plan(pose(1.5, 5.5), pose(8.5, 5.5)))
         again = depart(client, ())
     files = recordings_in(folder)
@@ -73,7 +68,7 @@ def test_the_path_meets_each_stop_in_order_and_without_stops_none(runs):
     assert given[0, :2].tolist() == [1.5, 5.5] and given[-1, :2].tolist() == [8.5, 5.5]
     assert not any(len(meets(path, stop)) for path in (asked, again) for stop in STOPS)
     by = [trip.stops for trip in trips(files)]
-    assert by[0] == by[-1] == () and sum(len(stops) == 3 for stops in by) == 3
+    assert by[0] == by[-1] == () and sum(len(stops) == 3 for stops in by) == 1
 
 
 def test_recordings_of_trips_hold(runs, capsys):

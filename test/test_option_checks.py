@@ -5,6 +5,9 @@ import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
+from ambush_planner.commands import plan
+from ambush_planner.commands.inputs import options_of
+from ambush_planner.gone import check_none_gone
 from ambush_planner.maps import InvalidTerrain, OccupancyOptions, TerrainOptions, ViewOptions
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
@@ -28,6 +31,20 @@ def test_every_number_of_every_record_is_checked(record, value):
         assert str(value) in str(caught.value)
 
 
+def test_an_option_that_went_is_refused_with_the_remedy(capsys):
+    for flag in '--equal', '--load', '--order':
+        with pytest.raises(SystemExit) as ended:
+            plan.main(['map.yaml', '--start', '1', '1', '--goal', '2', '2', '-o', 'r.csv', flag])
+        assert ended.value.code == 2 and f'{flag} went: ' in capsys.readouterr().err
+    for name, without in (('game.ambushers', 1), ('game.loads', ()), ('trip.order', 'given'),
+                          ('strategy.max_exposure', np.inf)):
+        with pytest.raises(InvalidOption, match=f'^{name} went: '):
+            options_of([f'{name}=2'])
+        with pytest.raises(InvalidOption, match=f'^{name} went: '):
+            check_none_gone({name: 2})
+        check_none_gone({name: without})  # as in a recording that did not use it
+
+
 @pytest.mark.parametrize('record', RECORDS)
 def test_numpy_numbers_are_accepted(record):
     for name in numbers(record):
@@ -38,10 +55,10 @@ def test_numpy_numbers_are_accepted(record):
 
 @pytest.mark.parametrize('record, name, values', [
     (StrategyOptions, 'solver', ['magic', None]), (StrategyOptions, 'max_detour', [0.99]),
-    (StrategyOptions, 'max_exposure', [0.99]), (StrategyOptions, 'risk_slack', [-0.1, np.inf]),
+    (StrategyOptions, 'risk_slack', [-0.1, np.inf]),
     (StrategyOptions, 'length_weight', [-0.1, 1.0]), (StrategyOptions, 'time_limit', [0.0]),
     (GameOptions, 'ambush_radius', [np.inf]), (GameOptions, 'secured_radius', [-0.1]),
-    (GameOptions, 'ambushers', [0, 1.5]), (GameOptions, 'ambush_in_obstacles', ['yes']),
+    (GameOptions, 'ambush_in_obstacles', ['yes']),
     (NetworkOptions, 'method', ['hexagons']), (NetworkOptions, 'spacing', [-1.0, np.inf]),
     (NetworkOptions, 'clearance', [-0.1]), (NetworkOptions, 'target_nodes', [1]),
     (OccupancyOptions, 'alpha_min', [-1.0, np.nan, 1e-310]),

@@ -221,16 +221,6 @@ def test_a_plan_file_of_few_routes_draws_a_slot_too(plain, tmp_path):
     assert re.search(r', (08:00|11:00): route \d, ', run_here(draw, tmp_path / 'r.plan').out)
 
 
-def test_equal_shares_are_a_die(plain, tmp_path):
-    done = run_here(plan, plain, *ENDS, *FEW, 6, '--equal', '-o', tmp_path / 'r.png')
-    assert done.code == 0, done.err
-    rows = [line.split() for line in done.out.splitlines()]
-    head = next(k for k, row in enumerate(rows) if row[:1] == ['route'])
-    assert [row[1] + row[5] for row in rows[head + 1 : head + 7]] == [
-        f'17{k}' for k in range(1, 7)]
-    assert rows[head + 7][1] == rows[head + 7][2]  # the value of the mixture is that of the die
-
-
 def test_a_map_that_carries_no_risk_is_named(tmp_path):
     write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((20, 20), np.int8), 10.0))
     done = run_here(plan, tmp_path / 'map.yaml', '--start', 15, 15, '--goal', 185, 185, '-o',
@@ -267,13 +257,10 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
     (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
-    (('--routes', 3, '--reach', 30, '--set', 'game.ambushers=2'), 2, 'ambushers must be 1'),
-    (('--routes', 3, '--reach', 30, '--load', 0.5), 2, '--load must be empty'),
     (('--routes', 100, '--reach', 30, '--detour', 1, '--set', 'network.spacing=60',
       'network.refine=0'), 2,
      r'routes must be from 1 to \d+: of 1000 drawn routes, \d+ are different; got 100'),
     (('--routes', 3, '-n', 3), 2, 'not allowed with argument'),
-    (('--equal',), 2, '--equal needs --routes K'),
     (('--window', 2), 2, '--window needs --slots HH:MM'),
     (('--slots', '8:00', '7:00'), 2, '--slots must go forwards in time, but 07:00 follows 08:00'),
     (('--slots', 'noon'), 2, "argument --slots: must be HH:MM, got 'noon'"),

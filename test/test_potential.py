@@ -81,9 +81,9 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     game = make_game(terrain_network(seed, cells=12), GameOptions(ambush_radius=reach))
     once, (later, q) = lp_of(game, detour), lp_in_parts(game, detour, parts)
     assert later.bound == pytest.approx(once.bound, rel=POTENTIAL.precision)
-    assert len(later.q) == len(later.caps) == len(game.sites)
-    ambusher = Ambusher(at_nodes(game, q), tuple(later.prices) or (0.0,))
-    assert lower_bound(game, ambusher, (later.budget,)) == pytest.approx(later.bound, rel=1e-6)
+    assert len(later.q) == len(game.sites)
+    ambusher = Ambusher(at_nodes(game, q), later.price)
+    assert lower_bound(game, ambusher, later.budget) == pytest.approx(later.bound, rel=1e-6)
 
 
 @examples(30)
@@ -91,16 +91,15 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
        st.sampled_from([1.0, 1.05, 1.3, math.inf]))
 def test_legs_of_a_trip_prove_as_much_by_potentials_as_by_their_routes(seed, stops, reach, detour):
     """The judge reproduces the bound from the circulation, and from each leg's share of q."""
-    game, (length, exposure) = game_on(roads_of(seed, stops, 6), reach, detour, math.inf, 1)
-    lp, routes = lp_of(game, detour), Routes(game, (length, exposure), 1e-3, math.inf)
+    game, budget = game_on(roads_of(seed, stops, 6), reach, detour)
+    lp, routes = lp_of(game, detour), Routes(game, budget, 1e-3, math.inf)
     routes.prove_by_legs()
     assert lp.bound == pytest.approx(routes.bound, rel=5e-3, abs=1e-9)
     if lp.circulation is None:  # no ambusher is needed, or a single site
         return
     him = lp.ambusher(game, np.ones(len(game.sites), dtype=bool))
-    him = replace(him, prices=(*him.prices, 0.0)[:1])
-    assert lower_bound(game, him, (length,)) == pytest.approx(lp.bound, rel=5e-3)
-    assert best_response(game, him, (length,)) >= lp.bound * (1.0 - 5e-3)
+    assert lower_bound(game, him, budget) == pytest.approx(lp.bound, rel=5e-3)
+    assert best_response(game, him, budget) >= lp.bound * (1.0 - 5e-3)
 
 
 def test_with_no_site_to_limit_the_value_is_0():
@@ -133,8 +132,8 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     assert lp.bound == pytest.approx(2 / 5, rel=POTENTIAL.precision)
     curves = replace(lp.circulation, site=game.sites[lp.circulation.site])
     q = np.repeat([0.0, 0.2, 0.0], [21, 5, 1])
-    for ambusher in Ambusher(q, ()), Ambusher(q, (), circulation=curves):
-        assert lower_bound(game, ambusher, ()) == pytest.approx(2 / 5)
+    for ambusher in Ambusher(q), Ambusher(q, circulation=curves):
+        assert lower_bound(game, ambusher, Budget.length(game, np.inf)) == pytest.approx(2 / 5)
 
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():

@@ -31,7 +31,6 @@ from ambush_planner import (
     solve,
     solve_many,
 )
-from ambush_planner.game.bottleneck import find_bottleneck, secured_bound
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.game.revaluation import revalue
 from ambush_planner.game.slack import Reason
@@ -66,19 +65,17 @@ def check_strategy(strategy, options=OPTIONS) -> None:
 
 
 @examples(6)
-@given(st.data(), st.sampled_from((0.0, 1.5)), st.sampled_from((1, 2)), st.booleans())
-def test_records_of_any_network(data, reach, ambushers, timed):
+@given(st.data(), st.sampled_from((0.0, 1.5)), st.booleans())
+def test_records_of_any_network(data, reach, timed):
     terrain = st.builds(terrain_network, st.integers(0, 10**6), cells=st.just(8))
     network = data.draw(networks() | terrain)
     rng = np.random.default_rng(len(network.edges))
     if timed:
         network = replace(network, seconds=network.lengths * rng.uniform(1.0, 3.0, len(
             network.lengths)))
-    game = GameOptions(ambush_radius=reach, ambushers=min(ambushers, len(network.points)))
+    game = GameOptions(ambush_radius=reach)
     strategy = solve(network, game, OPTIONS)
     check_strategy(strategy)
-    bound = secured_bound(strategy, find_bottleneck(strategy).distance)
-    assert bound is None or 0.0 <= bound <= strategy.value
     for row in frontier(network, game, (1.0, 1.3), (0.1,)):
         check(row)
         assert row.shortest_length == strategy.shortest_length

@@ -21,7 +21,6 @@ from scipy.spatial import cKDTree
 
 from ambush_planner import words
 from ambush_planner.commands import report, report_words
-from ambush_planner.game.informant import worst_informant
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.plan import path_lengths
@@ -105,12 +104,8 @@ def test_the_numbers_are_those_of_the_strategy(made):
              *(cell for row in report_words.measures(strategy) for cell in row)]
     assert all(text in page.text for text in texts)
     assert f'{rows["energy_efficient"].v_repeated:.3g}' in report_words.tiles(section)[0][1]
-    assert f'{strategy.value:.3g}' in texts[0] and f'{strategy.lower_bound:.3g}' in texts[2]
-    assert 'At whichever node' in texts[0] and 'within 40 m of start and goal' in texts[3]
-    seen = worst_informant(strategy)
-    assert f'the mean loss to {seen.loss:.3g}, ' in texts[1]
-    corner = section.risk_map.origin[:2]
-    assert map_data(section)['informant'] == pytest.approx(np.array((seen.x, seen.y)) - corner)
+    assert f'{strategy.value:.3g}' in texts[0] and f'{strategy.lower_bound:.3g}' in texts[1]
+    assert 'At whichever node' in texts[0] and 'within 40 m of start and goal' in texts[2]
 
 
 @pytest.mark.parametrize(('metres', 'said'), [

@@ -12,7 +12,6 @@ from games import (
     hit_once,
     least_weight,
     neighbours,
-    plain_options,
     routes_of,
     unbalanced,
     value_by_routes,
@@ -34,11 +33,9 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.plan import departure_path
-from ambush_planner.planning.solving import solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_paths
@@ -86,7 +83,7 @@ def check_laws(strategy, visits):
     if strategy.game.reach == 0.0:
         entered = np.arange(network.place_count)[:, None] == network.places[network.heads]
         losses = strategy.game.loss[network.representatives] * hit_once(network, p, entered)
-        assert strategy.value == pytest.approx(np.sort(losses)[-strategy.game.ambushers :].sum())
+        assert strategy.value == pytest.approx(losses.max())
 
 
 def there_and_back(first, second):
@@ -118,86 +115,15 @@ def risk_map():
 
 
 @pytest.fixture(scope='module')
-def in_best_order(risk_map):
-    return plan_trip(risk_map, START, GOAL, OPTIONS, stops=STOPS, order='best')
-
-
-@pytest.fixture(scope='module')
 def as_given(risk_map):
     return plan_trip(risk_map, START, GOAL, OPTIONS, stops=STOPS)
 
 
-def test_the_best_order_is_the_best_of_all(risk_map):
-    asked = PlanningOptions(network=plain_options(spacing=40.0),
-                            game=GameOptions(ambush_radius=15.0, secured_radius=20.0))
-    best = plan_trip(risk_map, START, GOAL, asked, stops=STOPS, order='best')
-    assert best.order_found == 'best'
-    assert best.stops_xy == tuple(STOPS[k] for k in best.order)
-    networks = {
-        order: build_network(risk_map, START, GOAL, asked.network, [STOPS[k] for k in order])
-        for order in itertools.permutations(range(3))
-    }
-    lengths = {order: least_weight(network, network.lengths) for order, network in networks.items()}
-    budget = asked.strategy.max_detour * min(lengths.values())
-    values = {
-        order: solve_on_network(risk_map, network, PlanningOptions(
-            network=asked.network, game=asked.game,
-            strategy=StrategyOptions(max_detour=max(1.0, budget / lengths[order])))).value
-        for order, network in networks.items() if lengths[order] <= budget
-    }
-    assert best.order in values
-    assert best.strategy.value <= min(values.values()) * 1.0101
-    assert best.strategy.length_budget == pytest.approx(budget)
-
-
-def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order):
-    other = plan_trip(risk_map, START, GOAL, OPTIONS, stops=STOPS[::-1], order='best')
-    assert other.stops_xy == in_best_order.stops_xy
-    assert np.array_equal(other.strategy.edge_probability, in_best_order.strategy.edge_probability)
-    # And the network of a trip can be built again.
-    again = trip_network(risk_map, START, GOAL, OPTIONS, other.stops_xy, 'best',
-                         other.network.refined)
-    assert np.array_equal(again.points, other.network.points[: len(again.points)])
-    assert np.array_equal(again.edges, other.network.edges[: len(again.edges)])
-
-
-def test_a_site_that_two_legs_pass_counts_once_in_every_order():
-    """All routes of the best order pass one site twice, with a loss of 2.
-
-    Those of the other order pass it once, and one of 4 unless they take a way as long as the budget
-    allows for a quarter of them. If each entry counted, the best order would cost 4.
-    """
-    points = np.array([(5, 25), (35, 45), (35, 5), (35, 25), (20, 15), (45, 25)]) + 0.5
-    start, first, second, crossing, bridge, goal = range(6)
-    both_ways = [(first, crossing), (second, crossing)]
-    one_way = [(start, first), (start, bridge), (bridge, second), (first, goal), (crossing, goal)]
-    pieces = np.array([*both_ways, *one_way])
-    speeds = np.column_stack((pieces[:, 0] < pieces[:, 1], pieces[:, 0] > pieces[:, 1]))
-    speeds[: len(both_ways)] = True
-    roads = RoadGraph(points, np.sort(pieces, axis=1), speeds)
-    alpha = np.zeros((50, 60))
-    for node, loss in (crossing, 2.0), (bridge, 4.0):
-        alpha[tuple(points[node, ::-1].astype(int))] = loss
-    options = PlanningOptions(
-        network=NetworkOptions(method='graph', spacing=20.0, graph=roads),
-        game=GameOptions(secured_radius=0.0), strategy=StrategyOptions(max_detour=1.09))
-    risk_map = RiskMap(alpha, np.zeros(alpha.shape, bool), 1.0)
-    at = [tuple(points[node]) for node in (start, second, first, goal)]
-    best = plan_trip(risk_map, at[0], at[3], options, stops=at[1:3], order='best')
-    assert (best.order, best.order_found) == ((1, 0), 'best')
-    assert best.value == pytest.approx(2.0, rel=1e-3)
-
-
-def test_many_stops_get_a_short_order(risk_map, as_given):
-    rng = np.random.default_rng(3)
-    stops = [(x, y) for x, y in 20.0 + 260.0 * rng.random((14, 2))
-             if not (85.0 < x < 205.0 and 115.0 < y < 185.0)][:8]
-    coarse = replace(OPTIONS, network=NetworkOptions(spacing=45.0))
-    best = plan_trip(risk_map, START, GOAL, coarse, stops=stops, order='best')
-    assert best.order_found == 'heuristic' and sorted(best.order) == list(range(8))
-    assert (as_given.order_found, as_given.order) == ('given', (0, 1, 2))
-    given = build_network(risk_map, START, GOAL, coarse.network, stops)
-    assert best.strategy.shortest_length < least_weight(given, given.lengths)
+def test_the_network_of_a_trip_can_be_built_again(risk_map, as_given):
+    again = trip_network(risk_map, START, GOAL, OPTIONS, as_given.stops_xy,
+                         as_given.network.refined)
+    assert np.array_equal(again.points, as_given.network.points[: len(again.points)])
+    assert np.array_equal(again.edges, as_given.network.edges[: len(again.edges)])
 
 
 @pytest.mark.parametrize('turning_radius', [0.0, 12.0])
@@ -240,8 +166,8 @@ def test_a_round_trip(risk_map):
 
 def test_without_stops_a_trip_is_the_plain_game(risk_map):
     plain = solve(build_network(risk_map, START, GOAL, OPTIONS.network), OPTIONS.game)
-    plan = plan_trip(risk_map, START, GOAL, OPTIONS, order='best')
-    assert plan.order == () and plan.network.legs == 1
+    plan = plan_trip(risk_map, START, GOAL, OPTIONS)
+    assert plan.network.legs == 1
     assert np.array_equal(plan.strategy.edge_probability, plain.edge_probability)
 
 
@@ -268,18 +194,17 @@ def test_a_stop_behind_a_door_that_the_lattice_misses():
     assert network.legs == 3
 
 
-@pytest.mark.parametrize(('stops', 'order', 'error', 'words'), [
-    (STOPS, 'quick', InvalidOption, "order must be one of given, best, random, got 'quick'"),
-    ([(150.0, 150.0)], 'given', StopBlocked, 'stop 1 .* lies in an obstacle'),
-    ([STOPS[0], (500.0, 1.0)], 'given', StopBlocked, 'stop 2 .* is outside the map'),
-    ([STOPS[0], (math.nan, 1.0)], 'given', StopBlocked, 'stop 2 must be finite'),
-    ([(1.0, 2.0, 3.0)], 'best', StopBlocked, 'stop 1 must be a position'),
-    ([STOPS[0], STOPS[0]], 'given', InvalidNetwork, 'stop 1 and stop 2 are the same position'),
-    ([START, STOPS[0]], 'given', InvalidNetwork, 'start and stop 1 are the same position'),
+@pytest.mark.parametrize(('stops', 'error', 'words'), [
+    ([(150.0, 150.0)], StopBlocked, 'stop 1 .* lies in an obstacle'),
+    ([STOPS[0], (500.0, 1.0)], StopBlocked, 'stop 2 .* is outside the map'),
+    ([STOPS[0], (math.nan, 1.0)], StopBlocked, 'stop 2 must be finite'),
+    ([(1.0, 2.0, 3.0)], StopBlocked, 'stop 1 must be a position'),
+    ([STOPS[0], STOPS[0]], InvalidNetwork, 'stop 1 and stop 2 are the same position'),
+    ([START, STOPS[0]], InvalidNetwork, 'start and stop 1 are the same position'),
 ])
-def test_invalid_stops_are_refused(risk_map, stops, order, error, words):
+def test_invalid_stops_are_refused(risk_map, stops, error, words):
     with pytest.raises(error, match=words):
-        plan_trip(risk_map, START, GOAL, OPTIONS, stops=stops, order=order)
+        plan_trip(risk_map, START, GOAL, OPTIONS, stops=stops)
 
 
 def test_options_of_the_game_alone_are_refused(risk_map):
@@ -290,7 +215,7 @@ def test_options_of_the_game_alone_are_refused(risk_map):
 def value_of_all_routes(game, network, budget):
     """The least value of any mixture of routes, whose legs may depend on each other."""
     return value_by_routes(game.loss[game.sites], game.entering.toarray(), routes_of(network),
-                           [(network.lengths, budget * (1.0 + 1e-12))], game.ambushers)
+                           [(network.lengths, budget * (1.0 + 1e-12))])
 
 
 def legs_of(game):
@@ -308,12 +233,12 @@ def legs_of(game):
 
 @examples(15)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
-       detour=st.sampled_from([1.05, 1.2, math.inf]), ambushers=st.integers(1, 3))
-def test_bound_and_value_enclose_that_of_all_mixtures_of_trips(seed, reach, detour, ambushers):
+       detour=st.sampled_from([1.05, 1.2, math.inf]))
+def test_bound_and_value_enclose_that_of_all_mixtures_of_trips(seed, reach, detour):
     """And no leg alone costs more."""
     roads = roads_of(seed, 1, 4)
     network = roads.network(roads.visits)
-    options = GameOptions(ambush_radius=reach, secured_radius=0.5, ambushers=ambushers)
+    options = GameOptions(ambush_radius=reach, secured_radius=0.5)
     strategy = solve(network, options, StrategyOptions(max_detour=detour, risk_slack=0.001))
     check_laws(strategy, roads.visits)
     all_trips = value_of_all_routes(strategy.game, network, strategy.length_budget)

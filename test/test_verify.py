@@ -184,7 +184,7 @@ def test_another_value_is_found_by_solving_again(files):
      'game.secured_radius': 1.2, 'recording.compression': 'lz4'},
     {'game.ambush_radius': 1.2, 'route.tube': 0.9, 'strategy.max_detour': math.inf,
      'strategy.risk_slack': 0.1, 'max_planning_time': math.inf},
-    {'strategy.max_exposure': 1.5, 'game.ambush_in_obstacles': True, 'game.ambush_radius': 0.8},
+    {'game.ambush_in_obstacles': True, 'game.ambush_radius': 0.8},
 ], ids=['interior point', 'reach', 'exposure'])
 def test_other_solvers_networks_and_games(parameters, tmp_path, capsys):
     with stage(tmp_path, parameters) as running:
@@ -271,7 +271,7 @@ def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
     assert plan.strategy.reason == 'complete' and plan.value < 2.1
     assert len(plan.network.points) > plan.network.place_count
     trip = RecordedTrip(start, goal)
-    assert network_problems(plan.strategy, risk_map, options, trip, 'given') == []
+    assert network_problems(plan.strategy, risk_map, options, trip) == []
     moved = replace(plan.network, alpha=plan.network.alpha * 2.0)
     other = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
-    assert network_problems(other, risk_map, options, trip, 'given')
+    assert network_problems(other, risk_map, options, trip)

@@ -56,7 +56,7 @@ PLANS = {
     'refined': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=NetworkOptions(
         spacing=3.0, refine=None))),
     'few': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1),
-    'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, order='random',
+    'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS,
                                stops=[(12.0, 4.0), (28.0, 16.0)]),
     'few stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1,
                                    stops=[(12.0, 4.0)]),
@@ -73,8 +73,7 @@ def plans(tmp_path_factory):
     folder, made = tmp_path_factory.mktemp('plans'), {}
     for name, make in PLANS.items():
         plan, file = make(), folder / f'{name}.plan'
-        order = plan.order_found if plan.order_found == 'random' else 'given'
-        file.write_bytes(plan_bytes(saved_plan(plan, order=order, slots=SLOTS)))
+        file.write_bytes(plan_bytes(saved_plan(plan, slots=SLOTS)))
         made[name] = plan, file
     return made
 

@@ -32,6 +32,7 @@ from ..errors import (
     TimeLimit,
     telling_warnings,
 )
+from ..gone import remedy_for
 from ..maps.coordinates import InvalidCoordinates
 from ..words import count as count
 from .console import Console as Console
@@ -213,7 +214,8 @@ class _Parser(argparse.ArgumentParser):
         if not unknown and given.startswith('--'):
             given = given.split()[0].partition('=')[0]
             near = get_close_matches(given, self._option_string_actions, 1)
-            message = f'no option {given}' + (f'; did you mean {near[0]}?' if near else '')
+            message = remedy_for(given) or (
+                f'no option {given}' + (f'; did you mean {near[0]}?' if near else ''))
         self.exit(Exit.USAGE, f'{self.prog}: {message} (see {self.prog} --help)\n')
 
 

@@ -17,6 +17,7 @@ import yaml
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
+from ..gone import remedy_for
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
@@ -43,7 +44,7 @@ DEFAULTS: dict[str, Any] = {
     'map': OccupancyOptions(), 'network': NetworkOptions(), 'game': GameOptions(),
     'strategy': StrategyOptions(time_limit=60.0), 'route': DriveOptions()}
 # Options that a plan or an argument of its own sets.
-SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads')
+SET_BY_PLAN = ('game.tube', 'game.widened')
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
@@ -69,7 +70,7 @@ _PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
             ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)':
             ' (--set strategy.time_limit=SECONDS)',
-            'max_planning_time': 'strategy.time_limit', 'game.loads': '--load'}
+            'max_planning_time': 'strategy.time_limit'}
 # Qualified names, and those that are no ordinary words.
 _NAMED = re.compile(rf"(?<!--set )(?<!')(?<![.\w])((?:{'|'.join(DEFAULTS)})\.)?"
                     rf"({'|'.join(_TYPED)})(?!\w)")
@@ -100,7 +101,7 @@ def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
     parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
                         'cross without a shared vertex (network.node_crossings)')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
-                        help='other options: network.spacing=50 game.ambushers=2')
+                        help='other options: network.spacing=50 strategy.time_limit=300')
 
 
 def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, PlanningOptions]:
@@ -129,7 +130,7 @@ def options_of(assignments: Iterable[str]) -> tuple[OccupancyOptions, PlanningOp
     for assignment in assignments:
         name, _, text = assignment.partition('=')
         if name not in _TYPES:
-            raise InvalidOption(f'no option {name!r}; {_similar(name)}')
+            raise InvalidOption(remedy_for(name) or f'no option {name!r}; {_similar(name)}')
         if not text:
             raise InvalidOption(f'{name} has no value; write {name}=VALUE, without spaces')
         group, option = name.split('.')

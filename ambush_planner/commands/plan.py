@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 import warnings
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
 from ..planning.plan import Plan
-from ..planning.trip import ORDERS, plan_trip
+from ..planning.trip import plan_trip
 from ..recordings.metadata import RecordedSlots
 from ..recordings.plan_file import saved_plan
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
@@ -25,7 +25,7 @@ from . import cli
 from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .inputs import options_from, planner_parser
-from .positions import Position, places_on
+from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 DESCRIPTION = """\
@@ -45,8 +45,8 @@ shows each. The table on the console has the faces of one or two dice (a first a
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "driven_length", "shortest_route_loss", "informant": {{"x", "y", "loss",
-"factor"}}, "refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
+"shortest_length", "driven_length", "shortest_route_loss",
+"refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
 or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
 "draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """
@@ -71,16 +71,10 @@ def parser() -> argparse.ArgumentParser:
                       help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
                       help='number of consecutive slots that an ambush lasts (default: 1)')
-    made.add_argument('--equal', action='store_true', help='with --routes: K routes with equal '
-                      'shares')
-    made.add_argument('--order', choices=ORDERS, default='given',
-                      help='order of the stops (default: given); random: drawn with each route')
-    made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
-                      help='with --via: share of the loss that is aboard on each leg')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
-    made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound, '
-                      'all assumptions, and what an informant is worth')
+    made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound '
+                      'and all assumptions')
     return made
 
 
@@ -91,13 +85,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
-    if arguments.equal and arguments.routes is None:
-        raise cli.UsageError('--equal needs --routes K')
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
     check_outputs(arguments.output, console)
-    planning = replace(planning, game=replace(planning.game, loads=tuple(arguments.load)))
     risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
                 if arguments.terrain else read_risk_map(arguments.map, of_map))
     rng = np.random.default_rng(arguments.seed)
@@ -107,8 +98,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting(what) as progress, warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
         plan = plan_trip(risk_map, start, goal, planning, stops=stops, progress=progress,
-                         order=arguments.order, routes=arguments.routes, equal=arguments.equal,
-                         rng=rng)
+                         routes=arguments.routes, rng=rng)
     day = None
     if slots:
         day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)
@@ -125,8 +115,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day and few is None:
         drawn = replace(drawn, slots=[day.drawn(rng) for _ in drawn.paths])
     write_routes(arguments.output, drawn,
-                 saved_plan(plan, of_map, arguments.order, day,
-                            None if arguments.terrain else arguments.map)
+                 saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map)
                  if len(quick) < len(arguments.output) else None)
     _tell(plan, day, arguments, console)
     if few:
@@ -161,7 +150,6 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
                      'that were tried, mixed at best')
     if not arguments.verbose:
         console.fact('assumption', '; '.join(assumptions(plan)[:2]))
-    seen = plan.informant
     if arguments.verbose:
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
@@ -171,15 +159,6 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
             values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
             known = ', at a known time' * bool(day)
             console.fact('refined', f'{values} after each round{known}, before the final strategy')
-        if seen:
-            where: Position = arguments.start[0]
-            console.fact('informant', f'one at {where.like((seen.x, seen.y), plan.own_map)} who '
-                         f'sees whether you pass raises {strategy.value:.4g}'
-                         f'{", the value at a known time," * bool(day)} to {seen.loss:.4g}, '
-                         f'{seen.factor:.2f} times')
-        if (least := plan.secured_bound) is not None:
-            console.fact('ends', f'{least:.4g} at least if nobody could wait within '
-                         f'{distance(plan.bottleneck.distance)} of start, stops and goal')
         for text in assumptions(plan):
             console.fact('assumption', text)
     console.result = {
@@ -188,7 +167,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
         'value': value, 'lower_bound': bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
         'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
-        'informant': seen and asdict(seen), 'few': None, 'slots': None,
+        'few': None, 'slots': None,
     }
 
 

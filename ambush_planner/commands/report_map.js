@@ -290,10 +290,6 @@ class View {
       this.pen.fill(path);
       this.#stroke(path, 'white', 1.5);
     }
-    if (!this.data.informant) return;
-    const path = disc(...this.data.informant, 8 / this.scale);
-    this.#stroke(path, 'white', 5);
-    this.#stroke(path, colours('ambusher')[0], 2.5);
   }
 
   #drawEnd(x, y, name) {

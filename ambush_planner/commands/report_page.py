@@ -129,7 +129,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
         likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
         **{name: '' if there else 'hidden' for name, there in (
             ('waits', strategy.value > 0.0), ('holds', data['secured'] > 0.0),
-            ('informs', section.informant), ('blocks', section.risk_map.obstacles.any()))},
+            ('blocks', section.risk_map.obstacles.any()))},
         secured=distance(data['secured']), ends=ends(len(strategy.network.stops)),
         north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),

@@ -7,7 +7,6 @@ import math
 
 from ..arrays import NEGLIGIBLE
 from ..game.strategy import Strategy
-from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..parameters.table import PARAMETERS
 from ..planning.evaluation import evaluate
 from ..planning.plan import path_lengths
@@ -28,7 +27,7 @@ OPTIMAL = 1e-5
 def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
-        _guarantee(section), *_informant(section), _optimality(section),
+        _guarantee(section), _optimality(section),
         ' '.join(filter(None, (_assumptions(section.strategy), secured(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
@@ -47,22 +46,8 @@ def _guarantee(section: Section) -> str:
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
             f'{rounded(value)} per departure, even if he knows the map, the probabilities '
             f'and all earlier routes.{when_known} This assumes that he does not know the next '
-            f'route{" and time" * timed}.')
-
-
-def _informant(section: Section) -> list[str]:
-    """What somebody is worth to him who sees whether the convoy passes; empty if nothing."""
-    if (seen := section.informant) is None:
-        return []
-    at = f'x {rounded(seen.x, 7)} m, y {rounded(seen.y, 7)} m'
-    try:
-        lat, lon = Coordinates(section.risk_map.crs or '').to_lat_lon((seen.x, seen.y))
-        at = f'{lat:.5f}, {lon:.5f}, {at}'
-    except InvalidCoordinates:
-        pass  # the map does not know its system
-    return [f'An informant can tell him more: one at the worst place, {at}, who reports whether '
-            f'the convoy passes before he chooses where to wait, raises the mean loss to '
-            f'{rounded(seen.loss)}, {rounded(seen.factor)} times as much.']
+            f'route{" and time" * timed}; an informant who tells him whether the convoy passes '
+            'raises the mean loss at most twofold.')
 
 
 def _optimality(section: Section) -> str:
@@ -80,12 +65,11 @@ def _optimality(section: Section) -> str:
 
 def _assumptions(strategy: Strategy) -> str:
     game, radius = strategy.game, strategy.game.options.ambush_radius
-    places = 'one place' if game.ambushers == 1 else f'{game.ambushers} places'
     hits = (f'every route that passes within {distance(game.reach)} (his reach of '
             f'{distance(radius)}, and {distance(game.reach - radius)} by which the path and his '
             'place may be off)' if radius > 0.0 else
             'only routes through his node, since no reach is set (game.ambush_radius)')
-    return (f'This assumes that he waits at {places} per departure, chosen before the route is '
+    return (f'This assumes that he waits at one place per departure, chosen before the route is '
             f'drawn, hits {hits}, and causes the loss of the risk map there.')
 
 
@@ -106,7 +90,6 @@ def tiles(section: Section) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
     strategy, rows = section.strategy, evaluate(section.strategy)
     fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
-    several = strategy.game.ambushers > 1
     different = len({each.path_poses.round(1).tobytes() for each in section.departures})
     driven = path_lengths([each.path_poses for each in section.departures])
     ratio = rounded(strategy.expected_length / strategy.shortest_length)
@@ -116,7 +99,6 @@ def tiles(section: Section) -> list[tuple[str, str]]:
         (rounded(section.bounds[0]), 'mean loss per departure from the best ambush'
          f'{" (at one time)" * timed}, instead of {rounded(fixed.v_repeated)} if you always take '
          'the shortest route'),
-        (rounded(chance, 2), 'ambushes hit a departure, on average') if several else
         (percent(chance), f'of departures are hit by the best ambush{" at the right time" * timed},'
          f' instead of {percent(fixed.p_repeated)} on a fixed route that he has learnt'),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),

@@ -13,7 +13,6 @@ from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import METHODS, NetworkOptions
 from ..planning.options import DriveOptions
-from ..planning.trip import ORDERS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),
                                     StrategyOptions())
@@ -40,7 +39,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'plan': Declaration(
         '',
         'File of ambush plan -o FILE.plan to start from: its map, start, goal and stops, and its '
-        'options instead of the parameters map, network, game, strategy, route and trip.order, '
+        'options instead of the parameters map, network, game, strategy and route, '
         'except map.costmap, strategy.max_gap and route.path_spacing.',
         fixed=True),
     'map.alpha_min': Declaration(
@@ -109,8 +108,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'start tolerance.', AUTOMATIC),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
-    'game.ambushers': Declaration(
-        _GAME.ambushers, 'Number of sites ambushed at once; their losses add up.', 1, 100),
     'game.ambush_in_obstacles': Declaration(
         _GAME.ambush_in_obstacles,
         'Whether an ambush with an ambush_radius may also be in obstacle cells.'),
@@ -120,10 +117,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _STRATEGY.max_detour,
         'Maximum expected length, as a multiple of the shortest path; .inf: any. It is a target as '
         'well as a limit: longer routes are harder to guess.', 1.0),
-    'strategy.max_exposure': Declaration(
-        _STRATEGY.max_exposure,
-        'Maximum expected exposure (integral of the loss along the route), as a multiple of the '
-        'minimum; .inf: any. Only for the solver max_entropy.', 1.0),
     'strategy.risk_slack': Declaration(
         _STRATEGY.risk_slack, 'Share of the value to give up for less predictable routes.'),
     'strategy.length_weight': Declaration(
@@ -182,12 +175,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         True,
         'Whether the path is published. If not, only responses of get_plan and results of the '
         'actions carry routes, and new_route is refused.', fixed=True),
-    'trip.order': Declaration(
-        'given',
-        'Order of the stops of via_poses: as given, or (best) the order of least value within the '
-        'length budget of the shortest order; with more than 7 stops, a short order; or (random) '
-        'drawn with each route, for at most 4 stops.',
-        choices=ORDERS),
     'recording.enabled': Declaration(True, 'Whether departures are recorded.', fixed=True),
     'recording.required': Declaration(
         False,

@@ -33,11 +33,11 @@ class BestShares(NamedTuple):
     def of_all(self, count: int, least: float = 0.0) -> FloatArray:
         """The shares of all paths (``count``,), those up to ``least`` left out.
 
-        Raises BudgetInfeasible if no shares are within the budgets.
+        Raises BudgetInfeasible if no shares are within the budget.
         """
         if math.isinf(self.value):
             raise BudgetInfeasible(f'no mixture of {len(self.columns)} routes was found within the '
-                                   'budgets; raise max_detour or max_exposure')
+                                   'budget; raise max_detour')
         shares = np.zeros(count)
         shares[self.columns] = np.where(self.shares > least, self.shares, 0.0)
         return np.asarray(shares / shares.sum())

@@ -158,7 +158,7 @@ def _covers_all(plan: Plan) -> str:
     network, game = plan.network, plan.strategy.game
     sites = plan.bottleneck.sites
     sites = sites[ALL_ROUTES * game.loss[sites] <= plan.strategy.value]
-    if game.ambushers > 1 or not len(sites) or not is_sound(plan):
+    if not len(sites) or not is_sound(plan):
         return ''
     ends = network.points[[network.source, *network.stops, network.target]]
     away = np.hypot(*np.moveaxis(game.network.points[sites][:, None] - ends, 2, 0))
@@ -170,8 +170,8 @@ def _covers_all(plan: Plan) -> str:
 
 
 def _is_chance(game: Game) -> bool:
-    """Whether the value is a probability: one ambush, which costs 1 wherever it is."""
-    return game.ambushers == 1 and not np.any((game.loss != 0.0) & (game.loss != 1.0))
+    """Whether the value is a probability: an ambush costs 1 wherever it is."""
+    return not np.any((game.loss != 0.0) & (game.loss != 1.0))
 
 
 def _strategy_number(name: str, plan: Plan) -> str:
@@ -193,8 +193,7 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
     'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
     'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),
     'search_ended': lambda plan: plan.strategy.reason,
-    'stops': lambda plan: str(len(plan.order)),
-    'order': lambda plan: plan.order_found if plan.order else '',
+    'stops': lambda plan: str(len(plan.network.stops)),
     'solve_seconds': lambda plan: f'{plan.seconds:.3f}',
 }
 

@@ -23,9 +23,9 @@ class Measures:
     """One planner's row of the table.
 
     ``expected_length`` is E [m, or s if the network has driving times]; ``p_first`` is P_1, the
-    probability of an ambush by the equilibrium ambusher (with several ambushers, the expected
-    number that hit the convoy); ``p_repeated`` and ``v_repeated`` are P_inf and V_inf, probability
-    and mean loss of an ambush by an ambusher who has learnt the planner's strategy.
+    probability of an ambush by the equilibrium ambusher; ``p_repeated`` and ``v_repeated`` are
+    P_inf and V_inf, probability and mean loss of an ambush by one who has learnt the planner's
+    strategy.
     """
 
     planner: str

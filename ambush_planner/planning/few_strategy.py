@@ -36,10 +36,9 @@ def few_strategy(strategy: Strategy, few: FewRoutes) -> tuple[Strategy, list[Ind
     network = Network(whole.points[of], whole.alpha[of], edges, 0, 1,
                       np.unique(whole.places[of], return_inverse=True)[1], whole.leg[of], seconds)
     game = make_game(network, strategy.game.options)
-    budgets = (replace(Budget.length(game, math.inf), least=strategy.shortest_length),
-               replace(Budget.exposure(game, math.inf), least=strategy.least_exposure))
-    ambusher = Ambusher(_at_worst(network, game.loss, few.worst_xy), (0.0, 0.0))
-    mixed = strategy_of(game, p, ambusher, budgets, 0.0)
+    budget = replace(Budget.length(game, math.inf), least=strategy.shortest_length)
+    ambusher = Ambusher(_at_worst(network, game.loss, few.worst_xy))
+    mixed = strategy_of(game, p, ambusher, budget, 0.0)
     return replace(mixed, certificate=Certificate(few.value, few.lower_bound)), routes
 
 

@@ -87,19 +87,18 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
                   slacks: Sequence[float] = SLACKS,
                   on_row: Callable[[FrontierRow], None] | None = None, *,
                   stops: Sequence[npt.ArrayLike] = (),
-                  order: str = 'given',
                   refined: FloatArray | None = None) -> tuple[FrontierRow, ...]:
     """The rows of ``frontier`` for the plans of a trip: their values are those of ``plan_trip``.
 
-    ``stops`` and their ``order`` are as in ``Plan.stops_xy``, ``refined`` as in ``Network``; by
+    ``stops`` are as in ``Plan.stops_xy``, ``refined`` as in ``Network``; by
     default, it is that of the plan. Raises the errors of ``plan_trip``.
     """
     if refined is None:
         refined = np.empty((0, 3))
         if grading(risk_map, options, refined):
-            refined = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops,
-                                order=order).network.refined
-    network = trip_network(risk_map, start_xy, goal_xy, options, stops, order, refined)
+            refined = plan_trip(risk_map, start_xy, goal_xy, options,
+                                stops=stops).network.refined
+    network = trip_network(risk_map, start_xy, goal_xy, options, stops, refined)
 
     def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
         warm = WarmStart.of(before) if before else None

@@ -70,7 +70,7 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     end = begin + options.strategy.time_limit
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
-    network = trip_network(risk_map, start, goal, options, (), 'given', np.empty((0, 3)))
+    network = trip_network(risk_map, start, goal, options, (), np.empty((0, 3)))
     # By length on any network: trips without times cannot be held against a time.
     network = replace(network, seconds=None)
     shortest = network.ground_length or least_cost(network, network.lengths)

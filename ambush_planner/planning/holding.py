@@ -85,7 +85,7 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     _check(risk_map, radius, count, candidates or {})
     options = options or PlanningOptions()
     plan = plan_trip(risk_map, start_xy, goal_xy, options, stops=(stops := list(stops)))
-    network = trip_network(risk_map, start_xy, goal_xy, options, stops, 'given',
+    network = trip_network(risk_map, start_xy, goal_xy, options, stops,
                            plan.network.refined)
 
     def solved(held: tuple[SecuredPlace, ...], after: Strategy | None = None) -> Strategy:

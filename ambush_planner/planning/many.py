@@ -27,7 +27,6 @@ class Problem:
     goal_xy: tuple[float, float]
     options: PlanningOptions = field(default_factory=PlanningOptions)
     stops: Sequence[tuple[float, float]] = ()
-    order: str = 'given'
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,5 +127,5 @@ def _error_of(future: Future[Any]) -> BaseException | None:
 def _solve(problem: Problem, answer: Callable[[Plan], Any] | None) -> Any:
     """Solve one problem in the executor's process."""
     plan = plan_quietly(problem.risk_map, problem.start_xy, problem.goal_xy, problem.options,
-                        list(problem.stops), problem.order)
+                        list(problem.stops))
     return replace(plan, risk_map=None) if answer is None else answer(plan)

@@ -22,12 +22,13 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import AmbushPlannerError
 from ..game.ambusher import Ambusher
+from ..game.budget import Budget
 from ..game.certificate.certificate import Certificate, lower_bound
 from ..game.distribution.chain import NO_FLOW
 from ..game.game import make_game
 from ..game.hits import worst_loss
 from ..game.route_sampler import route_edges
-from ..game.strategy import Strategy, make_budgets
+from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
 from ..routes.corridors import secured_in_map_axes
@@ -85,7 +86,7 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
 
     try:
         strategy = _best_joined(ground, newest, moved, flow, len(at))
-    except AmbushPlannerError:  # no route within the budgets of length or exposure
+    except AmbushPlannerError:  # no route within the budget
         return None
     fitted = ground.fitted(newest, ends, np.unique(network.places[at]))
     game, corridors = strategy.game, fitted.corridors
@@ -182,21 +183,19 @@ def _best_joined(ground: ChangedGround, newest: OccupancyMap, network: Network,
                  flow: Callable[[FloatArray], FloatArray], joins: int) -> Strategy:
     """Return the best strategy on another network that begins with one of its last edges.
 
-    ``flow`` gives p (M,) from their probabilities (``joins``,). It may exceed the budgets, whose
-    best routes begin elsewhere. Raises NoRoute or BudgetInfeasible if the best route exceeds one.
+    ``flow`` gives p (M,) from their probabilities (``joins``,). It may exceed the budget, whose
+    shortest route begins elsewhere. Raises NoRoute or BudgetInfeasible if that exceeds it.
     """
     before = ground.plan.strategy
     game = make_game(network, before.game.options)
-    budgets = make_budgets(game, ground.plan.options.strategy)
-    prices = tuple(price if budget.binds else 0.0 for price, budget in zip(
-        before.ambusher.prices, budgets, strict=True))
+    budget = Budget.length(game, ground.plan.options.strategy.max_detour)
     source = network.source
     away = math.dist(network.points[source], before.network.points[source])
-    longest = max(budgets[0].limit, before.expected_length + away)
+    longest = max(budget.limit, before.expected_length + away)
     p = flow(np.full(joins, 1.0 / joins))
     p = flow(best_first_steps(game, p, longest, ground.site_search(newest, game, p)))
-    ambusher = Ambusher(before.ambusher.q, prices)
+    ambusher = Ambusher(before.ambusher.q, before.ambusher.price * budget.binds)
     value = worst_loss(game, p)
-    at_nodes = Certificate(value, min(lower_bound(game, ambusher, budgets), value))
+    at_nodes = Certificate(value, min(lower_bound(game, ambusher, budget), value))
     anywhere = replace(at_nodes, value=ground.at_any_cell(at_nodes, newest, game, p).value)
-    return Strategy(game, frozen_array(p, np.float64), ambusher, budgets, anywhere)
+    return Strategy(game, frozen_array(p, np.float64), ambusher, budget, anywhere)

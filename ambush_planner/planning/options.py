@@ -133,11 +133,9 @@ def finest_spacing(risk_map: RiskMap, wanted: float) -> float:
 def holds_anywhere(options: PlanningOptions) -> bool:
     """Whether a plan's value holds wherever on the ground the ambusher waits, not only at nodes.
 
-    Several ambushers could surround one place, and cyclic strategies have no hit probabilities.
+    Cyclic strategies have no hit probabilities.
     """
-    game = options.game
-    return (game.ambush_radius > 0.0 and game.ambushers == 1
-            and options.strategy.solver == 'max_entropy')
+    return options.game.ambush_radius > 0.0 and options.strategy.solver == 'max_entropy'
 
 
 def parts_of_cells(resolution: float, game: GameOptions) -> int:

@@ -53,7 +53,7 @@ class PathMixtures:
     once however often it comes back. The robot's tracking error adds to the reach, but no tube: a
     given path is what is driven.
 
-    Raises InvalidOption if the plan's game has no reach, or several ambushers.
+    Raises InvalidOption if the plan's game has no reach.
     """
 
     def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray]) -> None:
@@ -127,11 +127,6 @@ def check_judged(options: GameOptions) -> None:
     if options.ambush_radius == 0.0:
         raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by what '
                             'an ambush reaches')
-    if options.ambushers > 1:
-        raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, got '
-                            f'{options.ambushers}')
-    if options.loads:
-        raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
 
 
 def side_by_side(inner: Sequence[int]) -> tuple[IndexArray, IndexArray]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -15,8 +14,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
-from ..game.bottleneck import Bottleneck, find_bottleneck, secured_bound
-from ..game.informant import Informant, worst_informant
+from ..game.bottleneck import Bottleneck, find_bottleneck
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
@@ -54,8 +52,8 @@ class PlanRequest:
         How far a goal in an obstacle may be moved [m].
     options
         Network, game and strategy.
-    stops_xy, order
-        Stops [m] and their order, as ``plan_trip`` takes them.
+    stops_xy
+        Stops [m] in the order in which they are visited.
     warm
         A similar strategy to start the search from.
     """
@@ -67,7 +65,6 @@ class PlanRequest:
     goal_tolerance: float
     options: PlanningOptions
     stops_xy: tuple[tuple[float, float], ...] = ()
-    order: str = 'given'
     warm: WarmStart | None = None
 
 
@@ -80,10 +77,7 @@ class Plan(Shown):
     time.
     ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
     of few routes that departures draw from, None if they draw from the strategy.
-    ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
-    'best' or 'heuristic'. If it is 'random', ``order`` is the given one, and each route has its own
-    (``network.visited``). ``refinement`` has the rounds in which the network was refined; () if
-    it is plain.
+    ``refinement`` has the rounds in which the network was refined; () if it is plain.
     """
 
     strategy: Strategy
@@ -91,8 +85,6 @@ class Plan(Shown):
     options: PlanningOptions
     spacing: float
     seconds: float = 0.0
-    order: tuple[int, ...] = ()
-    order_found: str = 'given'
     risk_map: RiskMap | None = None
     few: FewRoutes | None = None
     refinement: tuple[Round, ...] = ()
@@ -235,11 +227,10 @@ class Plan(Shown):
         from .frontier import DETOURS, SLACKS, trip_frontier
 
         start = self.network.points[self.network.source]
-        order = 'random' if self.order_found == 'random' else 'given'
         return trip_frontier(self.own_map, start, self.goal_xy, self.options,
                              DETOURS if detours is None else detours,
                              SLACKS if slacks is None else slacks,
-                             stops=self.stops_xy, order=order, refined=self.network.refined)
+                             stops=self.stops_xy, refined=self.network.refined)
 
     @cached_property
     def driven_length(self) -> float:
@@ -253,26 +244,9 @@ class Plan(Shown):
         rng = np.random.default_rng(0)
         return float(path_lengths(departure_paths(self, DRIVEN, self.spacing, rng)).mean())
 
-    @cached_property
-    def informant(self) -> Informant | None:
-        """What somebody at the worst place is worth who tells the ambusher whether you pass it."""
-        return worst_informant(self.strategy)
-
-    @cached_property
-    def secured_bound(self) -> float | None:
-        """A lower bound of the value if nobody could wait near the ends, where sites decide it.
-
-        Near is within ``bottleneck.distance``. None if no deciding site is in it, or if
-        nothing is proved within the time limit.
-        """
-        if not self.bottleneck.near_ends:
-            return None
-        deadline = time.monotonic() + self.options.strategy.time_limit
-        return secured_bound(self.strategy, self.bottleneck.distance, deadline)
-
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
-        """The stops as they are visited, or in the given order if it is random [m]."""
+        """The stops as they are visited [m]."""
         stops = self.network.points[self.network.stops].tolist()
         return tuple((x, y) for x, y in stops)
 

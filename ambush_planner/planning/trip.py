@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of trips: one strategy over all legs, with stops in the given, the best or a random order.
+"""Plans of trips: one strategy over all legs.
 
 An ambush hits a trip once, on whichever legs it passes the site, so legs cannot be solved one by
 one: the network has a layer for each leg, and one game covers all (``Network.legs``).
@@ -15,29 +15,24 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
-from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, TimeLimit, warn
+from ..errors import InvalidOption, InvalidRiskMap, warn
 from ..game.search import Search
+from ..game.strategy import Strategy
 from ..game.value.routes import Progress, no_progress
 from ..maps.obstacles import nearest_free_cell
 from ..maps.risk_map import RiskMap
 from ..network.construction import build_trip_graph
 from ..network.network import Network
-from ..network.trip_graph import TripGraph
 from .concerns import concerns
 from .few_routes import few_routes
 from .options import PlanningOptions, grading, is_graded
 from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan
-from .refinement import refine
+from .refinement import Round, refine
 from .solving import WarmStart, find_value_on, finish_on, solve_on_network, with_time
-from .stop_order import Planned, StopOrderSearch, in_order
 
-ORDERS = ('given', 'best', 'random')
-# Largest number of stops for a random order: 24 orders.
-MAX_RANDOM_STOPS = 4
-# Share of the time limit for the best order, if its network is then refined; and share of the time
-# left that a round of refinement may take.
-ORDERED, ROUND = 0.6, 0.6
+# Share of the time left that a round of refinement may take.
+ROUND = 0.6
 # Share of the time limit for a plan whose routes then become a mixture of a few.
 PLANNED = 0.7
 
@@ -46,8 +41,8 @@ Position = tuple[float, float]
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
-              order: str = 'given', warm: WarmStart | None = None, routes: int | None = None,
-              equal: bool = False, rng: np.random.Generator | int | None = None,
+              warm: WarmStart | None = None, routes: int | None = None,
+              rng: np.random.Generator | int | None = None,
               progress: Progress = no_progress) -> Plan:
     """Plan a trip from start to goal through stops.
 
@@ -63,20 +58,12 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     options
         Network, game, strategy and how routes become paths.
     stops
-        World positions [m].
-    order
-        'given', or 'best': the order of least value within the budget of ``max_detour`` times the
-        shortest way in any order. For up to ``MAX_COMPARED`` stops, no other order is better by
-        more than the risk slack, with hits counted once (``Plan.order_found`` is 'best'). With
-        more stops, or if the time limit passes, the order is a short one or the best so far
-        ('heuristic'). Or 'random', for up to ``MAX_RANDOM_STOPS`` stops: the order is drawn with
-        the route, so its value is at most that of the best order within the same budget.
+        World positions [m], in the order in which they are visited.
     warm
-        A similar strategy to start the search from, for the given order only.
-    routes, equal, rng
-        Departures draw from the best mixture found of at most so many routes, or of as many with
-        ``equal`` shares: ``Plan.few``. ``rng`` draws the candidates, or is a seed. The strategy
-        then gets ``PLANNED`` of the time limit.
+        A similar strategy to start the search from.
+    routes, rng
+        Departures draw from the best mixture found of at most so many routes: ``Plan.few``. ``rng``
+        draws the candidates, or is a seed. The strategy then gets ``PLANNED`` of the time limit.
     progress
         Is called with the value and the lower bound so far; the value is ``inf`` before the first
         strategy.
@@ -84,7 +71,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     Returns
     -------
     Plan
-        With ``value``, ``lower_bound``, ``strategy`` and ``order``; it draws ``paths(n)``.
+        With ``value``, ``lower_bound`` and ``strategy``; it draws ``paths(n)``.
 
     Raises
     ------
@@ -93,7 +80,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     StartBlocked, StopBlocked, GoalBlocked
         A position is off the map or within the clearance of an obstacle.
     NoRoute, BudgetInfeasible
-        No route leads from start to goal, or none within the budgets.
+        No route leads from start to goal, or none within the budget.
     TimeLimit
         The time limit passed before the gap was at most ``max_gap``, or before a mixture of few
         routes was found; it has the best ``strategy``.
@@ -127,9 +114,9 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     begin, limit, quick = time.monotonic(), options.strategy.time_limit, options
     if routes is not None:
         quick = with_time(options, begin + PLANNED * limit)
-    made = plan_quietly(risk_map, start_xy, goal_xy, quick, list(stops), order, warm, progress)
+    made = plan_quietly(risk_map, start_xy, goal_xy, quick, list(stops), warm, progress)
     if routes is not None:
-        few = few_routes(made, routes, equal, np.random.default_rng(rng), begin + limit)
+        few = few_routes(made, routes, np.random.default_rng(rng), begin + limit)
         made = replace(made, options=options, few=few)
     for text in concerns(made):
         warn(text)
@@ -137,12 +124,10 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
 
 def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-                 options: PlanningOptions, asked: Sequence[npt.ArrayLike] = (),
-                 order: str = 'given', warm: WarmStart | None = None,
+                 options: PlanningOptions, stops: Sequence[npt.ArrayLike] = (),
+                 warm: WarmStart | None = None,
                  progress: Progress = no_progress) -> Plan:
     """``plan_trip`` without its warnings."""
-    if order not in ORDERS:
-        raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
     if not isinstance(risk_map, RiskMap):
         raise InvalidRiskMap(f'plan_trip needs a RiskMap, got a {type(risk_map).__name__}; '
                              'read_risk_map reads one from a file')
@@ -151,15 +136,11 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
         field = kind.removesuffix('Options').lower()
         raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
                             f'PlanningOptions({field}={kind}(...))')
-    if options.game.loads and order != 'given':
-        raise InvalidOption(f"loads belong to legs, so order must be 'given', got {order!r}")
     begin = time.monotonic()
-    place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    trip = _Trip(risk_map, start_xy, goal_xy, [asked[k] for k in place], order, options, progress)
-    strategy, chosen, found, done = trip.solve(warm, begin)
+    trip = _Trip(risk_map, start_xy, goal_xy, stops, options, progress)
+    strategy, rounds = trip.solve(warm, begin)
     made = make_plan(risk_map, strategy, options)
-    return replace(made, seconds=time.monotonic() - begin,
-                   order=tuple(place[k] for k in chosen), order_found=found, refinement=done)
+    return replace(made, seconds=time.monotonic() - begin, refinement=rounds)
 
 
 @dataclass(frozen=True)
@@ -169,56 +150,32 @@ class _Trip:
     risk_map: RiskMap
     start_xy: npt.ArrayLike
     goal_xy: npt.ArrayLike
-    stops: list[npt.ArrayLike]
-    order: str
+    stops: Sequence[npt.ArrayLike]
     options: PlanningOptions
     progress: Progress
 
-    def solve(self, warm: WarmStart | None, begin: float) -> Planned:
-        """The strategy on a network that is refined if it is graded."""
-        first = warm.refined if warm else np.empty((0, 3))
-        chosen, found, options = tuple(range(len(self.stops))), self.order, self.options
-        end, best = begin + options.strategy.time_limit, None
-        if self.order == 'best' and len(self.stops) > 1:
-            ordered = ORDERED if is_graded(options) else 1.0
-            rest = with_time(options, begin + ordered * options.strategy.time_limit)
-            search = StopOrderSearch(self.risk_map, self.graph(first), rest, self.progress)
-            best = search.run()
-            if not is_graded(options):
-                return best
-            chosen, found = best.order, best.order_found
-            warm, options = WarmStart.of(best.strategy), search.within_budget(chosen)
+    def solve(self, warm: WarmStart | None, begin: float) -> tuple[Strategy, tuple[Round, ...]]:
+        """The strategy, and the rounds in which its network was refined, if it is graded."""
+        first, options = warm.refined if warm else np.empty((0, 3)), self.options
+        end = begin + options.strategy.time_limit
         if not is_graded(options):
-            network = self.network(self.graph(first), chosen)
-            strategy = solve_on_network(self.risk_map, network, with_time(options, end), warm,
-                                        self.progress)
-            return Planned(strategy, chosen, found)
+            strategy = solve_on_network(self.risk_map, self.network(first),
+                                        with_time(options, end), warm, self.progress)
+            return strategy, ()
 
         def value_on(similar: WarmStart | None) -> Search:
-            graph = self.graph(similar.refined if similar else first)
+            network = self.network(similar.refined if similar else first)
             rest = with_time(options, time.monotonic() + ROUND * (end - time.monotonic()))
-            return find_value_on(self.risk_map, self.network(graph, chosen), rest, similar,
-                                 self.progress)
+            return find_value_on(self.risk_map, network, rest, similar, self.progress)
 
-        try:
-            refined, rounds = refine(value_on, self.risk_map, options, warm)
-            strategy = finish_on(refined, options, end)
-        except TimeLimit:
-            if best is None:
-                raise
-            return best
-        if best and best.strategy.value <= strategy.value:
-            return best
-        return Planned(strategy, chosen, found, rounds)
+        refined, rounds = refine(value_on, self.risk_map, options, warm)
+        return finish_on(refined, options, end), rounds
 
-    def graph(self, refined: FloatArray) -> TripGraph:
-        """The graph of drivable places with ``Network.refined`` (K, 3)."""
-        return build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
-                                self.stops, grading(self.risk_map, self.options, refined))
-
-    def network(self, graph: TripGraph, chosen: Sequence[int]) -> Network:
-        """The network with the stops in an order (K,), or in any if it is random."""
-        return _in_any_order(graph) if self.order == 'random' else in_order(graph, chosen)
+    def network(self, refined: FloatArray) -> Network:
+        """The network with ``Network.refined`` (K, 3)."""
+        graph = build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
+                                 self.stops, grading(self.risk_map, self.options, refined))
+        return graph.network(graph.visits)
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
@@ -230,31 +187,12 @@ def plan_from_request(request: PlanRequest) -> Plan:
     goal_xy = nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,
                                 network.clearance, network.clear_of_edge)
     made = plan_quietly(risk_map, request.start_xy, goal_xy, request.options, request.stops_xy,
-                        request.order, request.warm)
+                        request.warm)
     return replace(made, risk_map=None)  # too large to send to another process
 
 
 def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-                 options: PlanningOptions, visited: Sequence[npt.ArrayLike], order: str,
+                 options: PlanningOptions, stops: Sequence[npt.ArrayLike],
                  refined: FloatArray) -> Network:
     """The network of a plan with its stops as in ``Plan.stops_xy`` and ``Network.refined``."""
-    places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
-    trip = _Trip(risk_map, start_xy, goal_xy, [visited[k] for k in places], order, options,
-                 no_progress)
-    return trip.network(trip.graph(refined), np.argsort(places).tolist())
-
-
-def _in_any_order(graph: TripGraph) -> Network:
-    source, *stops, target = graph.visits
-    if len(stops) > MAX_RANDOM_STOPS:
-        raise InvalidOption(f"order 'random' takes at most {MAX_RANDOM_STOPS} stops, got "
-                            f'{len(stops)}')
-    if len({source, target, *stops}) < len({source, target}) + len(stops):
-        raise InvalidNetwork("with order 'random', no stop may be at the position of another one, "
-                             'of the start or of the goal')
-    return graph.network_in_any_order()
-
-
-def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
-    """Indices of the stops by coordinates, so that the best order is independent of the given."""
-    return sorted(range(len(stops)), key=lambda k: np.ravel(stops[k]).tolist())
+    return _Trip(risk_map, start_xy, goal_xy, stops, options, no_progress).network(refined)

@@ -228,8 +228,7 @@ def trip_on(plan: Plan, route: IndexArray, path: FloatArray, destination: Destin
     A robot is on the path within the tube, its tracking error and a cell. Stops that it has
     ``passed`` before do not lie ahead again, even if the path leads back to them.
     """
-    passes, which = plan.network.visited(route)
-    visits = np.array(plan.order, np.int64)[which]
+    passes, visits = plan.network.visited(route)
     ahead = ~np.isin(visits, list(passed))
     places = np.vstack((path[:1, :2], plan.network.points[route[1:]]))
     return TripUnderWay(

@@ -35,8 +35,7 @@ STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz',
 MAP_FILE, FEW_FILE = 'map.npz', 'few.npz'
 NUMBERS = (
     'value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
-    'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
-    'edge_entropy', 'route_entropy',
+    'expected_length', 'expected_exposure', 'least_exposure', 'edge_entropy', 'route_entropy',
 )
 # Rounding between releases of numpy and scipy, relative and absolute.
 _SAME = 1e-9
@@ -93,17 +92,15 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)
     if len(p) != len(network.edges) or not ((p >= 0.0).all() and (q >= 0.0).all()):
         raise ValueError('its probabilities are not those of its network')
-    length, exposure = Budget.length(game, math.inf), Budget.exposure(game, math.inf)
-    budgets = (replace(length, limit=stated['length_budget']),
-               replace(exposure, limit=stated['exposure_budget']))
+    budget = replace(Budget.length(game, math.inf), limit=stated['length_budget'])
     circulation = Circulation(*(content[name] for name in _CIRCULATION)) if (
         _CIRCULATION[0] in content) else None
-    ambusher = Ambusher(q, (stated['length_price'], stated['exposure_price']),
+    ambusher = Ambusher(q, stated['length_price'],
                         content.get(_BY_LEG), circulation)
     # A bound of what was stated is enough: a larger one can take seconds.
     enough = (1.0 - ROUNDING / 10.0) * stated['lower_bound']
-    bound = lower_bound(game, ambusher, budgets, enough=enough)
-    strategy = strategy_of(game, p, ambusher, budgets, bound)
+    bound = lower_bound(game, ambusher, budget, enough=enough)
+    strategy = strategy_of(game, p, ambusher, budget, bound)
     reason = str(content[_REASON])
     if reason not in get_args(Reason):
         raise ValueError(f'{reason!r} is no reason why a search ends')

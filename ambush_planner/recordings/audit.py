@@ -136,8 +136,7 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     counts = [(passages, expected, variance)]
     counts += _slot_counts([each.drawn_slot for each in audited if each.drawn_slot], resamples, rng)
     loss, row, node = (np.concatenate(parts) for parts in zip(*losses, strict=True))
-    ambushers = [each.drawn_from.game.ambushers for each in audited]
-    caused = _observe(followed, ambushers, loss, row, node)
+    caused = _observe(followed, n, loss, row, node)
     low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
     return Audit(departures=n, strategies=len(groups), left_out=len(departures) - n,
                  impossible=impossible,
@@ -271,23 +270,20 @@ def _p_value(counts: Sequence[_Counts]) -> float:
     return float(1 + reached) / len(total)
 
 
-def _observe(sets: int, ambushers: Sequence[int], loss: FloatArray, row: IndexArray,
+def _observe(sets: int, n: int, loss: FloatArray, row: IndexArray,
              node: IndexArray) -> FloatArray:
     """Losses (sets, n - 1) that an observer causes in each set after the first departure.
 
-    In row set * n + departure, waiting at the node costs the loss (K,); ``ambushers`` (n,) is the
-    number of nodes where he waits at once.
+    In row set * n + departure, waiting at the node costs the loss (K,).
     """
-    n, hit, column = len(ambushers), *np.unique(node, return_inverse=True)
-    # Columns without losses: he stays away until he has seen as many places as he can wait at.
-    width = len(hit) + max(ambushers)
-    waiting = csr_matrix((loss, (row, column)), (sets * n, width))
-    seen, best = np.zeros((sets, width)), np.zeros((sets, 0), np.int64)
-    seen[:, len(hit):] = np.finfo(float).tiny
+    hit, column = np.unique(node, return_inverse=True)
+    # The last column has no losses: he stays away until he has seen a place.
+    waiting = csr_matrix((loss, (row, column)), (sets * n, len(hit) + 1))
+    seen, every = np.zeros((sets, len(hit) + 1)), np.arange(sets)
+    seen[:, -1] = np.finfo(float).tiny
     caused = np.zeros((sets, n))
-    for k, count in enumerate(ambushers):
-        latest = waiting[np.arange(sets) * n + k].toarray()
-        caused[:, k] = np.take_along_axis(latest, best, 1).sum(axis=1)
+    for k in range(n):
+        latest = waiting[every * n + k].toarray()
+        caused[:, k] = latest[every, seen.argmax(axis=1)]
         seen += latest
-        best = np.argpartition(seen, -count, axis=1)[:, -count:]
     return caused[:, 1:]

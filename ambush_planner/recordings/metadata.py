@@ -108,8 +108,6 @@ class RecordedPlan:
 
     id: str
     made_ns: int
-    order: tuple[int, ...]
-    order_found: str
     seconds: float
     source: MapSource | None
     slots: RecordedSlots | None

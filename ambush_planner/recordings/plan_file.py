@@ -77,14 +77,14 @@ def digest_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None, order: str = 'given',
+def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
                slots: RecordedSlots | None = None, map_file: Path | None = None) -> SavedPlan:
     """A new plan to save; ``map_file`` is where its map came from, if it is to be watched.
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
     occupancy = occupancy or OccupancyOptions(crs=plan.own_map.crs)
-    values = parameter_values(plan, occupancy, order)
+    values = parameter_values(plan, occupancy)
     roads = plan.options.network.roads
     roads = roads and in_map_frame(roads, plan.own_map.crs)
     source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
@@ -92,11 +92,11 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None, order: str
                      made_ns=time.time_ns())
 
 
-def parameter_values(plan: Plan, occupancy: OccupancyOptions, order: str) -> dict[str, Any]:
+def parameter_values(plan: Plan, occupancy: OccupancyOptions) -> dict[str, Any]:
     """The options of a plan by the names of the node's parameters, and those that it has not."""
     options = plan.options
     values: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    values |= {'max_planning_time': options.strategy.time_limit, 'trip.order': order,
+    values |= {'max_planning_time': options.strategy.time_limit,
                'strategy.max_gap': options.max_gap, 'network.refine': -1}
     for group, part_of in (('map', occupancy), ('network', options.network),
                            ('game', options.game), ('strategy', options.strategy),
@@ -123,8 +123,7 @@ def plan_bytes(saved: SavedPlan) -> bytes:
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
     """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
     plan = saved.plan
-    return RecordedPlan(saved.id, saved.made_ns, plan.order, plan.order_found, plan.seconds,
-                        saved.source, saved.slots)
+    return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.source, saved.slots)
 
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
@@ -172,6 +171,6 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     if few:
         few_strategy(strategy, few)  # raises an error if its shares and routes are none
     plan = replace(make_plan(risk_map, strategy, planning), seconds=about.seconds,
-                   order=about.order, order_found=about.order_found, few=few)
+                   few=few)
     return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
                      about.made_ns)

@@ -16,6 +16,7 @@ from ..game.certificate.certificate import Certificate
 from ..game.distribution.acyclic import is_acyclic
 from ..game.hits import worst_loss
 from ..game.strategy import Strategy
+from ..gone import check_none_gone
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import map_from_bytes
@@ -47,7 +48,7 @@ from .recording_file import RecordingFile, decode, read_recording
 # Options that the node has no parameter for.
 BEYOND: Mapping[str, Any] = {
     'game.held_places': tuple[tuple[float, float, float], ...],
-    'game.loads': tuple[float, ...], 'network.seed': int}
+    'network.seed': int}
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +201,9 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
 def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of all parameters, and of others, each of the type that it should have.
 
-    Raises InvalidEntry if one is missing or has another type.
+    Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
     """
+    check_none_gone({**values, 'trip.order': 'given'})  # which says nothing of one leg
     kinds: dict[str, Any] = {
         name: list[str] if isinstance(each.default, list) else type(each.default)
         for name, each in PARAMETERS.items()}
@@ -260,7 +262,7 @@ def conditioned(ground: ChangedGround, newest: OccupancyMap) -> Strategy:
     share, p = ground.conditioned.avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
-    # What is clear may be longer than the budgets, to which the bound belongs, and cost less.
+    # What is clear may be longer than the budget, to which the bound belongs, and cost less.
     value = worst_loss(strategy.game, p)
     return replace(strategy, edge_probability=frozen_array(p, np.float64),
                    certificate=Certificate(value, min(strategy.lower_bound, value)))

@@ -8,7 +8,6 @@ import zlib
 from base64 import b64encode
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ import numpy.typing as npt
 from ..arrays import FloatArray
 from ..colours import ROUTES
 from ..game.distribution.acyclic import order_along
-from ..game.informant import Informant, worst_informant
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
@@ -68,11 +66,6 @@ class Section:
         """The map of all departures."""
         return self.departures[-1].risk_map
 
-    @cached_property
-    def informant(self) -> Informant | None:
-        """What somebody at the worst place is worth who tells whether the convoy passes."""
-        return worst_informant(self.strategy)
-
     def includes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is on this trip."""
         first = self.departures[0]
@@ -117,7 +110,6 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     pieces = [(k, piece[main_corners(piece, PATH_ACCURACY * cell)] - corner, over)
               for k, line in enumerate(lines) for piece, over in line]
     ends = [network.source, network.target, *network.stops]
-    seen = section.informant
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
@@ -127,7 +119,6 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'reach': game.reach, 'secured': game.options.secured_distance,
         'shelter': game.options.secured_distance - game.options.tube,
         'value': strategy.value, 'degrees': degrees,
-        'informant': seen and (np.array((seen.x, seen.y)) - corner).tolist(),
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),
         'chances': packed(p[used], '<f4'),

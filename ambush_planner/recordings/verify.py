@@ -18,12 +18,13 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import AmbushPlannerError, TimeLimit
+from ..game.budget import Budget
 from ..game.distribution.acyclic import is_acyclic
 from ..game.distribution.chain import chain_of
 from ..game.revaluation import open_gap
 from ..game.slack import CERTIFICATE_TOLERANCE
 from ..game.solver import solve_game
-from ..game.strategy import Strategy, make_budgets
+from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network
@@ -118,8 +119,7 @@ class Verifier:
         strategy, planning = departure.strategy, departure.parameters.planning
         problems = [
             *self._shared.once(network_problems, strategy, departure.risk_map, planning,
-                               departure.metadata.trip,
-                               departure.parameters.values['trip.order']),
+                               departure.metadata.trip),
             *certificate_problems(strategy, departure.stated, planning),
             *source_problems(departure),
         ]
@@ -198,10 +198,10 @@ def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
 
 
 def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions,
-                     trip: RecordedTrip, order: str) -> list[str]:
-    """Build the network again and compare it bit for bit; then compare the game's budgets."""
+                     trip: RecordedTrip) -> list[str]:
+    """Build the network again and compare it bit for bit; then compare the game's budget."""
     recorded = strategy.network
-    laid = trip_network(risk_map, trip.start, trip.goal, planning, trip.stops, order,
+    laid = trip_network(risk_map, trip.start, trip.goal, planning, trip.stops,
                         recorded.refined)
     played = solved_game(risk_map, planning)
     network = add_hiding_places(laid, risk_map, planning, played)
@@ -227,13 +227,10 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
         problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '
                         f'its value {strategy.value:.9g}')
     if planning.strategy.length_weight == 0.0:
-        for what, budget in zip(
-            ('length', 'exposure'), make_budgets(strategy.game, planning.strategy), strict=True
-        ):
-            stated = getattr(strategy, f'{what}_budget')
-            if not math.isclose(stated, budget.limit, rel_tol=_TOLERANCE):
-                problems.append(f'strategy: its {what} budget is {stated:.9g}, the parameters '
-                                f'give {budget.limit:.9g}')
+        limit = Budget.length(strategy.game, planning.strategy.max_detour).limit
+        if not math.isclose(strategy.length_budget, limit, rel_tol=_TOLERANCE):
+            problems.append(f'strategy: its length budget is {strategy.length_budget:.9g}, the '
+                            f'parameters give {limit:.9g}')
     return problems
 
 
@@ -269,10 +266,9 @@ def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
         strategy.network, strategy.edge_probability
     ):
         problems.append('strategy: its routes run in cycles')
-    for what in ('length', 'exposure'):
-        mean, budget = getattr(strategy, f'expected_{what}'), getattr(strategy, f'{what}_budget')
-        if not mean <= budget * (1.0 + CERTIFICATE_TOLERANCE):
-            problems.append(f'strategy: its {what}, {mean:.9g}, exceeds its budget of {budget:.9g}')
+    mean, budget = strategy.expected_length, strategy.length_budget
+    if not mean <= budget * (1.0 + CERTIFICATE_TOLERANCE):
+        problems.append(f'strategy: its length, {mean:.9g}, exceeds its budget of {budget:.9g}')
     gap = open_gap(strategy, planning.strategy)
     if not gap <= planning.max_gap * strategy.value:
         problems.append(f'strategy: its certificate does not close, the gap is {gap:.3g}')

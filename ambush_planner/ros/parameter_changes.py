@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ..errors import InvalidOption, telling_warnings
+from ..gone import check_none_gone
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import NodeParameters, check_possible, parameters_from
 from ..recordings.plan_file import SavedPlan
@@ -47,7 +48,7 @@ class NodeSettings:
         node.declare_parameters(
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
         )
-        _warn_of_unknown(node)
+        _check_unknown(node)
         self.saved = _saved_plan(node)
         # The roads in use; None: none, or those of the file.
         self._roads = self.saved.plan.options.network.roads if self.saved else None
@@ -111,9 +112,14 @@ def _saved_plan(node: Node) -> SavedPlan | None:
     return saved
 
 
-def _warn_of_unknown(node: Node) -> None:
-    """Warn of initial values for unknown parameters; one file may serve several nodes."""
-    unknown = sorted(name for name in node._parameter_overrides
+def _check_unknown(node: Node) -> None:
+    """Warn of initial values for unknown parameters; one file may serve several nodes.
+
+    Raises InvalidOption if one is for a parameter that went.
+    """
+    given = node._parameter_overrides
+    check_none_gone({name: parameter.value for name, parameter in given.items()})
+    unknown = sorted(name for name in given
                      if not node.has_parameter(name) and not name.startswith('qos_overrides.'))
     if unknown:
         node.get_logger().warning(

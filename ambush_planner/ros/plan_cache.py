@@ -67,8 +67,7 @@ class Task:
         # Without the message that the map came in.
         grid = OccupancyMap(trip.map.values, trip.map.resolution, trip.map.origin)
         return PlanRequest(grid, parameters.occupancy, trip.start_xy, *trip.goal_and_tolerance,
-                           parameters.planning, trip.stops_xy, parameters.values['trip.order'],
-                           warm)
+                           parameters.planning, trip.stops_xy, warm)
 
     def will_suit(self, trip: Trip) -> bool:
         """Whether the plan will probably suit a trip."""

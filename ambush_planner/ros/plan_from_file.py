@@ -22,8 +22,8 @@ from .current_map import ReceivedMessage
 from .topics import LATCHED
 from .trip import TripRequest
 
-# Parameters that the plan sets begin with one of these, or are one; the node keeps the others.
-_SET = ('map.', 'network.', 'game.', 'strategy.', 'route.', 'trip.order')
+# Parameters that the plan sets begin with one of these; the node keeps the others.
+_SET = ('map.', 'network.', 'game.', 'strategy.', 'route.')
 
 
 def read_plan_for_node(path: str) -> SavedPlan:

@@ -94,8 +94,7 @@ class Trip:
         planning = self.parameters.planning
         planning = replace(planning, network=replace(planning.network, refine=0), max_gap=0.0,
                            strategy=replace(planning.strategy, time_limit=math.inf))
-        order = self.parameters.values['trip.order'] if len(self.stops_xy) > 1 else ''
-        return self.stops_xy, order, self.parameters.occupancy, planning
+        return self.stops_xy, self.parameters.occupancy, planning
 
     def distance(self, other: Trip) -> float:
         """Return the distance of the starts or of the goals of two trips [m], the larger one."""

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options that went, and what to do instead, for parameters, commands and recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from .errors import InvalidOption
+
+
+class _Gone(NamedTuple):
+    """What to do instead of an option, and its value ``without`` effect."""
+
+    remedy: str
+    without: object = None
+
+
+_LOADS = 'leave it out: the value counts the whole loss on every leg'
+_ORDER = 'give the stops in the order in which they are to be visited'
+# By the names that are typed: flags of ambush plan, parameters and options of --set.
+_GONE = {
+    '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
+    '--load': _Gone(_LOADS),
+    '--order': _Gone(_ORDER),
+    'game.ambushers': _Gone(
+        'leave it out: k ambushers at different places cause at most k times the value '
+        '(docs/theory.md, 2.3)', 1),
+    'game.loads': _Gone(_LOADS, ()),
+    'strategy.max_exposure': _Gone(
+        'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
+    'trip.order': _Gone(_ORDER, 'given'),
+}
+
+
+def remedy_for(name: str) -> str:
+    """Say that an option went, and what to do instead; '' if there never was one of this name."""
+    return f'{name} went: {_GONE[name].remedy}' if name in _GONE else ''
+
+
+def check_none_gone(values: Mapping[str, Any]) -> None:
+    """Raise InvalidOption if one of the values sets an option that went to some effect."""
+    for name, gone in _GONE.items():
+        if values.get(name, gone.without) != gone.without:
+            raise InvalidOption(remedy_for(name))
