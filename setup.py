@@ -64,6 +64,7 @@ setup(
         'scipy>=1.11.4',
         'highspy>=1.8',
         'PyYAML>=6.0',
+        'threadpoolctl>=3.1',
     ],
     extras_require={
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.

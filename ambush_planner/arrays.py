@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
@@ -19,8 +21,15 @@ BoolArray = npt.NDArray[np.bool_]
 MAX_BYTES = 10**9
 # Relative rounding of sums and comparisons.
 ROUNDING = 1e-9
-# Dual weights, flows and values below this share of the largest are rounding, and not counted.
+# Site prices, flows and values below this share of the largest are rounding, and not counted.
 NEGLIGIBLE = 1e-7
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """Let BLAS use one thread: the matrices are small, and more threads wait for each other."""
+    with threadpool_limits(1, user_api='blas'):
+        yield
 
 
 def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:

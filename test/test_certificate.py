@@ -26,7 +26,7 @@ from ambush_planner.game.certificate.certificate import certify, lower_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.route_sampler import shortest_route_strategy
-from ambush_planner.game.slack import CERTIFICATE_TOLERANCE
+from ambush_planner.game.tolerance import CERTIFICATE_TOLERANCE
 
 SLACK = StrategyOptions().risk_slack
 

@@ -33,7 +33,7 @@ from ambush_planner import (
 )
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.game.revaluation import revalue
-from ambush_planner.game.slack import Reason
+from ambush_planner.game.tolerance import Reason
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.concerns import wide_gap

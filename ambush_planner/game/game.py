@@ -245,9 +245,10 @@ def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game,
     Secured areas and sites are the same for all legs. Raises NoRoute if no route leads from the
     source of a leg to its target, perhaps because of ``alpha_threshold``.
     """
-    ends = np.unique([(each.source, each.target) for each in networks])
+    ends = np.unique(np.concatenate([each.points[[each.source, each.target]]
+                                     for each in networks]), axis=0)
     points, alpha = networks[0].points, networks[0].alpha
-    secured = secured_area(points[ends], options.secured_distance, options.held_places)
+    secured = secured_area(ends, options.secured_distance, options.held_places)
     # Sites stand for the places around them.
     loss = frozen_array(np.where(secured.shrunk(options.widened).covers(points), 0.0, alpha),
                         np.float64)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_matrix, hstack
@@ -82,17 +83,6 @@ class Legs:
         return [csr_matrix(columns[:, begin:end])
                 for begin, end in zip(self.first[:-1], self.first[1:], strict=True)]
 
-    def exposed(self, used: BoolArray | None = None) -> ExposedLegs | ExposedEdges:
-        """The parts of edges, by default all playable ones, outside the secured area.
-
-        ``used`` (M,) marks other edges.
-        """
-        if used is None:
-            used = np.concatenate([game.playable for game in self.games])
-        if len(self.games) == 1:
-            return self.games[0].exposed(np.flatnonzero(used))
-        return ExposedLegs(self.games, used)
-
     def with_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> Legs:
         """The legs with more sites (K,): see ``Game.with_sites``; ``entering`` has rows (K, M)."""
         if not len(loss):
@@ -114,17 +104,36 @@ class Legs:
         return Legs(tuple(games), budgets)
 
 
+def exposed_legs(games: Sequence[Game],
+                 used: BoolArray | None = None) -> ExposedLegs | ExposedEdges:
+    """The parts of all legs' edges, by default the playable ones, outside the secured area.
+
+    ``used`` (M,) marks other edges.
+    """
+    if used is None:
+        used = np.concatenate([game.playable for game in games])
+    if len(games) == 1:
+        return games[0].exposed(np.flatnonzero(used))
+    return ExposedLegs(games, used)
+
+
 class ExposedLegs:
     """The exposed parts of all legs' edges; each edge of the ground is looked at once."""
 
     def __init__(self, games: Sequence[Game], used: BoolArray) -> None:
-        networks, count = [game.network for game in games], games[0].node_count
-        keys = np.concatenate([each.edges @ (count, 1) for each in networks])
-        ground, self._edge = np.unique(keys, return_inverse=True)
+        networks = [game.network for game in games]
+        # A convoy that has moved on has another source: its place is looked at as another node.
+        points, node = np.unique(np.concatenate([each.points for each in networks]), axis=0,
+                                 return_inverse=True)
+        first = np.cumsum([0, *(len(each.points) for each in networks)])
+        at = [node.ravel()[begin:end] for begin, end in pairwise(first.tolist())]
+        edges = np.concatenate([own[each.edges] for own, each in zip(at, networks, strict=True)])
+        ground, edge = np.unique(edges @ (len(points), 1), return_inverse=True)
+        self._edge = edge.ravel()
+        begins = np.array([own[each.source] for own, each in zip(at, networks, strict=True)])
         secured = games[0].secured.shrunk(games[0].options.tube)
-        self._ground = ExposedEdges(
-            networks[0].points, np.stack(np.divmod(ground, count), axis=1), secured,
-            np.array([each.source for each in networks]), np.unique(self._edge[used]))
+        self._ground = ExposedEdges(points, np.stack(np.divmod(ground, len(points)), axis=1),
+                                    secured, begins, np.unique(self._edge[used]))
 
     def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
         """(K, M) of 0 and 1: the edges by which routes enter the discs of radius ``reach`` [m]."""

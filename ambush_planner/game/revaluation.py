@@ -29,6 +29,9 @@ def legs_in_game(trip: TripStrategy, options: GameOptions,
     networks = [leg.network if alpha is None else replace(leg.network, alpha=alpha)
                 for leg in trip.legs]
     games = make_games(networks, options)
+    if options == trip.game.options and np.array_equal(games[0].sites, trip.game.sites):
+        games = tuple(replace(game, known_rows=leg.game.entering)  # they are slow to find
+                      for game, leg in zip(games, trip.legs, strict=True))
     return Legs(games, tuple(Budget(game, leg.length_budget, leg.shortest_length)
                              for game, leg in zip(games, trip.legs, strict=True)))
 
@@ -36,15 +39,19 @@ def legs_in_game(trip: TripStrategy, options: GameOptions,
 def revalue(trip: TripStrategy, alpha: FloatArray, law: Law | None = None) -> Certificate:
     """Recompute value and bound of strategies after node losses change to ``alpha`` (N,).
 
-    ``law`` replaces how their routes are drawn. The bound follows from their ambusher, and is as
-    near as theirs if that is proved. Without a playable route within the budgets, the value is
-    infinite.
+    ``law`` replaces how their routes are drawn. The bound follows from their ambusher: where no
+    loss fell at the ambusher's sites, what was proved still holds (docs/theory.md, section 2);
+    otherwise it is as near as theirs if that is proved. Without a playable route within the
+    budgets, the value is infinite.
     """
     try:
         legs = legs_in_game(trip, trip.game.options, alpha)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
     value, _ = largest_product(legs.loss, legs.entering, law or trip.law)
+    waits = trip.ambusher.q > 0.0
+    if (legs.games[0].loss[waits] >= trip.game.loss[waits]).all():
+        return Certificate(value, min(trip.lower_bound, value))
     as_near = value / trip.value if trip.value > 0.0 else math.inf
     targets = np.array([as_near * leg.lower_bound for leg in trip.legs])
     bound = float(lower_bounds(legs, trip.ambusher, targets=targets).sum())

@@ -101,6 +101,10 @@ class Program(Protocol):
     apart: float
 
     @property
+    def value(self) -> float:
+        """What the strategies of ``flow`` cost at the sites so far."""
+
+    @property
     def flow(self) -> FloatArray:
         """Strategies (M,) of the legs that nearly attain the bound, without cycles."""
 

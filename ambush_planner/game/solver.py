@@ -213,6 +213,11 @@ class Solved(NamedTuple):
     ambush: Ambush
     apart: float = 0.0
 
+    @property
+    def value(self) -> float:
+        """What the strategies cost."""
+        return self.bound
+
     def solve(self, deadline: float) -> None:
         """Do nothing: it is solved."""
 

@@ -310,6 +310,15 @@ class TripStrategy:
         return laws[0] if len(laws) == 1 else LegLaws(self.joint, laws)
 
     @cached_property
+    def ground_uses(self) -> tuple[IndexArray, FloatArray]:
+        """The edges (K, 2) of the ground, and the expected uses (K,) of each by all legs."""
+        count = len(self.legs[0].network.points)
+        keys = np.concatenate([leg.network.edges @ (count, 1) for leg in self.legs])
+        ground, edge = np.unique(keys, return_inverse=True)
+        p = np.concatenate([leg.edge_probability for leg in self.legs])
+        return np.stack(np.divmod(ground, count), axis=1), sums(edge.ravel(), p, len(ground))
+
+    @cached_property
     def hits(self) -> FloatArray:
         """P(hit) (legs, S) of each leg at each site."""
         return np.stack([leg.law.meets(leg.game.entering) for leg in self.legs])
@@ -379,6 +388,14 @@ def make_strategies(legs: Legs, p: FloatArray, mixtures: Sequence[RouteMixture |
     trip = TripStrategy(tuple(strategies), Certificate(math.inf, 0.0))
     value = largest_product(legs.loss, legs.entering, trip.law)[0]
     return replace(trip, certificate=Certificate(value, max(total, 0.0)))
+
+
+def with_certificate(trip: TripStrategy, certificate: Certificate) -> TripStrategy:
+    """The same strategies with another certificate, such as that of another map."""
+    if len(trip.legs) > 1:
+        return replace(trip, certificate=certificate)
+    return replace(trip, certificate=certificate,
+                   legs=(replace(trip.legs[0], certificate=certificate),))
 
 
 def within_slack(strategy: Strategy | TripStrategy, options: StrategyOptions) -> bool:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,9 @@ from ..maps.risk_map import RiskMap
 from .network import Network
 
 
-def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
-                       spacing: float) -> Network:
-    """Append obstacle cells as nodes without edges.
+def hiding_places(networks: Sequence[Network], risk_map: RiskMap, reach: float,
+                  spacing: float) -> tuple[FloatArray, FloatArray]:
+    """Obstacle cells (K, 2) near the edges of a trip's legs [m], and their losses (K,).
 
     Includes all cells within ``reach`` [m] of an edge, and some slightly further, thinned to one
     per square of half a ``spacing`` [m]. Their loss is that of the nearest free cell.
@@ -27,10 +28,9 @@ def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
     rows, columns = rows[first], columns[first]
     places = risk_map.to_world(np.stack((columns, rows), axis=1) * risk_map.resolution
                                + risk_map.resolution / 2.0)
-    far = reach + float(network.lengths.max(initial=0.0)) / 2.0
-    near = np.isfinite(cKDTree(network.points).query(places, distance_upper_bound=far)[0])
-    loss = risk_map.nearest_free_alpha()[rows[near], columns[near]]
-    return with_places(network, places[near], loss)
+    far = reach + max(float(each.lengths.max(initial=0.0)) for each in networks) / 2.0
+    near = np.isfinite(cKDTree(networks[0].points).query(places, distance_upper_bound=far)[0])
+    return places[near], risk_map.nearest_free_alpha()[rows[near], columns[near]]
 
 
 def with_places(network: Network, points: FloatArray, alpha: FloatArray) -> Network:

@@ -34,8 +34,9 @@ class Network(Shown):
         First and last node of every route.
     seconds : (M,) float, >= 0, optional
         Driving time of each edge [s]. Budgets are then of time instead of length.
-    refined : (K, 3) float
-        Places (x, y) around which the network is finer, and the spacing of nodes there [m].
+    refined : (K, 3) float, optional
+        Of a graded network: places (x, y) around which it is finer, and the spacing of nodes there
+        [m]. None: the network is plain.
     ground_length : float, optional
         Length of the shortest way over the ground [m], of which length budgets are multiples.
         None: that of the network's shortest route.
@@ -52,7 +53,7 @@ class Network(Shown):
     source: int
     target: int
     seconds: FloatArray | None = None
-    refined: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    refined: FloatArray | None = None
     ground_length: float | None = None
 
     def __post_init__(self) -> None:
@@ -71,7 +72,9 @@ class Network(Shown):
             )
         checked = {
             'points': points, 'alpha': alpha, 'edges': frozen_array(edges[~outside], np.int64),
-            'source': source, 'target': target, 'refined': frozen_array(self.refined, np.float64)}
+            'source': source, 'target': target}
+        if self.refined is not None:
+            checked['refined'] = frozen_array(self.refined, np.float64)
         if self.seconds is not None:
             seconds = _seconds(self.seconds, len(edges))
             checked['seconds'] = frozen_array(seconds[~outside], np.float64)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -38,7 +38,7 @@ class TripGraph:
         The nodes of start, stops and goal in the given order; equal positions share a node.
     seconds : (E,), optional
         Driving time of each edge [s].
-    refined : (K, 3)
+    refined : (K, 3), optional
         As in ``Network``.
     ground : optional
         Lengths over the ground between nodes, of which length budgets are multiples.
@@ -49,7 +49,7 @@ class TripGraph:
     edges: IndexArray
     visits: tuple[int, ...]
     seconds: FloatArray | None = None
-    refined: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    refined: FloatArray | None = None
     ground: GroundLengths | None = None
 
     def networks(self) -> tuple[Network, ...]:

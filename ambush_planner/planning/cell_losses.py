@@ -9,7 +9,7 @@ of them is hit. A block whose largest loss, times these entries, is not above th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
 
@@ -17,10 +17,12 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray
 from ..game.discs import ExposedEdges
 from ..game.game import Game
-from ..game.search import Drawn, FoundSites
+from ..game.hits import Law
+from ..game.legs import ExposedLegs, exposed_legs
+from ..game.search import FoundSites
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
 from .options import parts_of_cells
@@ -87,14 +89,15 @@ class CellSearch:
     """The search for the places that cost a strategy most; it keeps the geometry that it finds.
 
     A site is a cell, or the centre of one of ``parts`` x ``parts`` parts of it, whose discs contain
-    those of all places around it: their radius is the game's reach. Without ``edges`` (K,), routes
-    may use all edges of the game.
+    those of all places around it: their radius is the game's reach. ``used`` (M,) marks the edges
+    of all legs that routes may use, by default all playable ones.
     """
 
-    def __init__(self, cells: CellLosses, game: Game, edges: IndexArray | None = None) -> None:
-        self._cells, self._game = cells, game
-        edges = np.flatnonzero(game.playable) if edges is None else edges
-        self._exposed, self._widened = game.exposed(edges), game.options.widened
+    def __init__(self, cells: CellLosses, games: Sequence[Game],
+                 used: BoolArray | None = None) -> None:
+        game = games[0]
+        self._cells, self._game, self._legs = cells, game, len(games)
+        self._exposed, self._widened = exposed_legs(games, used), game.options.widened
         self._parts = parts_of_cells(cells.resolution, game.options)
         self._kept: dict[float, _KeptRows] = {}
         self._returned = np.zeros(0, dtype=np.int64)  # rows of the parts
@@ -102,46 +105,36 @@ class CellSearch:
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
 
-    def worst(self, drawn: Drawn, above: float, apart: float = 0.0,
-              rough: bool = False, among: IndexArray | None = None) -> FoundSites:
+    def worst(self, law: Law, above: float, apart: float = 0.0,
+              among: IndexArray | None = None) -> FoundSites:
         """Places that cost drawn routes more than ``above``, the worst first.
 
         Of each cell only the worst part is returned that was not returned before, and none within
-        ``apart`` [m] of a worse one. A ``rough`` search is faster, but can miss the worst place: of
-        blocks within ``apart`` of each other it follows the one of the largest bound. Without
-        ``among`` (K, 2) all cells count.
+        ``apart`` [m] of a worse one. Without ``among`` (K, 2) all cells count.
         """
         side = self._first if among is None else 1
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
         while True:
-            blocks = self._above(blocks, side, drawn, above, apart * rough)
+            blocks = self._above(blocks, side, law, above)
             if side == 1:
                 break
             blocks = self._cells.divided(blocks, side)
             side //= _DIVISION
-        found = self._of_parts(blocks, drawn, above, apart)
-        if rough and not len(found.points):
-            return self.worst(drawn, above, apart, among=among)
-        return found
+        return self._of_parts(blocks, law, above, apart)
 
-    def _above(self, blocks: IndexArray, side: int, drawn: Drawn,
-               above: float, apart: float) -> IndexArray:
-        """Blocks (K, 2) in which a place may cost more, no two of them within ``apart`` [m]."""
+    def _above(self, blocks: IndexArray, side: int, law: Law, above: float) -> IndexArray:
+        """Blocks (K, 2) in which a place may cost more."""
         loss = self._cells.of_blocks(side)[tuple(blocks.T)]
-        blocks, loss = blocks[loss > above], loss[loss > above]
+        some = loss * self._legs > above
+        blocks, loss = blocks[some], loss[some]
         rows, row = self._rows(blocks, side)
-        most = loss * drawn.meets_at_most(rows)[row]
+        most = loss * law.meets_at_most(rows)[row]
         blocks, loss, row = blocks[most > above], loss[most > above], row[most > above]
         if side > _DIVISION or side == self._parts == 1:
             return blocks
-        losses = loss * drawn.meets(rows[row])
-        order = np.argsort(-losses, kind='stable')
-        order = order[losses[order] > above]
-        if np.sqrt(2.0) * side * self._cells.resolution <= apart:
-            order = thinned(self._cells.centres(blocks, side), order, apart)
-        return np.asarray(blocks[np.sort(order)])
+        return np.asarray(blocks[loss * law.meets(rows[row]) > above])
 
-    def _of_parts(self, cells: IndexArray, drawn: Drawn,
+    def _of_parts(self, cells: IndexArray, law: Law,
                   above: float, apart: float) -> FoundSites:
         """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_cells(cells), self._parts
@@ -153,10 +146,10 @@ class CellSearch:
         out = ~self._game.secured.shrunk(self._widened).covers(points)
         parts, which, points = parts[out], which[out], points[out]
         rows, row = self._rows(parts, 1.0 / n)
-        most = loss[which] * drawn.meets_at_most(rows)[row]
+        most = loss[which] * law.meets_at_most(rows)[row]
         some = np.flatnonzero((most > above) & ~np.isin(row, self._returned))
         which, points, row = which[some], points[some], row[some]
-        losses = loss[which] * drawn.meets(rows[row])
+        losses = loss[which] * law.meets(rows[row])
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)
@@ -191,7 +184,7 @@ def thinned(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
 class _KeptRows:
     """Rows of edges that enter the discs around blocks of one side, found once."""
 
-    def __init__(self, exposed: ExposedEdges, reach: float) -> None:
+    def __init__(self, exposed: ExposedEdges | ExposedLegs, reach: float) -> None:
         self._exposed, self._reach = exposed, reach
         self._keys, self._row = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._rows: csr_matrix | None = None

@@ -10,13 +10,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..game.budget import BUDGET_TOLERANCE
 from ..game.certificate.certificate import Certificate
-from ..game.distribution.chain import chain_of
-from ..game.game import Game
-from ..game.revaluation import revalue
+from ..game.distribution.chain import RouteMixture
+from ..game.hits import Law, LegLaws
+from ..game.legs import Legs
+from ..game.revaluation import legs_in_game, revalue
 from ..game.route_sampler import route_edges
+from ..game.strategy import TripStrategy, with_certificate
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
 from ..maps.risk_map import RiskMap, to_map_axes
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
@@ -27,7 +29,7 @@ from .changed_network import ChangedNetwork, PlannedNetwork
 from .clear_ground import ClearGround
 from .conditioning import ConditionedStrategy
 from .options import holds_anywhere
-from .plan import Plan
+from .plan import Plan, Route
 
 # Maximum number of draws until a route is clear. If a tenth of the routes is clear, one departure
 # in 10^13 needs more.
@@ -109,7 +111,7 @@ class ChangedGround:
         self._planned = PlannedNetwork(plan, planned_on, occupancy, self._cell_losses)
         self._latest: ChangedNetwork | None = None
         self._assessment: Assessment | None = None
-        self._corridors: Corridors | None = None
+        self._corridors: tuple[Corridors, ...] | None = None
 
     def compare(self, newest: OccupancyMap) -> ChangedNetwork:
         """Compare the plan's network on the newest map, which is of the same ground."""
@@ -130,66 +132,100 @@ class ChangedGround:
             self._assessment = self._assess(look)
         return self._assessment
 
-    def is_clear(self, nodes: IndexArray, newest: OccupancyMap) -> bool:
+    def drawn_from(self, newest: OccupancyMap) -> TripStrategy:
+        """Return the strategies that departures on the newest map are drawn from.
+
+        They are the plan's, given that their routes are clear, with the losses and the value of
+        that map. Raises ValueError if no route is clear.
+        """
+        look, known, trip = self.compare(newest), self.assess(newest), self.plan.trip
+        certificate = Certificate(known.value, known.lower_bound)
+        if self._is_unchanged(look):
+            same = certificate.value == trip.value
+            return trip if same else with_certificate(trip, certificate)
+        share, laws = self.clear_laws(look)
+        if not share > 0.0:
+            raise ValueError('no route of the strategy is clear')
+        legs = legs_in_game(trip, trip.game.options, look.alpha)
+        drawn = tuple(replace(
+            leg, game=game, budget=budget,
+            edge_probability=frozen_array(law.uses(len(leg.edge_probability)), np.float64),
+            mixture=law if isinstance(law, RouteMixture) else None)
+            for leg, game, budget, law in zip(trip.legs, legs.games, legs.budgets, laws,
+                                              strict=True))
+        return with_certificate(replace(trip, legs=drawn), certificate)
+
+    def is_clear(self, route: Route, newest: OccupancyMap) -> bool:
         """Whether a route is clear on the newest map."""
         lost = self.compare(newest).lost
-        return not (lost.any() and lost[route_edges(self.plan.network, nodes)].any())
+        return not lost.any() or not any(
+            own[route_edges(leg.network, nodes)].any()
+            for leg, nodes, own in zip(self.plan.legs, route, self.by_leg(lost), strict=True))
 
     def connects(self, newest: OccupancyMap, ends: Ends) -> bool:
         """Whether all first and last edges in use can be driven from the start and to the goal.
 
         All of them: whether the plan suits must not depend on the route that is drawn.
         """
-        network, (start, goal) = self.plan.network, ends
-        visits = network.places[[network.source, *network.stops, network.target]]
-        if len(np.unique(visits)) < len(visits):
-            return False  # a place visited twice cannot be moved for one visit only
-        if any(one == other for one, other in pairwise((start, *self.plan.stops_xy, goal))):
+        (start, goal), plan = ends, self.plan
+        if any(one == other for one, other in pairwise((start, *plan.stops_xy, goal))):
             return False  # the solve will refuse it
-        clear = (self.plan.strategy.edge_probability > 0.0) & ~self.compare(newest).lost
-        points = network.points.copy()
-        points[[network.source, network.target]] = start, goal
+        lost = self.by_leg(self.compare(newest).lost)
         # Start and goal separately: the rectangle around both may be the whole map.
-        for at_end in network.tails == network.source, network.heads == network.target:
-            a, b = (points[each[clear & at_end]] for each in (network.tails, network.heads))
+        for k, node, place in ((0, 'source', start), (-1, 'target', goal)):
+            network, at = plan.legs[k].network, (1, 0)[k]
+            used = (plan.legs[k].edge_probability > 0.0) & ~lost[k]
+            used &= network.edges[:, 1 - at] == getattr(network, node)
+            others = network.points[network.edges[used, at]]
+            here = np.broadcast_to(place, others.shape)
+            a, b = (here, others) if node == 'source' else (others, here)
             # A step of length 0 has no direction.
             if (a == b).all(axis=1).any() or not self.clear(a, b, newest).all():
                 return False
         return True
 
-    def draw(self, rng: np.random.Generator, newest: OccupancyMap) -> IndexArray | None:
-        """Draw routes (K,) until one is clear on the newest map; None after too many draws.
+    def draw(self, rng: np.random.Generator, newest: OccupancyMap, first: int = 0) -> Route | None:
+        """Draw routes of the legs from ``first`` on until each is clear on the newest map.
 
-        A route then has its conditional probability, given that it is clear.
+        A route then has its conditional probability, given that it is clear. None after too many
+        draws.
         """
-        for _ in range(_MAX_DRAWS):
-            route = self.plan.strategy.sample_route(rng)
-            if self.is_clear(route, newest):
-                return route
-        return None
+        lost, drawn = self.by_leg(self.compare(newest).lost), []
+        for leg, own in zip(self.plan.legs[first:], lost[first:], strict=True):
+            for _ in range(_MAX_DRAWS):
+                nodes = leg.sample_route(rng)
+                if not own.any() or not own[route_edges(leg.network, nodes)].any():
+                    drawn.append(nodes)
+                    break
+            else:
+                return None
+        return tuple(drawn)
 
-    def fitted(self, newest: OccupancyMap, ends: Ends, joins: IndexArray | None = None) -> Plan:
-        """Return the plan with corridors between ``ends`` that are clear on the newest map.
+    def fitted(self, newest: OccupancyMap, ends: Ends, joins: IndexArray | None = None,
+               first: int = 0) -> Plan:
+        """Return the plan from leg ``first`` on, with corridors that are clear on the newest map.
+
+        They are between ``ends``.
 
         The path of a clear route is then clear, and so are the connections to the ends if their
         straight lines are (``clear``). The start is connected with the same nodes as before, or
-        with the places ``joins`` (K,).
+        with the nodes ``joins`` (K,).
         """
-        plan, network, options = self.plan, self.plan.network, self.plan.options.network
-        corridors = self._clear_corridors(newest)
-        for node, place in zip((network.source, network.target), ends, strict=True):
-            if tuple(network.points[node].tolist()) != place:
-                others = joins if node == network.source else None
-                node = int(network.places[node])
-                corner, part = self._around(newest, node, place, others)
-                corridors = with_moved_end(corridors, node, place, part, corner, options.clearance,
-                                           options.clear_of_edge, others)
-        return plan if corridors is plan.corridors else replace(plan, corridors=corridors)
+        plan, options = self.plan.legs_from(first), self.plan.options.network
+        corridors = list(self._clear_corridors(newest)[first:])
+        for k, node, place, others in (
+                (0, plan.network.source, ends[0], joins),
+                (len(corridors) - 1, plan.legs[-1].network.target, ends[1], None)):
+            if tuple(plan.network.points[node].tolist()) != place:
+                corner, part = self._around(newest, corridors[k], node, place, others)
+                corridors[k] = with_moved_end(corridors[k], node, place, part, corner,
+                                              options.clearance, options.clear_of_edge, others)
+        return replace(plan, corridors=tuple(corridors))
 
     @cached_property
-    def conditioned(self) -> ConditionedStrategy:
-        """The strategy on condition that routes avoid some edges."""
-        return ConditionedStrategy(self.plan.strategy)
+    def conditioned(self) -> tuple[ConditionedStrategy, ...]:
+        """The strategy of each leg on condition that routes avoid some edges."""
+        return tuple(ConditionedStrategy(leg) for leg in self.plan.legs)
 
     def clear(self, a: FloatArray, b: FloatArray, newest: OccupancyMap) -> BoolArray:
         """Which segments a -> b, both (K, 2), stay clear of the newest map's obstacles: (K,).
@@ -198,31 +234,24 @@ class ChangedGround:
         """
         return self._clear_ground(newest).segments(a, b)
 
-    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, game: Game, p: FloatArray,
+    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, legs: Legs, law: Law,
                     on_others: bool = False) -> Certificate:
-        """The certificate of p (M,) in a game, against ambushers at any cell if the plan's is.
+        """The certificate of a law in a game, against ambushers at any cell if the plan's is.
 
         Only at cells that have changed if ``at_sites`` holds ``on_others``.
         """
         changed = self._changed(newest)
-        if math.isinf(at_sites.value) or (on_others and not len(changed)):
+        if (math.isinf(at_sites.value) or not holds_anywhere(self.plan.options)
+                or (on_others and not len(changed))):
             return at_sites
-        search = self.site_search(newest, game, p)
-        if search is None:
-            return at_sites
+        cells = self._cell_losses.on(newest if len(changed) else self._planned_on,
+                                     self._occupancy, self._planned.hiding)
+        search = CellSearch(cells, legs.games, law.uses(legs.edge_count) > 0.0)
         among = None
         if on_others and not self._planned.hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
-        worst = search.worst(chain_of(game.network, p), at_sites.value, among=among)
+        worst = search.worst(law, at_sites.value, among=among)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
-
-    def site_search(self, newest: OccupancyMap, game: Game, p: FloatArray) -> CellSearch | None:
-        """The search for ambushers at any cell against the edges of p (M,), if the plan's is."""
-        if not holds_anywhere(self.plan.options):
-            return None
-        cells = self._cell_losses.on(newest if len(self._changed(newest)) else self._planned_on,
-                                     self._occupancy, self._planned.hiding)
-        return CellSearch(cells, game, np.flatnonzero(p > 0.0))
 
     def _changed(self, newest: OccupancyMap) -> IndexArray:
         """The cells whose losses have changed.
@@ -237,37 +266,66 @@ class ChangedGround:
 
     def _assess(self, look: ChangedNetwork) -> Assessment:
         """Return the assessment of drawing routes until one avoids the lost edges."""
-        plan, network, strategy = self.plan, self.plan.network, self.plan.strategy
+        plan, trip = self.plan, self.plan.trip
         if look.lost.all():
             return Assessment(math.inf, 0.0, 0.0)
-        known = Certificate(strategy.value, strategy.lower_bound)
-        clear_share, p = 1.0, strategy.edge_probability
-        if look.lost[p > 0.0].any():
-            clear_share, p = self.conditioned.avoiding(look.lost)
-        unchanged = p is strategy.edge_probability and np.array_equal(look.alpha, network.alpha)
+        known, unchanged = trip.certificate, self._is_unchanged(look)
+        clear_share, laws = self.clear_laws(look)
+        if not clear_share > 0.0:
+            return Assessment(math.inf, 0.0, 0.0)
+        law = LegLaws(trip.joint, laws) if len(laws) > 1 else laws[0]
         if not unchanged:
-            known = revalue(strategy, look.alpha, p)
-        known = self.at_any_cell(known, look.newest, strategy.game, p, unchanged)
-        return Assessment(known.value, known.bound, clear_share,
-                          float(p @ network.travel_costs) if p.any() else math.inf,
-                          plan.options.strategy.max_detour * strategy.shortest_length,
-                          network.travel_unit)
+            known = revalue(trip, look.alpha, law)
+        known = self.at_any_cell(known, look.newest, trip.joint, law, unchanged)
+        length = sum(float(own.uses(len(leg.edge_probability)) @ leg.network.travel_costs)
+                     for leg, own in zip(plan.legs, laws, strict=True))
+        return Assessment(known.value, known.bound, clear_share, length,
+                          plan.options.strategy.max_detour * trip.shortest_length,
+                          plan.network.travel_unit)
 
-    def _clear_corridors(self, newest: OccupancyMap) -> Corridors:
+    def by_leg(self, lost: BoolArray) -> list[BoolArray]:
+        """The lost edges (M,), leg by leg."""
+        return np.split(lost, self.plan.trip.joint.first[1:-1])
+
+    def _is_unchanged(self, look: ChangedNetwork) -> bool:
+        """Whether no edge in use is lost, and no node's loss has changed."""
+        p = np.concatenate([leg.edge_probability for leg in self.plan.legs])
+        return not look.lost[p > 0.0].any() and np.array_equal(look.alpha, self.plan.network.alpha)
+
+    def clear_laws(self, look: ChangedNetwork) -> tuple[float, list[Law]]:
+        """The probability that a route avoids the lost edges, and the law of each leg then.
+
+        0 and no laws if none does.
+        """
+        share, laws = 1.0, list[Law]()
+        for leg, own, conditioned in zip(self.plan.legs, self.by_leg(look.lost),
+                                         self.conditioned, strict=True):
+            clear, law = 1.0, leg.law
+            if own[leg.edge_probability > 0.0].any():
+                clear, found = conditioned.avoiding(own)
+                if found is None:
+                    return 0.0, []
+                law = found
+            share *= clear
+            laws.append(law)
+        return share, laws
+
+    def _clear_corridors(self, newest: OccupancyMap) -> tuple[Corridors, ...]:
         """Return the plan's corridors among the new obstacles."""
-        look = self.compare(newest)
+        look, plan = self.compare(newest), self.plan
         if self._corridors is None:
-            self._corridors = self.plan.corridors if not len(look.new_obstacles) else (
-                with_new_obstacles(self.plan.corridors, look.new_obstacles,
-                                   self.plan.options.network.clearance, newest.resolution))
+            self._corridors = plan.corridors if not len(look.new_obstacles) else tuple(
+                with_new_obstacles(each, look.new_obstacles, plan.options.network.clearance,
+                                   newest.resolution) for each in plan.corridors)
         return self._corridors
 
-    def _around(self, newest: OccupancyMap, node: int, place: tuple[float, float],
+    def _around(self, newest: OccupancyMap, corridors: Corridors, node: int,
+                place: tuple[float, float],
                 neighbours: IndexArray | None) -> tuple[FloatArray, RiskMap]:
         """Return the map around the links of a moved node, as far as paths may go."""
-        links, at = self.plan.corridors.links, neighbours
+        at = neighbours
         if at is None:
-            at = links[(links == node).any(axis=1)].ravel()
+            at = corridors.links[(corridors.links == node).any(axis=1)].ravel()
         uv = np.vstack((self._planned.uv[at], to_map_axes(newest.origin, [place])))
         wide = float(np.hypot(*(uv - uv[-1]).T).max())
         if self.plan.tube is not None:

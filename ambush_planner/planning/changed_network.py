@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan's network on another map of the same ground: lost edges, and the losses of its nodes."""
+"""A plan's networks on another map of the same ground: lost edges, and the losses of the nodes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _MAX_CELLS = 100_000
 
 @dataclass(frozen=True, eq=False)
 class ChangedNetwork:
-    """A plan's network on the ``newest`` map, compared with the one that it was planned on.
+    """A plan's networks on the ``newest`` map, compared with the one that it was planned on.
 
     ``changed`` (K,) are the flat indices of cells with another value, ``new_obstacles`` (L, 2) the
     centres of those that have become obstacles [m], in map axes. The ``lost`` edges meet one of
-    these or lead to a node over the threshold: a mask (M,). ``alpha`` (N,) are the nodes' losses
-    now.
+    these or lead to a node over the threshold: a mask (M,) of the edges of all legs. ``alpha`` (N,)
+    are the nodes' losses now.
     """
 
     newest: OccupancyMap
@@ -38,25 +38,26 @@ class ChangedNetwork:
 
 
 class PlannedNetwork:
-    """A plan's network, with the map that it was ``planned_on``."""
+    """A plan's networks, with the map that it was ``planned_on``."""
 
     def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions,
                  losses: LatestLosses) -> None:
-        self._network, self._planned_on = plan.network, planned_on
+        networks, self._planned_on = [leg.network for leg in plan.legs], planned_on
+        self._ends = [(each.source, each.target) for each in networks]
+        self._edges = np.concatenate([each.edges for each in networks])
         self._occupancy, self._losses = occupancy, losses
         self._clearance = plan.options.network.clearance
         self._threshold = plan.options.game.alpha_threshold
         # Whether an ambusher can hide in an obstacle, at the loss of the nearest free cell.
-        self.hiding = plan.strategy.game.reach > 0.0 and plan.options.game.ambush_in_obstacles
+        self.hiding = plan.trip.game.reach > 0.0 and plan.options.game.ambush_in_obstacles
         self.uv = to_map_axes(planned_on.origin, plan.network.points)
         # The construction of networks and plans takes a node's loss from the same cell.
         self._cells = cells_at(self.uv, planned_on.resolution, planned_on.values.shape)
-        self._tails, self._heads = (self.uv[plan.network.edges[:, k]] for k in (0, 1))
+        self._tails, self._heads = (self.uv[self._edges[:, k]] for k in (0, 1))
         self._middles = cKDTree((self._tails + self._heads) / 2)
 
     def on(self, newest: OccupancyMap) -> ChangedNetwork:
         """Compare the network on the newest map, which is of the same ground."""
-        network = self._network
         before, now = self._planned_on.values.ravel(), newest.values.ravel()
         # Flat indices: with rows and columns numpy takes five times as long.
         changed = np.flatnonzero(before != now)
@@ -64,7 +65,7 @@ class PlannedNetwork:
         cells = np.divmod(changed[is_now & ~was], newest.values.shape[1])
         new_obstacles = np.multiply(np.stack(cells[::-1], axis=1) + 0.5, newest.resolution)
         alpha = self._losses_on(newest)
-        lost = (alpha > self._threshold)[network.heads]
+        lost = (alpha > self._threshold)[self._edges[:, 1]]
         if len(new_obstacles) > _MAX_CELLS:
             lost[:] = True
         else:
@@ -79,7 +80,7 @@ class PlannedNetwork:
         else:
             values = newest.values[self._cells][None, :]
             alpha = risk_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
-        alpha[self._network.ends] = 0.0
+        alpha[np.unique(self._ends)] = 0.0
         return alpha
 
     def _near(self, centres: FloatArray, resolution: float) -> IndexArray:

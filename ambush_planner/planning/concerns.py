@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 
 from ..game.game import Game
-from ..game.slack import Reason
-from ..game.solver import ALL_ROUTES
+from ..game.solver import certain_sites
 from ..game.strategy import within_slack
+from ..game.tolerance import Reason
 from ..words import distance, ends
 from .options import holds_anywhere, start_tolerance
 from .plan import Plan
@@ -42,17 +42,17 @@ def concerns(plan: Plan) -> list[str]:
 
 
 def _secured(plan: Plan) -> str:
-    radius = plan.strategy.game.options.secured_distance
+    radius = plan.trip.game.options.secured_distance
     return f'within {distance(radius)} of' if radius else 'at'
 
 
 def _ends(plan: Plan) -> str:
-    return ends(len(plan.network.stops))
+    return ends(len(plan.stops_xy))
 
 
 def assumptions(plan: Plan) -> list[str]:
     """Return what a plan's value takes for granted, one sentence each, the main two first."""
-    game = plan.strategy.game.options
+    game = plan.trip.game.options
     share = _secured_share(plan)
     much = f', which is {share:.0%} of the straight way' if share > MAX_SECURED else ''
     if not game.reach:
@@ -70,10 +70,9 @@ def assumptions(plan: Plan) -> list[str]:
 
 def _secured_share(plan: Plan) -> float:
     """Share of the straight way from start to goal, by the stops, in the secured area."""
-    network = plan.network
-    ends = network.points[[network.source, *network.stops, network.target]]
+    ends = np.array(plan.ends_xy)
     legs = np.hypot(*np.diff(ends, axis=0).T)
-    within = 2.0 * plan.strategy.game.options.secured_distance
+    within = 2.0 * plan.trip.game.options.secured_distance
     return float(np.minimum(legs, within).sum() / legs.sum())
 
 
@@ -91,12 +90,12 @@ def _coarse(plan: Plan) -> list[str]:
 
 def is_sound(plan: Plan) -> bool:
     """Whether the gap is within the slack, and an ambush costs anything at all."""
-    return within_slack(plan.strategy, plan.options.strategy) and plan.value > 0.0
+    return within_slack(plan.trip, plan.options.strategy) and plan.value > 0.0
 
 
 def wide_gap(plan: Plan) -> str:
     """Why the value is further above its lower bound than the slack, and what helps; '' if not."""
-    strategy, options = plan.strategy, plan.options.strategy
+    strategy, options = plan.trip, plan.options.strategy
     if within_slack(strategy, options):
         return ''
     wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
@@ -104,7 +103,7 @@ def wide_gap(plan: Plan) -> str:
         wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the plan can be used, and '
                 f'its value, {strategy.value:.4g}, is at most that much above the best on this '
                 f'network (lower bound {strategy.lower_bound:.4g})')
-    may_help = '; fewer stops may help' if len(plan.network.stops) else ''
+    may_help = '; fewer stops may help' if len(plan.stops_xy) else ''
     return f'{wide}; {_WHY[strategy.reason]}{may_help}'
 
 
@@ -119,12 +118,12 @@ def _long_routes(plan: Plan) -> str:
 
 def _secured_area(plan: Plan) -> str:
     """Whether the secured area decides too much: the value, or whether there is one."""
-    bottleneck, game = plan.bottleneck, plan.strategy.game
+    bottleneck, game = plan.bottleneck, plan.trip.game
     secured = game.options.secured_distance
     if not len(game.sites):
         return (f'the value is 0: nobody can wait within {distance(secured)} of {_ends(plan)}, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
-    if not plan.strategy.value > 0.0:
+    if not plan.trip.value > 0.0:
         return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
@@ -133,7 +132,7 @@ def _secured_area(plan: Plan) -> str:
     if place := _covers_all(plan):
         remedy = (f'hold {distance(enough)} there (game.secured_radius -1), or '
                   if hold else '')
-        return (f'{place}: an ambush there always succeeds and costs {plan.strategy.value:.4g}; '
+        return (f'{place}: an ambush there always succeeds and costs {plan.trip.value:.4g}; '
                 f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
     if hold and asked is not None and game.reach > 0.0:
         return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
@@ -143,30 +142,31 @@ def _secured_area(plan: Plan) -> str:
         return ''
     count, near = len(bottleneck.sites), bottleneck.near_ends
     return (
-        f'the value {plan.strategy.value:.4g} is decided at {count} nodes, '
+        f'the value {plan.trip.value:.4g} is decided at {count} nodes, '
         f'{"all" if near == count else f"{near} of them"} within {distance(bottleneck.distance)} '
         'of start, stops or goal; a larger secured area there (game.secured_radius) may lower it'
     )
 
 
 def _covers_all(plan: Plan) -> str:
-    """Which single place lies on every route, '' if none does.
-
-    Against a best strategy all sites that the ambusher uses cost the same, so that a site which
-    costs no more than the value if it hits a route hits them all.
-    """
-    network, game = plan.network, plan.strategy.game
-    sites = plan.bottleneck.sites
-    sites = sites[ALL_ROUTES * game.loss[sites] <= plan.strategy.value]
-    if not len(sites) or not is_sound(plan):
+    """Which single place lies on every route of a leg, '' if none does."""
+    if not is_sound(plan):
         return ''
-    ends = network.points[[network.source, *network.stops, network.target]]
-    away = np.hypot(*np.moveaxis(game.network.points[sites][:, None] - ends, 2, 0))
-    at = int(away.min(axis=0).argmin())
-    name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
-    if away.min() > game.options.secured_distance + 2.0 * max(game.reach, plan.spacing):
-        return f'one place hits every route, {distance(float(away.min()))} from {name}'
-    return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
+    tolerance = plan.options.strategy.tolerance
+    for k, leg in enumerate(plan.legs):
+        sites = certain_sites(leg, tolerance)
+        if not len(sites):
+            continue
+        ends = np.array(plan.ends_xy)
+        away = np.hypot(*np.moveaxis(leg.network.points[sites][:, None] - ends, 2, 0))
+        at = int(away.min(axis=0).argmin())
+        name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
+        reach = max(leg.game.reach, plan.spacing)
+        if away.min() > leg.game.options.secured_distance + 2.0 * reach:
+            of = f' of leg {k + 1}' if len(plan.legs) > 1 else ''
+            return (f'one place hits every route{of}, {distance(float(away.min()))} from {name}')
+        return f'one place covers every way {"into" if at == k + 1 else "out of"} {name}'
+    return ''
 
 
 def _is_chance(game: Game) -> bool:
@@ -175,25 +175,25 @@ def _is_chance(game: Game) -> bool:
 
 
 def _strategy_number(name: str, plan: Plan) -> str:
-    return f'{getattr(plan.strategy, name):.9g}'
+    return f'{getattr(plan.trip, name):.9g}'
 
 
 _NUMBERS: dict[str, Callable[[Plan], str]] = {
     **{name: partial(_strategy_number, name) for name in (
         'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
         'expected_length', 'shortest_length')},
-    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.strategy.game)
+    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.trip.game)
                               else 'mean loss'),
     'value_holds_at': lambda plan: ('anywhere in free ground' if holds_anywhere(plan.options)
                                     else "the network's nodes"),
-    'secured_radius': lambda plan: f'{plan.strategy.game.options.secured_distance:.9g}',
-    'nodes': lambda plan: str(plan.network.place_count),
-    'edges': lambda plan: str(plan.network.stretches),
+    'secured_radius': lambda plan: f'{plan.trip.game.options.secured_distance:.9g}',
+    'nodes': lambda plan: str(len(plan.network.points)),
+    'edges': lambda plan: str(len(plan.trip.ground_uses[0])),
     'refined': lambda plan: ' '.join(f'{each.value:.4g}' for each in plan.refinement),
     'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
     'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),
-    'search_ended': lambda plan: plan.strategy.reason,
-    'stops': lambda plan: str(len(plan.network.stops)),
+    'search_ended': lambda plan: plan.trip.reason,
+    'stops': lambda plan: str(len(plan.stops_xy)),
     'solve_seconds': lambda plan: f'{plan.seconds:.3f}',
 }
 

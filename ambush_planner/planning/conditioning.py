@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A strategy conditioned on its routes avoiding some edges.
+"""A leg's strategy conditioned on its routes avoiding some edges.
 
 Drawing routes until one is clear samples this conditional strategy. On an acyclic network it is
 exact: let w = p / x be the probability of the next edge, and Z_i = sum w_ik Z_k that of reaching
-the target from node i by the other edges; the next edge then has probability w_ik Z_k / Z_i.
+the target from node i by the other edges; the next edge then has probability w_ik Z_k / Z_i. Of a
+mixture of whole routes, those that are clear keep their odds.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray, sums
 from ..game.distribution.acyclic import is_acyclic
-from ..game.distribution.chain import chain_of
+from ..game.distribution.chain import RouteMixture, chain_of
+from ..game.hits import Law
 from ..game.strategy import Strategy
 
 
@@ -21,21 +23,29 @@ class ConditionedStrategy:
 
     def __init__(self, strategy: Strategy) -> None:
         network, p = strategy.network, strategy.edge_probability
+        self._law, self._mixture = strategy.law, strategy.mixture
         self._chain = chain_of(network, p) if is_acyclic(network, p) else None
         if self._chain:
             on = self._chain.network
             self._nodes = np.zeros(on.count, dtype=np.int64)  # in the whole network
             self._nodes[on.tail], self._nodes[on.head] = network.edges[on.edge].T
 
-    def avoiding(self, lost: BoolArray) -> tuple[float, FloatArray]:
-        """The probability that a route avoids the edges ``lost`` (M,), and p (M,) of those that do.
+    def avoiding(self, lost: BoolArray) -> tuple[float, Law | None]:
+        """The probability that a route avoids the edges ``lost`` (M,), and the law of those that do.
 
-        Both are 0 if none does.
+        The law is None if none does.
         """
+        if self._mixture:
+            clear = np.array([not lost[route].any() for route in self._mixture.routes])
+            share = float(self._mixture.shares[clear].sum())
+            if not share > 0.0:
+                return 0.0, None
+            return share, RouteMixture(self._mixture.routes,
+                                       self._mixture.shares * clear / share, self._mixture.leg)
         if self._chain is None:
-            return 0.0, np.zeros(len(lost))
-        clear, share = self._chain.avoiding(np.flatnonzero(lost[self._chain.network.edge]))
-        return share, clear.uses(len(lost))
+            return (0.0, None) if lost.any() else (1.0, self._law)
+        clear_chain, share = self._chain.avoiding(np.flatnonzero(lost[self._chain.network.edge]))
+        return share, clear_chain if share > 0.0 else None
 
     def onwards(self, begins: FloatArray, lost: BoolArray) -> FloatArray:
         """p (M,) of rests of routes without the edges ``lost`` (M,).

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..game.game import Game
-from ..game.hits import meeting_probability, worst_loss
+from ..game.hits import law_of, meeting_probability, worst_loss
 from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy
 from .plan import Plan
@@ -39,7 +39,7 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     """Compare a plan, or a strategy, with the planners that always drive the same route.
 
     An ambusher who has learnt a fixed route waits at its worst site; against the stochastic planner
-    he can do no better than the equilibrium.
+    nothing beats the equilibrium.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     """
     strategy = planned.strategy if isinstance(planned, Plan) else planned
     game, q = strategy.game, strategy.ambush_probability
-    p_first = meeting_probability(game, strategy.edge_probability, q)
+    p_first = meeting_probability(game, strategy.law, q)
     stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)
     return {
         'stochastic': stochastic,
@@ -73,7 +73,7 @@ def energy_efficient_route(game: Game) -> IndexArray:
 
 def risk_avoiding_route(game: Game) -> IndexArray:
     """Nodes (K,) of a route of least sum of alpha; among these, of a shortest one."""
-    through = game.through(game.network.alpha[game.network.heads])
+    through = game.least_weights(game.network.alpha[game.network.heads])
     tied = through <= through.min() * (1.0 + TIE)
     return shortest_route(game.network, np.flatnonzero(tied))
 
@@ -81,5 +81,5 @@ def risk_avoiding_route(game: Game) -> IndexArray:
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
     worst = worst_loss(game, p)
-    return Measures(planner, float(p @ game.network.travel_costs), meeting_probability(game, p, q),
-                    1.0 if worst > 0.0 else 0.0, worst)
+    return Measures(planner, float(p @ game.network.travel_costs), meeting_probability(game, law_of(game, p), q),
+                                        1.0 if worst > 0.0 else 0.0, worst)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,22 +13,22 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, TimeLimit
-from ..game.game import GameOptions
-from ..game.slack import within
-from ..game.solver import solve
-from ..game.strategy import Strategy, StrategyOptions
+from ..game.game import GameOptions, make_games
+from ..game.tolerance import within
+from ..game.solver import solve_legs
+from ..game.strategy import StrategyOptions, TripStrategy
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
-from .options import PlanningOptions, grading
-from .solving import WarmStart, solve_on_network
-from .trip import plan_trip, trip_network
+from .options import PlanningOptions, is_graded
+from .solving import Ground, WarmStart
+from .trip import Trip, plan_trip
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 # Attributes that a row copies from its strategy.
 MEASURED = (
     'value', 'lower_bound', 'expected_length', 'shortest_length', 'expected_exposure',
-    'least_exposure', 'route_entropy',
+    'route_entropy',
 )
 
 
@@ -48,7 +49,6 @@ class FrontierRow:
     expected_length: float = math.nan
     shortest_length: float = math.nan
     expected_exposure: float = math.nan
-    least_exposure: float = math.nan
     route_entropy: float = math.nan
     error: str = ''
 
@@ -76,8 +76,10 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     >>> [round(row.lower_bound, 2) for row in frontier(network, detours=(1.0, 2.0), slacks=())]
     [1.0, 0.5]
     """
-    def solved(budgets: StrategyOptions, _: Strategy | None) -> Strategy:
-        return solve(network, game, budgets)
+    games = make_games((network,), game or GameOptions())
+
+    def solved(budgets: StrategyOptions, _: TripStrategy | None) -> TripStrategy:
+        return solve_legs(games, budgets)
 
     return _rows(solved, detours, slacks, options or StrategyOptions(), on_row)
 
@@ -93,21 +95,19 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     ``stops`` are as in ``Plan.stops_xy``, ``refined`` as in ``Network``; by
     default, it is that of the plan. Raises the errors of ``plan_trip``.
     """
-    if refined is None:
-        refined = np.empty((0, 3))
-        if grading(risk_map, options, refined):
-            refined = plan_trip(risk_map, start_xy, goal_xy, options,
-                                stops=stops).network.refined
-    network = trip_network(risk_map, start_xy, goal_xy, options, stops, refined)
+    if refined is None and is_graded(options):
+        refined = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops).network.refined
+    networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(refined)
 
-    def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
+    def solved(budgets: StrategyOptions, before: TripStrategy | None) -> TripStrategy:
         warm = WarmStart.of(before) if before else None
-        return solve_on_network(risk_map, network, replace(options, strategy=budgets), warm)
+        ground = Ground.of(risk_map, replace(options, strategy=budgets))
+        return ground.solve(networks, time.monotonic() + budgets.time_limit, warm)
 
     return _rows(solved, detours, slacks, options.strategy, on_row)
 
 
-def _rows(solved: Callable[[StrategyOptions, Strategy | None], Strategy], detours: Sequence[float],
+def _rows(solved: Callable[[StrategyOptions, TripStrategy | None], TripStrategy], detours: Sequence[float],
           slacks: Sequence[float], options: StrategyOptions,
           on_row: Callable[[FrontierRow], None] | None) -> tuple[FrontierRow, ...]:
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
@@ -117,19 +117,16 @@ def _rows(solved: Callable[[StrategyOptions, Strategy | None], Strategy], detour
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
     rows: dict[int, FrontierRow] = {}
     known: dict[StrategyOptions, FrontierRow] = {}
-    before: Strategy | None = None
+    before: TripStrategy | None = None
     for k in order:
         swept, budgets = tasks[k]
         row = FrontierRow(swept, budgets.max_detour, budgets.risk_slack)
         if budgets not in known:  # both sweeps may contain the budgets of ``options``
             try:
-                found: Strategy | None = solved(budgets, before)
+                before = found = solved(budgets, before)
+                row = replace(row, **{name: getattr(found, name) for name in MEASURED})
             except (BudgetInfeasible, TimeLimit) as error:
-                found, row = getattr(error, 'strategy', None), replace(row, error=str(error))
-            if found:
-                before = found
-                row = replace(row, error='', **{
-                    name: getattr(found, name) for name in MEASURED})
+                row = replace(row, error=str(error))
             known[budgets] = row
         rows[k] = replace(known[budgets], swept=swept)
         if on_row is not None:

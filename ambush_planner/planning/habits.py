@@ -16,14 +16,13 @@ from scipy.stats import binom
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
-from ..game.budget import least_cost
+from ..game.budget import shortest_length
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track
-from .options import PlanningOptions, is_graded
+from .options import PlanningOptions
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan, make_plan
-from .solving import solve_on_network, with_time
-from .trip import PLANNED, plan_quietly, trip_network
+from .plan import Plan
+from .trip import PLANNED, Trip, plan_quietly
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
@@ -70,17 +69,15 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     end = begin + options.strategy.time_limit
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
-    network = trip_network(risk_map, start, goal, options, (), np.empty((0, 3)))
-    # By length on any network: trips without times cannot be held against a time.
-    network = replace(network, seconds=None)
-    shortest = network.ground_length or least_cost(network, network.lengths)
-    budgets = replace(options.strategy, max_detour=max(mean / shortest, MIN_DETOUR))
-    options = replace(options, strategy=budgets)
-    options = with_time(options, begin + PLANNED * options.strategy.time_limit)
-    if is_graded(options):
-        plan = plan_quietly(risk_map, start, goal, options)
-    else:
-        plan = make_plan(risk_map, solve_on_network(risk_map, network, options), options)
+    roads = options.network.roads
+    if roads and roads.timed:  # trips without times cannot be held against a time
+        options = replace(options, network=replace(options.network,
+                                                   graph=replace(roads, timed=False)))
+    (network,) = Trip(risk_map, start, goal, (), options).networks(np.empty((0, 3)))
+    shortest = network.ground_length or shortest_length(network)
+    options = replace(options, strategy=replace(options.strategy,
+                                                max_detour=max(mean / shortest, MIN_DETOUR)))
+    plan = plan_quietly(risk_map, start, goal, options, share=PLANNED)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('the secured area covers everything around start and goal, so that '
                             'nobody can wait there: choose a smaller radius (--held)')

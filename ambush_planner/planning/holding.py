@@ -8,6 +8,7 @@ most promising candidates are solved, until no other one can be better by more t
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,14 +21,14 @@ from ..arrays import sums
 from ..errors import InvalidOption
 from ..game.game import SecuredPlace
 from ..game.revaluation import bound_if_held
-from ..game.slack import within
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
+from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
 from .cell_losses import thinned
 from .options import PlanningOptions
-from .solving import WarmStart, solve_on_network
-from .trip import Position, plan_trip, trip_network
+from .solving import Ground, WarmStart
+from .trip import Position, Trip, plan_trip
 
 # Candidates of one step if none are given, and their least distance, as a share of the radius.
 MAX_CANDIDATES, APART = 16, 0.7
@@ -46,7 +47,7 @@ class Held:
 
     name: str
     xy: Position
-    strategy: Strategy
+    strategy: TripStrategy
     others: float
     solved: int
     candidates: int
@@ -56,11 +57,11 @@ class Held:
 class Holding:
     """The places to hold, in their order, and the strategy ``before``, if none of them is held."""
 
-    before: Strategy
+    before: TripStrategy
     steps: tuple[Held, ...]
 
     @property
-    def strategies(self) -> tuple[Strategy, ...]:
+    def strategies(self) -> tuple[TripStrategy, ...]:
         """The strategies with 0, 1, 2, ... of the places held."""
         return self.before, *(step.strategy for step in self.steps)
 
@@ -85,50 +86,51 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     _check(risk_map, radius, count, candidates or {})
     options = options or PlanningOptions()
     plan = plan_trip(risk_map, start_xy, goal_xy, options, stops=(stops := list(stops)))
-    network = trip_network(risk_map, start_xy, goal_xy, options, stops,
-                           plan.network.refined)
+    networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(plan.network.refined)
 
-    def solved(held: tuple[SecuredPlace, ...], after: Strategy | None = None) -> Strategy:
+    def solved(held: tuple[SecuredPlace, ...], after: TripStrategy | None = None) -> TripStrategy:
         warm = WarmStart.of(after) if after else None
         game = replace(options.game, held_places=held)
-        return solve_on_network(risk_map, network, replace(options, game=game), warm)
+        ground = Ground.of(risk_map, replace(options, game=game))
+        end = time.monotonic() + options.strategy.time_limit
+        return ground.solve(networks, end, warm)
 
-    before = strategy = plan.strategy
+    before = strategy = plan.trip
     steps: list[Held] = []
     while len(steps) < count and strategy.value > 0.0:
         taken = [step.name for step in steps]
         given = None if candidates is None else [
             each for each in candidates.items() if each[0] not in taken]
-        if not (places := _by_dual_weight(strategy, given, radius)):
+        if not (places := _by_site_price(strategy, given, radius)):
             break
-        steps.append(_best_of(places, radius, strategy, options.strategy.slack, solved,
+        steps.append(_best_of(places, radius, strategy, options.strategy.tolerance, solved,
                               partial(progress, len(steps) + 1)))
         strategy = steps[-1].strategy
     return Holding(before, tuple(steps))
 
 
-def _best_of(places: Sequence[_Place], radius: float, before: Strategy, slack: float,
-             solved: Callable[..., Strategy], progress: Callable[[int], None]) -> Held:
+def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tolerance: float,
+             solved: Callable[..., TripStrategy], progress: Callable[[int], None]) -> Held:
     """The place of least value if it is held, too; of those within the slack of it, the first."""
     held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
     bounds = np.array([bound_if_held(before, each) for each in held])
     values, last = np.full(len(held), np.inf), before
     while left := [k for k in np.flatnonzero(np.isinf(values)).tolist()
-                   if not within(values.min(), bounds[k], slack)]:
+                   if not within(values.min(), bounds[k], tolerance)]:
         progress(len(left))
         k = min(left, key=lambda each: float(bounds[each]))
         last = solved(held[k], last)
         values[k], bounds[k] = last.value, last.lower_bound
         for j in set(left) - {k}:
             bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
-    best = next(k for k, value in enumerate(values) if within(value, values.min(), slack))
+    best = next(k for k, value in enumerate(values) if within(value, values.min(), tolerance))
     # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
     others = float(np.delete(bounds, best).min(initial=np.inf))
     return Held(*places[best], solved(held[best]), others, int(np.isfinite(values).sum()),
                 len(held))
 
 
-def _by_dual_weight(strategy: Strategy, given: Sequence[_Place] | None,
+def _by_site_price(strategy: TripStrategy, given: Sequence[_Place] | None,
                     radius: float) -> list[_Place]:
     """The candidates, those first that take most from the ambusher; by default some sites.
 
@@ -136,14 +138,14 @@ def _by_dual_weight(strategy: Strategy, given: Sequence[_Place] | None,
     """
     game = strategy.game
     points = game.network.points[game.sites]
-    dual_weights = game.loss[game.sites] * game.at_sites(strategy.ambush_probability)
+    site_prices = (game.loss * strategy.ambusher.q)[game.sites]
     centres = points if given is None else np.reshape([xy for _, xy in given], (-1, 2))
     pairs = cKDTree(centres).sparse_distance_matrix(cKDTree(points), radius, output_type='ndarray')
-    near = dual_weights[pairs['j']] * (1.0 - 0.5 * (pairs['v'] / radius)**2)
+    near = site_prices[pairs['j']] * (1.0 - 0.5 * (pairs['v'] / radius)**2)
     taken = sums(pairs['i'], near, len(centres))
     if given is not None:
         return [given[k] for k in np.argsort(-taken, kind='stable')]
-    most_first = np.lexsort((-game.site_losses(strategy.edge_probability), -taken))
+    most_first = np.lexsort((-game.loss[game.sites] * strategy.hits.sum(axis=0), -taken))
     kept = thinned(points, most_first, APART * radius)[:MAX_CANDIDATES]
     return [('', (x, y)) for x, y in points[kept].tolist()]
 

@@ -116,10 +116,10 @@ def is_graded(options: PlanningOptions) -> bool:
 
 
 def grading(risk_map: RiskMap, options: PlanningOptions,
-            refined: FloatArray) -> Grading | None:
+            refined: FloatArray | None) -> Grading | None:
     """How fine the network is at each place, with ``Network.refined`` (K, 3); None: plain."""
     network, reach = options.network, options.game.ambush_radius
-    if not is_graded(options):
+    if refined is None or not is_graded(options):
         return None
     secured = _driven_game(options, node_spacing(risk_map, network)).secured_distance
     return Grading(finest_spacing(risk_map, FINEST * reach), secured, refined, AROUND * reach)

@@ -57,7 +57,7 @@ class PathMixtures:
     """
 
     def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray]) -> None:
-        solved = plan.strategy.game
+        solved = plan.trip.game
         options = solved.options
         check_judged(options)
         self._network, self._uses = _network_of(plan, paths)
@@ -78,7 +78,7 @@ class PathMixtures:
         least = float((self._loss * (self._hit @ shares)).max(initial=0.0))
         used = self._uses @ shares
         # Only along the paths that have a share: of many paths, a best mixture needs few.
-        search = CellSearch(self._cells, self._game, np.flatnonzero(used))
+        search = CellSearch(self._cells, (self._game,), used > 0.0)
         found = search.worst(chain_of(self._network, used), least)
         self._add_sites(found.points, found.alpha)
         losses = self._loss * (self._hit @ shares)

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck
-from ..game.strategy import Strategy
+from ..game.strategy import Strategy, TripStrategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
     from .few_routes import FewRoutes
     from .frontier import FrontierRow
     from .refinement import Round
+
+# A departure's route: the nodes (K,) of each leg.
+Route = tuple[IndexArray, ...]
 
 # Number of routes driven to find the mean length of paths: a third of a per cent of it.
 DRIVEN = 300
@@ -70,18 +75,18 @@ class PlanRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
-    """The strategy for a map, a start and a goal, with everything that departures need.
+    """The strategies for a map, a start, stops and a goal, with everything that departures need.
 
-    ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
-    distance of the network's nodes, at least the map's resolution [m]. ``seconds`` is the planning
-    time.
-    ``risk_map`` is the map if the plan was made in this process, else None. ``few`` is the mixture
-    of few routes that departures draw from, None if they draw from the strategy.
-    ``refinement`` has the rounds in which the network was refined; () if it is plain.
+    ``corridors`` are the space around the routes of each leg that the driven path may use.
+    ``spacing`` is the distance of the network's nodes, at least the map's resolution [m].
+    ``seconds`` is the planning time. ``risk_map`` is the map if the plan was made in this process,
+    else None. ``few`` is the mixture of few routes that departures draw from, None if they draw
+    from the strategies. ``refinement`` has the rounds in which the network was refined; () if it is
+    plain.
     """
 
-    strategy: Strategy
-    corridors: Corridors
+    trip: TripStrategy
+    corridors: tuple[Corridors, ...]
     options: PlanningOptions
     spacing: float
     seconds: float = 0.0
@@ -90,14 +95,39 @@ class Plan(Shown):
     refinement: tuple[Round, ...] = ()
 
     @property
+    def legs(self) -> tuple[Strategy, ...]:
+        """The strategy of each leg; their routes are drawn one by one."""
+        return self.trip.legs
+
+    @property
+    def strategy(self) -> Strategy:
+        """The strategy of a plan without stops; raises InvalidOption if there are any."""
+        if len(self.legs) > 1:
+            raise InvalidOption('a plan with stops has a strategy for each leg: see its legs')
+        return self.legs[0]
+
+    @property
     def network(self) -> Network:
-        """The network of the strategy."""
-        return self.strategy.network
+        """The network of the first leg, whose nodes are those of all legs."""
+        return self.legs[0].network
+
+    def of_leg(self, number: int) -> Plan:
+        """The plan of one leg alone."""
+        leg = self.legs[number]
+        trip = TripStrategy((leg,), leg.certificate, leg.entropy_bound, leg.reason)
+        return replace(self, trip=trip, corridors=(self.corridors[number],), few=None)
+
+    def legs_from(self, first: int) -> Plan:
+        """The plan of the legs from ``first`` on."""
+        if first == 0:
+            return self
+        return replace(self, trip=replace(self.trip, legs=self.legs[first:]),
+                       corridors=self.corridors[first:])
 
     @cached_property
     def bottleneck(self) -> Bottleneck:
         """The sites that decide the value."""
-        return find_bottleneck(self.strategy)
+        return find_bottleneck(self.trip)
 
     @property
     def own_map(self) -> RiskMap:
@@ -108,20 +138,34 @@ class Plan(Shown):
 
     @property
     def value(self) -> float:
-        """Mean loss per departure by the best ambush that knows everything except the draw."""
-        return self.few.value if self.few else self.strategy.value
+        """Mean loss per departure by the best ambush that knows everything except the draw.
+
+        Of a trip with stops, the sum over its legs at one place.
+        """
+        return self.few.value if self.few else self.trip.value
 
     @property
     def lower_bound(self) -> float:
-        """No strategy on the same network and budgets has a smaller value.
+        """No strategies on the same network and budgets have a smaller value.
 
         If departures draw from a few routes: no mixture of the paths that these were chosen from.
         """
-        return self.few.lower_bound if self.few else self.strategy.lower_bound
+        return self.few.lower_bound if self.few else self.trip.lower_bound
+
+    @property
+    def gap_is_wide(self) -> bool:
+        """Whether the gap is over ``max_gap``: then departures should not be drawn from it."""
+        return self.value - self.lower_bound > self.options.max_gap * self.value
 
     def _summary(self) -> dict[str, str]:
-        return {**self.strategy._summary(), 'node spacing': distance(self.spacing),
-                'secured area': distance(self.strategy.game.options.secured_distance),
+        trip = self.trip
+        stops = {'stops': str(len(self.stops_xy))} if self.stops_xy else {}
+        return {'value': f'{self.value:.4g}', 'lower bound': f'{self.lower_bound:.4g}', **stops,
+                'mean length': f'{trip.expected_length:.0f} {self.network.travel_unit}',
+                'shortest route': f'{trip.shortest_length:.0f} {self.network.travel_unit}',
+                'network': f'{len(self.network.points)} nodes',
+                'node spacing': distance(self.spacing),
+                'secured area': distance(trip.game.options.secured_distance),
                 'planned in': f'{self.seconds:.2g} s'}
 
     def plot(self, axes: Any = None) -> Any:
@@ -132,7 +176,7 @@ class Plan(Shown):
         """
         from ..figures import draw_strategy
 
-        return draw_strategy(axes, self.strategy, self.risk_map)
+        return draw_strategy(axes, self.trip, self.risk_map)
 
     def paths(self, n: int,
               rng: np.random.Generator | int | None = None) -> list[FloatArray]:
@@ -190,22 +234,22 @@ class Plan(Shown):
     def _tables(self) -> Any:
         from .route_layers import strategy_tables
 
-        return strategy_tables(self.strategy, self.own_map)
+        return strategy_tables(self.trip, self.own_map)
 
     def to_networkx(self) -> Any:
         """The network as a directed graph of networkx.
 
-        Nodes have the ``place`` that they stand for, ``x`` and ``y`` [m], ``loss`` and, at the
-        first one of a place, ``ambush_probability``; edges have their ``length`` [m], the
-        ``probability`` that the convoy uses them and, if known, ``seconds``.
+        Nodes have ``x`` and ``y`` [m], ``loss`` and ``ambush_probability``; edges have their
+        ``length`` [m], the ``probability`` that the convoy uses them and, if known, ``seconds``.
+        Of a plan without stops.
         """
         import networkx
 
         network, strategy, graph = self.network, self.strategy, networkx.DiGraph()
         graph.add_nodes_from(
-            (k, {'place': place, 'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
-            for k, (place, (x, y), loss, q) in enumerate(zip(
-                network.places.tolist(), network.points.tolist(), network.alpha.tolist(),
+            (k, {'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
+            for k, ((x, y), loss, q) in enumerate(zip(
+                network.points.tolist(), network.alpha.tolist(),
                 strategy.ambush_probability.tolist(), strict=True)))
         columns = {'length': network.lengths, 'probability': strategy.edge_probability}
         if network.seconds is not None:
@@ -245,10 +289,24 @@ class Plan(Shown):
         return float(path_lengths(departure_paths(self, DRIVEN, self.spacing, rng)).mean())
 
     @property
+    def start_xy(self) -> tuple[float, float]:
+        """Begin of the routes [m]."""
+        return self._place(self.network.source)
+
+    @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
         """The stops as they are visited [m]."""
-        stops = self.network.points[self.network.stops].tolist()
-        return tuple((x, y) for x, y in stops)
+        return tuple(self._place(leg.network.source) for leg in self.legs[1:])
+
+    @property
+    def goal_xy(self) -> tuple[float, float]:
+        """End of the routes [m]: the requested goal, or where it was moved to."""
+        return self._place(self.legs[-1].network.target)
+
+    @property
+    def ends_xy(self) -> tuple[tuple[float, float], ...]:
+        """Start, stops and goal [m]."""
+        return (self.start_xy, *self.stops_xy, self.goal_xy)
 
     @property
     def tube(self) -> float | None:
@@ -260,10 +318,8 @@ class Plan(Shown):
         """How far start and goal of a departure may be from the plan's [m]."""
         return start_tolerance(self.options, self.spacing)
 
-    @property
-    def goal_xy(self) -> tuple[float, float]:
-        """End of the routes [m]: the requested goal, or where it was moved to."""
-        x, y = self.network.points[self.network.target].tolist()
+    def _place(self, node: int) -> tuple[float, float]:
+        x, y = self.network.points[node].tolist()
         return x, y
 
 
@@ -272,14 +328,17 @@ def path_lengths(paths: Sequence[FloatArray]) -> FloatArray:
     return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
 
 
-def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions) -> Plan:
-    """The plan that follows from a strategy."""
-    return Plan(strategy, plan_corridors(strategy, risk_map, options), options,
-                node_spacing(risk_map, options.network), risk_map=risk_map)
+def make_plan(risk_map: RiskMap, trip: TripStrategy, options: PlanningOptions,
+              begin: float | None = None) -> Plan:
+    """The plan that follows from strategies; planning began at ``begin`` (``time.monotonic``)."""
+    corridors = tuple(leg_corridors(leg, risk_map, options) for leg in trip.legs)
+    seconds = time.monotonic() - begin if begin is not None else 0.0
+    return Plan(trip, corridors, options, node_spacing(risk_map, options.network), seconds,
+                risk_map)
 
 
-def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
-    """The corridors of a plan's network; on roads, and without a reach, no corners are cut."""
+def leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
+    """The corridors of a leg's network; on roads, and without a reach, no corners are cut."""
     spacing, game = node_spacing(risk_map, options.network), strategy.game
     limit, most = tube(options, spacing), np.inf
     reach = game.options.ambush_radius + game.options.tube
@@ -292,19 +351,37 @@ def plan_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptio
                           game.secured.shrunk(game.options.tube))
 
 
-def departure_path(a_plan: Plan, route: IndexArray, spacing: float,
-                   ends: Ends | None = None) -> FloatArray:
-    """Poses (L, 3) = (x, y, yaw) of the path along a route (K,), at most ``spacing`` [m] apart.
+def draw_routes(plan: Plan, n: int, rng: np.random.Generator) -> list[Route]:
+    """Draw ``n`` departures: a route of each leg, drawn on its own."""
+    return list(zip(*(leg.sample_routes(n, rng) for leg in plan.legs), strict=True))
 
-    ``ends`` are start and goal [m] if they differ from the route's. Raises InvalidOption if there
+
+def departure_path(plan: Plan, route: Route, spacing: float, ends: Ends | None = None
+                   ) -> FloatArray:
+    """Poses (L, 3) = (x, y, yaw) of the path along a route, at most ``spacing`` [m] apart.
+
+    ``ends`` are start and goal [m] if they differ from the route's. Each stop is met exactly, with
+    the yaw of the arrival; the convoy may turn on the spot there. Raises InvalidOption if there
     would be more than ``MAX_POSES``.
     """
-    radius = a_plan.options.drive.turning_radius
-    return driven_path(a_plan.corridors, route, spacing, radius, ends)
+    radius = plan.options.drive.turning_radius
+    places = [*plan.ends_xy]
+    if ends is not None:
+        places[0], places[-1] = ends
+    legs = [driven_path(corridors, nodes, spacing, radius, own) for corridors, nodes, own in zip(
+        plan.corridors, route, pairwise(places), strict=True)]
+    return _joined(legs)
 
 
-def departure_paths(a_plan: Plan, n: int, spacing: float,
+def departure_paths(plan: Plan, n: int, spacing: float,
                     rng: np.random.Generator) -> list[FloatArray]:
     """Draw ``n`` departures and return their paths, as ``departure_path`` does."""
-    routes = a_plan.strategy.sample_routes(n, rng)
-    return driven_paths(a_plan.corridors, routes, spacing, a_plan.options.drive.turning_radius)
+    radius, routes = plan.options.drive.turning_radius, draw_routes(plan, n, rng)
+    legs = [driven_paths(corridors, list(own), spacing, radius) for corridors, own in zip(
+        plan.corridors, zip(*routes, strict=True), strict=True)] if n else []
+    return [_joined(each) for each in zip(*legs, strict=True)]
+
+
+def _joined(legs: Sequence[FloatArray]) -> FloatArray:
+    """The paths of legs as one, whose poses at stops are those of the arrival."""
+    return np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))

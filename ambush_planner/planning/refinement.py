@@ -2,10 +2,13 @@
 """Refine a plan's network where the ambusher waits, while that lowers the value.
 
 A network's value is higher than the ground's, and only nodes where the optimal ambusher waits, at
-the minimum cut, can lower it. So the nodes around his sites come nearer to each other, and the next
-round begins with these sites. The cut moves on to coarser parts of the network, and after two or
-three rounds the value hardly falls (docs/theory.md, section 10). The rounds find values only; the
-network of least value then gets a route distribution.
+the minimum cut, can lower it. So the nodes around these sites come nearer to each other, and the
+next round begins with these sites. The cut moves on to coarser parts of the network, and after two
+or three rounds the value hardly falls (docs/theory.md, section 10).
+
+The first plan, of the plain network, is finished before anything is refined. Rounds find values
+only; the network of least value then gets a route distribution, and becomes the plan if that costs
+less than the first one. So the best finished plan is returned, however short the time is.
 """
 
 from __future__ import annotations
@@ -17,18 +20,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray
-from ..game.search import Search
-from ..game.slack import ceiling
+from ..game.search import Progress, Search
 from ..maps.risk_map import RiskMap
 from .cell_losses import thinned
 from .options import PlanningOptions, finest_spacing, grading, node_spacing
-from .solving import WarmStart
+from .solving import Ground, WarmStart
 
 # Unless the number of rounds is given: most rounds after the first one, and most nodes, those of
 # all legs, of a network that is refined further, as larger ones take minutes.
 ROUNDS, MAX_NODES = 6, 15_000
-# Share of the time limit after which no round begins.
-REFINED_BY = 0.4
 # Fall of the value in a round, as a share of it, below which refinement then ends.
 LEAST_FALL = 0.02
 # Sites that cause less than this share of the ambusher's mean loss are not refined. If those where
@@ -45,10 +45,15 @@ COMPASS = np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4.0])
 APART = 0.25
 
 
-class Round(NamedTuple):
-    """A round of refinement: the nodes of its network, the value there, and time [s].
+# Finds the value on the network with ``WarmStart.refined`` from what another search knows.
+FindValue = Callable[['WarmStart | None'], Search]
 
-    The value is the least that was found, plus the risk slack.
+
+class Round(NamedTuple):
+    """A round of refinement: the nodes of its network, and its time [s].
+
+    ``value`` is that of its finished strategy, or of the strategy of a program that was not
+    finished, at the sites so far.
     """
 
     nodes: int
@@ -56,34 +61,33 @@ class Round(NamedTuple):
     seconds: float
 
 
-# Finds the value on the network with ``WarmStart.refined`` from what another search knows.
-FindValue = Callable[['WarmStart | None'], Search]
-
-
-def refine(find_value: FindValue, risk_map: RiskMap, options: PlanningOptions,
-           warm: WarmStart | None) -> tuple[Search, tuple[Round, ...]]:
+def refine(find_value: FindValue, ground: Ground, warm: WarmStart | None, latest: float,
+           progress: Progress, value: float) -> tuple[Search | None, tuple[Round, ...]]:
     """Find the value on ever finer networks; the search of least value, and all rounds.
 
     Rounds end when the network is fine enough, and unless their number is given, when they gain
-    little or the network is large. Raises what the first search raises.
+    little or the network is large; none begins after ``latest`` (``time.monotonic``). None if the
+    first one is cut short. ``value`` is that of the plan so far, for ``progress``.
     """
-    given = options.network.refine
-    begin = time.monotonic()
-    latest = begin + REFINED_BY * options.strategy.time_limit
-    best = newest = find_value(warm)
-    done = [_round(newest, begin)]
+    given, done = ground.options.network.refine, list[Round]()
+    best: Search | None = None
     while len(done) <= (ROUNDS if given is None else given) and time.monotonic() < latest:
-        too_large = given is None and done[-1].nodes > MAX_NODES
-        if too_large or (places := next_places(newest, risk_map, options)) is None:
-            break
-        begin, before = time.monotonic(), best.lp.bound
-        newest = find_value(WarmStart.after(newest, places))
+        if best is not None:
+            places = next_places(newest, ground.risk_map, ground.options)
+            if places is None or (given is None and done[-1].nodes > MAX_NODES):
+                break
+            warm = WarmStart.after(newest, places)
+        begin = time.monotonic()
+        newest = find_value(warm)
         if newest.reason != 'stalled':  # it was cut short
             break
-        done.append(_round(newest, begin))
-        if newest.lp.bound < before:
+        nodes, found = len(newest.legs.games[0].network.points), newest.program.value
+        done.append(Round(nodes, found, time.monotonic() - begin))
+        progress(f'refining the network, {nodes} nodes', value)
+        before = best.program.value if best else np.inf
+        if found < before:
             best = newest
-        if given is None and newest.lp.bound > (1.0 - LEAST_FALL) * before:
+        if given is None and found > (1.0 - LEAST_FALL) * before:
             break
     return best, tuple(done)
 
@@ -93,31 +97,26 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
 
     Added are the sites where the ambusher waits and the network is not fine.
     """
-    game, network, reach = search.game, search.game.network, options.game.ambush_radius
+    network, reach = search.legs.games[0].network, options.game.ambush_radius
     grades = grading(risk_map, options, network.refined)
-    dual_weights = search.lp.q * search.loss
-    if grades is None or not dual_weights.any():
+    q = search.program.ambush.q
+    site_prices = np.append(q, np.zeros(len(search.loss) - len(q))) * search.loss
+    if grades is None or not site_prices.any():
         return None
-    sites = np.flatnonzero(dual_weights > SHARE * dual_weights.sum())
-    share, points = dual_weights[sites] / dual_weights.sum(), search.points[sites]
+    sites = np.flatnonzero(site_prices > SHARE * site_prices.sum())
+    share, points = site_prices[sites] / site_prices.sum(), search.points[sites]
     narrow, level = share > NARROW[0], np.searchsorted(NARROW, share)
     finest = np.array([finest_spacing(risk_map, each * reach) for each in SPACINGS])[level]
-    ends = network.points[[network.source, *network.stops, network.target]]
-    rims = np.where(narrow, game.reach, 0.0)[:, None] * COMPASS[:, None]
+    ends = network.points[[(game.network.source, game.network.target)
+                           for game in search.legs.games]].reshape(-1, 2)
+    rims = np.where(narrow, search.legs.reach, 0.0)[:, None] * COMPASS[:, None]
     plain = node_spacing(risk_map, options.network)
     spacing = np.max([grades.wanted(points + rim, ends, plain) for rim in rims], axis=0)
     coarse = spacing > FINE * finest
-    if dual_weights[sites[coarse]].sum() <= COARSE_SHARE * dual_weights.sum():
+    if site_prices[sites[coarse]].sum() <= COARSE_SHARE * site_prices.sum():
         return None
     added = np.column_stack((points[coarse], finest[coarse]))
+    assert network.refined is not None  # it is graded
     every = np.concatenate((network.refined, added))
     finest_first = np.argsort(every[:, 2], kind='stable')
     return every[np.sort(thinned(every[:, :2], finest_first, APART * grades.around))]
-
-
-def _round(search: Search, begin: float) -> Round:
-    """The round of a search, which it reports, too."""
-    bound = float(search.lp.bound)
-    value = ceiling(bound, search.slack)
-    search.problem.progress(value, bound)
-    return Round(len(search.problem.game.network.points), value, time.monotonic() - begin)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import cell_transform
@@ -46,31 +46,30 @@ def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str
         crs=Coordinates(crs).crs if crs else None)
 
 
-def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
+def strategy_tables(trip: TripStrategy, risk_map: RiskMap) -> Mapping[str, Any]:
     """Return the tables ``edges``, ``sites``, ``places``, ``secured_area`` and ``forbidden``.
 
-    Edges have a ``probability``; sites have the ``probability`` q that the best ambusher waits
+    Edges have a ``probability``, on a trip with stops the expected uses by all legs; sites have the ``probability`` q that the best ambusher waits
     there and the ``loss``; places are start, stops and goal. Forbidden ground is the map's
     obstacles.
     """
     import geopandas
     import shapely
 
-    secured = strategy.game.secured.shrunk(0.0)
-    network, p = strategy.network, strategy.shown_probability
-    q, first = strategy.ambush_at_places, network.representatives
+    game = trip.game
+    secured, network, q = game.secured.shrunk(0.0), game.network, trip.ambusher.q
+    edges, p = trip.ground_uses
     system = Coordinates(risk_map.crs) if risk_map.crs else None
     points = system.to_crs(network.points) if system else network.points
     used = np.flatnonzero(p > MIN_PROBABILITY)
-    waits = np.flatnonzero(q > MIN_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
-    at = first[waits]
+    waits = np.flatnonzero(q > MIN_PROBABILITY) if trip.value > 0.0 else np.zeros(0, int)
     centres = system.to_crs(secured.centres) if system else secured.centres
-    stops = [f'stop {k}' for k in range(1, len(network.stops) + 1)]
-    ends = points[[network.source, *network.stops, network.target]]
+    stops = [f'stop {k}' for k in range(1, len(trip.legs))]
+    ends = points[[network.source, *(leg.network.target for leg in trip.legs)]]
     tables = {
-        'edges': ({'probability': p[used]}, shapely.linestrings(points[network.edges[used]])),
-        'sites': ({'probability': q[waits], 'loss': strategy.game.loss[at]},
-                  shapely.points(points[at])),
+        'edges': ({'probability': p[used]}, shapely.linestrings(points[edges[used]])),
+        'sites': ({'probability': q[waits], 'loss': game.loss[waits]},
+                  shapely.points(points[waits])),
         'places': ({'name': ['start', *stops, 'goal']}, shapely.points(ends)),
         'secured_area': ({'radius': secured.radii},
                         shapely.buffer(shapely.points(centres), secured.radii, quad_segs=32)),

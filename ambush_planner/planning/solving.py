@@ -4,21 +4,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
-from ..errors import TimeLimit
-from ..game.game import Game, GameOptions, make_game
-from ..game.revaluation import open_gap
+from ..game.game import Game, GameOptions, make_games
 from ..game.search import Search
-from ..game.solver import find_value, finish, make_problem, solve_game
-from ..game.strategy import Strategy
-from ..game.value.routes import Progress, no_progress
+from ..game.solver import find_value, finish, make_problem, search_ends, solve_legs
+from ..game.strategy import TripStrategy
 from ..maps.risk_map import RiskMap
-from ..network.hiding_places import with_hiding_places, with_places
+from ..network.hiding_places import hiding_places, with_places
 from ..network.network import Network
 from .cell_losses import CellLosses, CellSearch
 from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
@@ -28,28 +26,30 @@ from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 class WarmStart:
     """What another strategy, or another search, knows: where the ambusher waits between nodes.
 
-    ``places`` (K, 2) are his sites without edges [m]; ``refined`` (K, 3) is that of the new
-    network.
+    ``places`` (K, 2) are sites without edges [m]; ``refined`` (K, 3) is that of the new network;
+    ``value`` is what the other network's strategy costs.
     """
 
     places: FloatArray
-    refined: FloatArray
+    refined: FloatArray | None
+    value: float = np.inf
 
     @classmethod
-    def of(cls, strategy: Strategy, refined: FloatArray | None = None) -> WarmStart:
+    def of(cls, trip: TripStrategy, refined: FloatArray | None = None) -> WarmStart:
         """Start from a strategy; by default its network's places are refined again."""
-        network = strategy.network
-        waits = strategy.ambush_probability[network.representatives] > 0.0
-        waits[network.places[network.edges]] = False
-        return cls(network.points[network.representatives[waits]],
-                   network.refined if refined is None else refined)
+        network = trip.game.network
+        waits = trip.ambusher.q > 0.0
+        for leg in trip.legs:
+            waits[leg.network.edges] = False
+        refined = network.refined if refined is None else refined
+        return cls(network.points[waits], refined, trip.value)
 
     @classmethod
     def after(cls, search: Search, refined: FloatArray) -> WarmStart:
         """Start from a search on another network."""
-        added = np.flatnonzero(search.lp.q > 0.0)
-        added = added[added >= len(search.game.sites)]
-        return cls(search.points[added], refined)
+        added = np.flatnonzero(search.program.ambush.q > 0.0)
+        added = added[added >= len(search.legs.loss)]
+        return cls(search.points[added], refined, search.program.value)
 
     def sites_beyond(self, network: Network) -> FloatArray:
         """Positions (K, 2) of the places at which another network has no node [m]."""
@@ -57,73 +57,66 @@ class WarmStart:
         return self.places[away > 0.0]
 
 
-def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
-                     warm: WarmStart | None = None, progress: Progress = no_progress) -> Strategy:
-    """Solve the game on a network built on the map.
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The map of a plan, and what an ambush costs at each of its cells."""
 
-    With a reach, an ambusher may wait anywhere on the ground (``holds_anywhere``): the places that
-    matter are added to the network as nodes without edges. At the time limit, the best strategy is
-    returned if it is within ``max_gap``. Raises the errors of ``solve``.
-    """
-    game, site_search = _played(risk_map, network, options, warm)
-    try:
-        return solve_game(game, options.strategy, site_search, progress)
-    except TimeLimit as late:
-        return _within_max_gap(late, options)
+    risk_map: RiskMap
+    options: PlanningOptions
+    cells: CellLosses
 
+    @classmethod
+    def of(cls, risk_map: RiskMap, options: PlanningOptions) -> Ground:
+        """The ground of a plan with these options."""
+        return cls(risk_map, options, CellLosses(risk_map, options.game.ambush_in_obstacles))
 
-def find_value_on(risk_map: RiskMap, network: Network, options: PlanningOptions,
-                  warm: WarmStart | None = None, progress: Progress = no_progress) -> Search:
-    """The first half of ``solve_on_network``: the value, and where the ambusher waits."""
-    game, site_search = _played(risk_map, network, options, warm)
-    return find_value(make_problem(game, options.strategy, site_search, progress))
+    def solve(self, networks: Sequence[Network], end: float,
+              warm: WarmStart | None = None) -> TripStrategy:
+        """Solve the game on the networks of a trip's legs by ``end`` (``time.monotonic``).
 
+        With a reach, an ambusher may wait anywhere on the ground (``holds_anywhere``): the places
+        that matter are added to the networks as nodes without edges. Raises the errors of
+        ``solve_legs``.
+        """
+        options = replace(self.options.strategy, time_limit=time_left(end))
+        games, site_search = self._played(networks, warm)
+        return solve_legs(games, options, site_search)
 
-def finish_on(search: Search, options: PlanningOptions, end: float) -> Strategy:
-    """The second half of ``solve_on_network``, which ends at ``end`` (``time.monotonic``)."""
-    try:
-        return finish(search, options.strategy, end)
-    except TimeLimit as late:
-        return _within_max_gap(late, options)
+    def find_value(self, networks: Sequence[Network], end: float,
+                   warm: WarmStart | None = None) -> Search:
+        """The first half of ``solve``: the value, and where the ambusher waits."""
+        options = replace(self.options.strategy, time_limit=time_left(end))
+        games, site_search = self._played(networks, warm)
+        return find_value(make_problem(games, options, site_search,
+                                       warm.value if warm else np.inf))
 
+    def finish(self, search: Search, end: float) -> TripStrategy:
+        """The second half of ``solve``."""
+        search.go_on_until(*search_ends(end, time_left(end)))
+        return finish(search)
 
-def with_time(options: PlanningOptions, end: float) -> PlanningOptions:
-    """The options with the time limit at ``end`` (``time.monotonic``), or next to nothing."""
-    left = max(end - time.monotonic(), 1e-6)
-    return replace(options, strategy=replace(options.strategy, time_limit=left))
-
-
-def _played(risk_map: RiskMap, network: Network, options: PlanningOptions,
-            warm: WarmStart | None) -> tuple[Game, CellSearch | None]:
-    """The game on a network, and the search for sites between its nodes."""
-    cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
-    played = solved_game(risk_map, options)
-    network = add_hiding_places(network, risk_map, options, played)
-    if warm:
-        places = warm.sites_beyond(network)
-        network = with_places(network, places, cells.at(places))
-    game = make_game(network, played)
-    return game, CellSearch(cells, game) if holds_anywhere(options) else None
-
-
-def _within_max_gap(late: TimeLimit, options: PlanningOptions) -> Strategy:
-    """The best strategy by the time limit if it is within ``max_gap``; raises TimeLimit if not."""
-    strategy = late.strategy
-    if strategy is None:
-        raise late
-    gap = open_gap(strategy, options.strategy)
-    if gap <= options.max_gap * strategy.value:
-        return strategy
-    raise TimeLimit(f'after {options.strategy.time_limit:.3g} s the strategy may be '
-                    f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
-                    f'{options.max_gap:g}; allow more time, or choose a larger spacing',
-                    strategy) from late
+    def _played(self, networks: Sequence[Network], warm: WarmStart | None
+                ) -> tuple[tuple[Game, ...], CellSearch | None]:
+        """The games on the networks, and the search for sites between their nodes."""
+        played = solved_game(self.risk_map, self.options)
+        networks = add_hiding_places(networks, self.risk_map, self.options, played)
+        if warm:
+            places = warm.sites_beyond(networks[0])
+            networks = [with_places(each, places, self.cells.at(places)) for each in networks]
+        games = make_games(networks, played)
+        return games, CellSearch(self.cells, games) if holds_anywhere(self.options) else None
 
 
-def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions,
-                      played: GameOptions) -> Network:
+def time_left(end: float) -> float:
+    """Time [s] until ``end`` (``time.monotonic``), or next to nothing."""
+    return max(end - time.monotonic(), 1e-6)
+
+
+def add_hiding_places(networks: Sequence[Network], risk_map: RiskMap, options: PlanningOptions,
+                      played: GameOptions) -> list[Network]:
     """Add the obstacle cells in which an ambusher can hide, if the ``played`` game has any."""
     if not played.ambush_in_obstacles or played.reach == 0.0:
-        return network
+        return list(networks)
     spacing = node_spacing(risk_map, options.network)
-    return with_hiding_places(network, risk_map, played.reach, spacing)
+    places, loss = hiding_places(networks, risk_map, played.reach, spacing)
+    return [with_places(each, places, loss) for each in networks]

@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of trips: one strategy over all legs.
+"""Plans of trips: a strategy for each leg, each drawn on its own, against one ambusher.
 
-An ambush hits a trip once, on whichever legs it passes the site, so legs cannot be solved one by
-one: the network has a layer for each leg, and one game covers all (``Network.legs``).
+A plan is anytime: that of the plain network is finished first, and a finer network takes its place
+when its own plan is finished and costs less.
 """
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import FloatArray
-from ..errors import InvalidOption, InvalidRiskMap, warn
-from ..game.search import Search
-from ..game.strategy import Strategy
-from ..game.value.routes import Progress, no_progress
+from ..arrays import FloatArray, single_thread
+from ..errors import AmbushPlannerError, InvalidOption, InvalidRiskMap, TimeLimit, warn
+from ..game.revaluation import open_gap
+from ..game.search import Progress, Search, no_progress
 from ..maps.obstacles import nearest_free_cell
 from ..maps.risk_map import RiskMap
 from ..network.construction import build_trip_graph
@@ -29,14 +29,24 @@ from .options import PlanningOptions, grading, is_graded
 from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan
 from .refinement import Round, refine
-from .solving import WarmStart, find_value_on, finish_on, solve_on_network, with_time
+from .solving import Ground, WarmStart
 
-# Share of the time left that a round of refinement may take.
-ROUND = 0.6
+# Share of the time limit after which no round of refinement begins, and share of the time left that
+# a round may take.
+REFINED_BY, ROUND = 0.4, 0.6
+# Share of the time limit that is left for the corridors of the first plan; those of another one are
+# given so many times as long as these, and at least the second time [s].
+RESERVE, RESERVED, MIN_RESERVE = 0.1, 2.0, 0.1
 # Share of the time limit for a plan whose routes then become a mixture of a few.
 PLANNED = 0.7
 
 Position = tuple[float, float]
+# Is called with a plan when it is finished.
+Finished = Callable[[Plan], None]
+
+
+def ignore_plan(plan: Plan) -> None:
+    """Do nothing with a plan that is finished."""
 
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
@@ -46,8 +56,10 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
               progress: Progress = no_progress) -> Plan:
     """Plan a trip from start to goal through stops.
 
-    One strategy covers all legs: value, certificate and ``max_detour`` are those of the whole trip.
-    Nobody can wait at start, goal or a stop, nor within ``secured_radius`` of them.
+    The route of each leg is drawn on its own, within ``max_detour`` times its own shortest way. One
+    ambusher waits at one place for the whole trip, and hits every leg that passes: the value is the
+    largest sum of the legs' mean losses at a place. Nobody can wait at start, goal or a stop, nor
+    within ``secured_radius`` of them.
 
     Parameters
     ----------
@@ -65,13 +77,13 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
         Departures draw from the best mixture found of at most so many routes: ``Plan.few``. ``rng``
         draws the candidates, or is a seed. The strategy then gets ``PLANNED`` of the time limit.
     progress
-        Is called with the value and the lower bound so far; the value is ``inf`` before the first
-        strategy.
+        Is called with the phase in words, and the value of the plan that is finished, ``inf`` if
+        none is.
 
     Returns
     -------
     Plan
-        With ``value``, ``lower_bound`` and ``strategy``; it draws ``paths(n)``.
+        With ``value``, ``lower_bound`` and ``legs``, a strategy each; it draws ``paths(n)``.
 
     Raises
     ------
@@ -111,13 +123,12 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
                             'PlanningOptions(game=GameOptions(...))')
     if routes is not None:
         check_judged(options.game)
-    begin, limit, quick = time.monotonic(), options.strategy.time_limit, options
+    end = time.monotonic() + options.strategy.time_limit
+    share = PLANNED if routes is not None else 1.0
+    made = plan_quietly(risk_map, start_xy, goal_xy, options, list(stops), warm, progress, share)
     if routes is not None:
-        quick = with_time(options, begin + PLANNED * limit)
-    made = plan_quietly(risk_map, start_xy, goal_xy, quick, list(stops), warm, progress)
-    if routes is not None:
-        few = few_routes(made, routes, np.random.default_rng(rng), begin + limit)
-        made = replace(made, options=options, few=few)
+        progress('choosing a few routes', made.value)
+        made = replace(made, few=few_routes(made, routes, np.random.default_rng(rng), end))
     for text in concerns(made):
         warn(text)
     return made
@@ -125,9 +136,12 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
 def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                  options: PlanningOptions, stops: Sequence[npt.ArrayLike] = (),
-                 warm: WarmStart | None = None,
-                 progress: Progress = no_progress) -> Plan:
-    """``plan_trip`` without its warnings."""
+                 warm: WarmStart | None = None, progress: Progress = no_progress,
+                 share: float = 1.0, finished: Finished = ignore_plan) -> Plan:
+    """``plan_trip`` without its warnings, in a ``share`` of the time limit.
+
+    ``finished`` is called with each finished plan, which costs less than the one before.
+    """
     if not isinstance(risk_map, RiskMap):
         raise InvalidRiskMap(f'plan_trip needs a RiskMap, got a {type(risk_map).__name__}; '
                              'read_risk_map reads one from a file')
@@ -137,14 +151,60 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
         raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
                             f'PlanningOptions({field}={kind}(...))')
     begin = time.monotonic()
-    trip = _Trip(risk_map, start_xy, goal_xy, stops, options, progress)
-    strategy, rounds = trip.solve(warm, begin)
-    made = make_plan(risk_map, strategy, options)
-    return replace(made, seconds=time.monotonic() - begin, refinement=rounds)
+    trip = Trip(risk_map, start_xy, goal_xy, stops, options)
+    with single_thread():
+        return _plan_in_time(trip, warm, progress, begin,
+                             begin + share * options.strategy.time_limit, finished)
+
+
+def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin: float, end: float,
+                  finished: Finished) -> Plan:
+    """The best plan that is finished by ``end`` (``time.monotonic``)."""
+    options, reserve = trip.options, RESERVE * (end - begin)
+    ground = Ground.of(trip.risk_map, options)
+    progress('solving the game', np.inf)
+    strategy = ground.solve(trip.networks(None), end - reserve, warm)
+    solved = time.monotonic()
+    best = make_plan(trip.risk_map, strategy, options, begin)
+    reserve = max(RESERVED * (time.monotonic() - solved), MIN_RESERVE)
+    finished(best)
+    if not is_graded(options) or time.monotonic() + reserve > end:
+        return _within_max_gap(best)
+
+    def find_value(similar: WarmStart | None) -> Search:
+        assert similar is not None
+        now = time.monotonic()
+        return ground.find_value(trip.networks(similar.refined),
+                                 now + ROUND * (end - reserve - now), similar)
+
+    known = warm.refined if warm and warm.refined is not None else np.empty((0, 3))
+    latest = begin + REFINED_BY * (end - begin)
+    search, rounds = refine(find_value, ground, WarmStart.of(strategy, known), latest, progress,
+                            best.value)
+    rounds = (Round(len(best.network.points), best.value, best.seconds), *rounds)
+    if search is not None and search.program.value < best.value:
+        progress('drawing the routes of the refined network', best.value)
+        with contextlib.suppress(AmbushPlannerError):  # then the best plan is the first one
+            refined = ground.finish(search, end - reserve)
+            if refined.value < best.value:
+                best = make_plan(trip.risk_map, refined, options, begin)
+                finished(best)
+    return _within_max_gap(replace(best, refinement=rounds))
+
+
+def _within_max_gap(plan: Plan) -> Plan:
+    """The plan; raises TimeLimit if the time limit left a gap over ``max_gap``."""
+    gap = open_gap(plan.trip, plan.options.strategy)
+    if gap <= plan.options.max_gap * plan.trip.value or plan.trip.reason != 'time':
+        return plan
+    raise TimeLimit(f'after {plan.options.strategy.time_limit:.3g} s the strategy may be '
+                    f'{gap / plan.trip.value:.2g} of its value from the best, more than max_gap '
+                    f'{plan.options.max_gap:g}; allow more time, or choose a larger spacing',
+                    plan.legs[0])
 
 
 @dataclass(frozen=True)
-class _Trip:
+class Trip:
     """A trip on a map with its stops."""
 
     risk_map: RiskMap
@@ -152,30 +212,12 @@ class _Trip:
     goal_xy: npt.ArrayLike
     stops: Sequence[npt.ArrayLike]
     options: PlanningOptions
-    progress: Progress
 
-    def solve(self, warm: WarmStart | None, begin: float) -> tuple[Strategy, tuple[Round, ...]]:
-        """The strategy, and the rounds in which its network was refined, if it is graded."""
-        first, options = warm.refined if warm else np.empty((0, 3)), self.options
-        end = begin + options.strategy.time_limit
-        if not is_graded(options):
-            strategy = solve_on_network(self.risk_map, self.network(first),
-                                        with_time(options, end), warm, self.progress)
-            return strategy, ()
-
-        def value_on(similar: WarmStart | None) -> Search:
-            network = self.network(similar.refined if similar else first)
-            rest = with_time(options, time.monotonic() + ROUND * (end - time.monotonic()))
-            return find_value_on(self.risk_map, network, rest, similar, self.progress)
-
-        refined, rounds = refine(value_on, self.risk_map, options, warm)
-        return finish_on(refined, options, end), rounds
-
-    def network(self, refined: FloatArray) -> Network:
-        """The network with ``Network.refined`` (K, 3)."""
-        graph = build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
-                                 self.stops, grading(self.risk_map, self.options, refined))
-        return graph.network(graph.visits)
+    def networks(self, refined: FloatArray | None) -> tuple[Network, ...]:
+        """The networks of the legs with ``Network.refined`` (K, 3); None: the plain ones."""
+        return build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
+                                self.stops, grading(self.risk_map, self.options, refined)
+                                ).networks()
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
@@ -189,10 +231,3 @@ def plan_from_request(request: PlanRequest) -> Plan:
     made = plan_quietly(risk_map, request.start_xy, goal_xy, request.options, request.stops_xy,
                         request.warm)
     return replace(made, risk_map=None)  # too large to send to another process
-
-
-def trip_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-                 options: PlanningOptions, stops: Sequence[npt.ArrayLike],
-                 refined: FloatArray) -> Network:
-    """The network of a plan with its stops as in ``Plan.stops_xy`` and ``Network.refined``."""
-    return _Trip(risk_map, start_xy, goal_xy, stops, options, no_progress).network(refined)

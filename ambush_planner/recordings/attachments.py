@@ -25,7 +25,7 @@ from ..game.budget import Budget
 from ..game.certificate.certificate import lower_bound
 from ..game.faces import Circulation
 from ..game.game import GameOptions, make_game
-from ..game.slack import Reason
+from ..game.tolerance import Reason
 from ..game.strategy import Strategy, strategy_of
 from ..maps.road_file import RoadGraph
 from ..network.network import Network

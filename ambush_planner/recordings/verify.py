@@ -22,7 +22,7 @@ from ..game.budget import Budget
 from ..game.distribution.acyclic import is_acyclic
 from ..game.distribution.chain import chain_of
 from ..game.revaluation import open_gap
-from ..game.slack import CERTIFICATE_TOLERANCE
+from ..game.tolerance import CERTIFICATE_TOLERANCE
 from ..game.solver import solve_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap

@@ -47,9 +47,6 @@ NOTHING_SECURED = SecuredArea(np.empty((0, 2)), np.empty(0))
 class Corridors:
     """Strips and quarters of a network in map axes.
 
-    The legs of a trip share the same places, which are listed once; routes are those of one leg, as
-    places.
-
     Parameters
     ----------
     network
@@ -57,7 +54,7 @@ class Corridors:
     origin
         (x, y, yaw) of the map axes [m, m, rad].
     uv : (N, 2) float
-        The network's places in map axes [m].
+        The network's nodes in map axes [m].
     links : (L, 2) int
         Tails and heads of the edges, and of shortcuts without a tube; in both directions, sorted.
     widths : (L, 2) float
@@ -149,8 +146,8 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         tube = np.inf
     elif not 0.0 <= tube < np.inf:
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
-    uv = risk_map.to_map_axes(network.points[network.representatives])
-    edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
+    uv = risk_map.to_map_axes(network.points)
+    edges = np.unique(np.sort(network.edges, axis=1), axis=0)
     secured = secured_in_map_axes(secured, risk_map.origin)
     shortcuts = tube == most == np.inf
     if shortcuts:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import islice, pairwise
 
 import numpy as np
 
@@ -35,8 +34,6 @@ AT_ONCE = 32
 
 # Start and goal [m].
 Ends = tuple[tuple[float, float], tuple[float, float]]
-# Places of a leg, and its ends [m].
-_Leg = tuple[IndexArray, Ends]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +66,7 @@ def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
     yaw is the direction of travel and changes by at most 20 degrees between poses. Turns have a
     radius of at least ``turning_radius`` [m], or ``ROUND`` edges if that is larger, if the
-    corridors allow it, else the largest radius they allow (``turn_radii``). Each stop of a trip is
-    met exactly, with the yaw of the arrival; the convoy may turn on the spot there.
+    corridors allow it, else the largest radius they allow (``turn_radii``).
 
     Parameters
     ----------
@@ -88,45 +84,25 @@ def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
 def driven_paths(corridors: Corridors, routes: list[IndexArray], spacing: float,
                  turning_radius: float = 0.0, ends: Ends | None = None) -> list[FloatArray]:
     """``driven_path`` of each route, several times faster than one by one."""
-    paths = []
-    for few in range(0, len(routes), AT_ONCE):
-        legs = [_legs(corridors, route, ends) for route in routes[few : few + AT_ONCE]]
-        driven = iter(_driven_legs(corridors, sum(legs, []), spacing, turning_radius))
-        for route_legs in legs:
-            first, *others = islice(driven, len(route_legs))
-            paths.append(np.concatenate((first, *(leg[1:] for leg in others))))
-            _check_count(float(len(paths[-1])), spacing)
+    paths: list[FloatArray] = []
+    for first in range(0, len(routes), AT_ONCE):
+        paths += _driven(corridors, routes[first : first + AT_ONCE], spacing, turning_radius, ends)
+    for path in paths:
+        _check_count(float(len(path)), spacing)
     return paths
 
 
-def _legs(corridors: Corridors, route: IndexArray, ends: Ends | None) -> list[_Leg]:
-    """The legs of a route."""
-    places = _places(corridors, route)
-    at = [places[0][0], *(leg[-1] for leg in places)]
-    points = list(map(tuple, corridors.network.points[at].tolist()))
-    if ends is not None:
-        points[0], points[-1] = ends
-    return list(zip(places, pairwise(points), strict=True))
-
-
-def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
-    """The places of a route, leg by leg."""
-    network = corridors.network
-    begins = np.flatnonzero(np.diff(network.leg[route])) + 1
-    at, places = [0, *begins.tolist(), len(route) - 1], network.places[route]
-    return [places[first : last + 1] for first, last in pairwise(at)]
-
-
-def _driven_legs(corridors: Corridors, legs: list[_Leg], spacing: float,
-                 turning_radius: float) -> list[FloatArray]:
-    """Poses (L, 3) along each leg."""
-    portals = portals_along(corridors, [corridors.shortened(places) for places, _ in legs])
+def _driven(corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float,
+            ends: Ends | None) -> list[FloatArray]:
+    """Poses (L, 3) along each route."""
+    portals = portals_along(corridors, [corridors.shortened(route) for route in routes])
     uv, yaw, bounds = _poses(_smooth(portals, turning_radius), spacing)
     in_world = to_world(corridors.origin, uv)
     poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
     # The transforms to map axes and back may have changed the last digit.
-    poses[bounds[:-1], :2] = [begin for _, (begin, _) in legs]
-    poses[bounds[1:] - 1, :2] = [end for _, (_, end) in legs]
+    points = corridors.network.points
+    begin, end = ends or (points[[route[k] for route in routes]] for k in (0, -1))
+    poses[bounds[:-1], :2], poses[bounds[1:] - 1, :2] = begin, end
     return np.split(poses, bounds[1:-1])
 
 

@@ -83,7 +83,7 @@ class MarkovChain:
         tails, weight = self.network.tail[rows.indices], self.share[rows.indices]
         for site, own, _, _, arriving in self._each(rows):
             hit[site] = arriving[tails[own]] @ weight[own]
-        return np.asarray(np.minimum(hit, 1.0).reshape(count, -1).sum(axis=1))
+        return np.asarray(np.minimum(hit, 1.0).reshape(count, len(self.network.starts)).sum(axis=1))
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
         """Expected hits (K,), and the derivatives as rows (K, m), whose products with p they are."""
