@@ -81,5 +81,6 @@ def risk_avoiding_route(game: Game) -> IndexArray:
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
     worst = worst_loss(game, p)
-    return Measures(planner, float(p @ game.network.travel_costs), meeting_probability(game, law_of(game, p), q),
-                                        1.0 if worst > 0.0 else 0.0, worst)
+    p_first = meeting_probability(game, law_of(game, p), q)
+    return Measures(planner, float(p @ game.network.travel_costs), p_first,
+                    1.0 if worst > 0.0 else 0.0, worst)
