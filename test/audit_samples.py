@@ -66,7 +66,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, entries=(), stamp
     metadata = metadata_entries() | {
         'departure_id': f'00000000-0000-4000-8000-{number:012d}', 'departure': number,
         'parameters': parameters(), 'trip': {'start': start, 'goal': GOAL, 'stops': []},
-        'ends': [start, GOAL], 'route': [int(node) for node in route],
+        'ends': [start, GOAL], 'value': a_plan.value, 'route': [int(node) for node in route],
         'route_entropy_source': [source(number)], 'call': new_route_call(stamp), **dict(entries),
     }
     files = {'strategy.npz': strategy, 'map_changes.npz': changes}

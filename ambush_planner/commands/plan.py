@@ -101,7 +101,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                          routes=arguments.routes, rng=rng)
     day = None
     if slots:
-        day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)
+        day = RecordedSlots.of(slots, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -121,7 +121,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if few:
         tell_few(plan, few, arguments.routes, console)
     if day:
-        _tell_slots(day, drawn, console)
+        _tell_slots(plan, day, drawn, console)
     for text in concerns(plan):
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
     tell_outputs(arguments.output, drawn, console)
@@ -131,8 +131,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
     strategy, few = plan.strategy, plan.few
-    value, bound = ((day.value, day.lower_bound) if day
-                    else (plan.value, plan.lower_bound))
+    covered = day.covered if day else 1.0
+    value, bound = plan.value * covered, plan.lower_bound * covered
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
     console.fact('value', f'{value:.4g}: mean loss per departure if the ambusher plays optimally '
                  'and knows everything except the draw')
@@ -171,13 +171,14 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
     }
 
 
-def _tell_slots(day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+def _tell_slots(plan: Plan, day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
     shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:
         console.fact('departures', ', '.join(drawn.slots))
-    console.result['slots'] = {'value': day.value, 'lower_bound': day.lower_bound,
-                               'shares': shares, 'drawn': list(drawn.slots)}
+    console.result['slots'] = {
+        'value': plan.value * day.covered, 'lower_bound': plan.lower_bound * day.covered,
+        'shares': shares, 'drawn': list(drawn.slots)}
 
 
 main = cli.command(parser, _work)

@@ -10,13 +10,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..game.budget import BUDGET_TOLERANCE
 from ..game.certificate.certificate import Certificate
 from ..game.distribution.chain import chain_of
-from ..game.game import Game
-from ..game.revaluation import revalue
+from ..game.game import Game, make_game
+from ..game.revaluation import budgets_in_game, revalue
 from ..game.route_sampler import route_edges
+from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
 from ..maps.risk_map import RiskMap, to_map_axes
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
@@ -130,6 +131,24 @@ class ChangedGround:
             self._assessment = self._assess(look)
         return self._assessment
 
+    def drawn_from(self, newest: OccupancyMap) -> Strategy:
+        """Return the strategy that departures on the newest map are drawn from.
+
+        It is the plan's, given that its routes are clear, with the losses and the value of that
+        map. Raises ValueError if no route is clear.
+        """
+        look, known, strategy = self.compare(newest), self.assess(newest), self.plan.strategy
+        certificate = Certificate(known.value, known.lower_bound)
+        if self._is_unchanged(look):
+            same = certificate.value == strategy.value
+            return strategy if same else replace(strategy, certificate=certificate)
+        if not known.clear_share > 0.0:
+            raise ValueError('no route of the strategy is clear')
+        game = make_game(replace(self.plan.network, alpha=look.alpha), strategy.game.options)
+        return replace(strategy, game=game, budgets=budgets_in_game(game, strategy),
+                       edge_probability=frozen_array(self._clear_routes(look)[1], np.float64),
+                       certificate=certificate)
+
     def is_clear(self, nodes: IndexArray, newest: OccupancyMap) -> bool:
         """Whether a route is clear on the newest map."""
         lost = self.compare(newest).lost
@@ -240,11 +259,8 @@ class ChangedGround:
         plan, network, strategy = self.plan, self.plan.network, self.plan.strategy
         if look.lost.all():
             return Assessment(math.inf, 0.0, 0.0)
-        known = Certificate(strategy.value, strategy.lower_bound)
-        clear_share, p = 1.0, strategy.edge_probability
-        if look.lost[p > 0.0].any():
-            clear_share, p = self.conditioned.avoiding(look.lost)
-        unchanged = p is strategy.edge_probability and np.array_equal(look.alpha, network.alpha)
+        known, unchanged = strategy.certificate, self._is_unchanged(look)
+        clear_share, p = self._clear_routes(look)
         if not unchanged:
             known = revalue(strategy, look.alpha, p)
         known = self.at_any_cell(known, look.newest, strategy.game, p, unchanged)
@@ -252,6 +268,16 @@ class ChangedGround:
                           float(p @ network.travel_costs) if p.any() else math.inf,
                           plan.options.strategy.max_detour * strategy.shortest_length,
                           network.travel_unit)
+
+    def _is_unchanged(self, look: ChangedNetwork) -> bool:
+        """Whether no edge in use is lost, and no node's loss has changed."""
+        return (not look.lost[self.plan.strategy.edge_probability > 0.0].any()
+                and np.array_equal(look.alpha, self.plan.network.alpha))
+
+    def _clear_routes(self, look: ChangedNetwork) -> tuple[float, FloatArray]:
+        """The probability that a route avoids the lost edges, and p (M,) of those that do."""
+        p = self.plan.strategy.edge_probability
+        return self.conditioned.avoiding(look.lost) if look.lost[p > 0.0].any() else (1.0, p)
 
     def _clear_corridors(self, newest: OccupancyMap) -> Corridors:
         """Return the plan's corridors among the new obstacles."""

@@ -14,7 +14,7 @@ plan (``other_rest``).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +34,7 @@ from ..network.network import Network
 from ..routes.corridors import secured_in_map_axes
 from ..routes.driven_path import Ends
 from .changed_ground import MIN_CLEAR, Assessment, ChangedGround
+from .departure import DrawnRoute
 from .joins import best_first_steps
 from .plan import Plan, departure_path
 
@@ -99,16 +100,17 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
 
 
 def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: IndexArray,
-               rng: np.random.Generator, spacing: float) -> tuple[IndexArray, FloatArray] | None:
+               source: Sequence[int], spacing: float = 0.0) -> DrawnRoute | None:
     """Draw another rest of a route that the convoy at ``ends[0]`` [m] is on.
 
     The strategy is a Markov chain, so the rest is drawn from it on condition that it begins at the
     first of the nodes ``ahead`` (K,) from which it can be driven on the newest map; the convoy
     drives straight there.
 
-    Returns the route (K,), with the source in place of the convoy, and its path (L, 3), at most
-    ``spacing`` [m] apart; None if no rest is clear.
+    ``source`` and ``spacing`` are those of ``draw_route``. The network's source is in place of the
+    convoy in the route. None if no rest is clear.
     """
+    rng = np.random.default_rng(source)
     network = ground.plan.network
     lost = ground.compare(newest).lost | _through_start_again(network)
     place = np.array([ends[0]])
@@ -120,7 +122,8 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: I
         if rest is not None:
             route = np.concatenate(([network.source], rest))
             fitted = ground.fitted(newest, ends, network.places[[node]])
-            return route, departure_path(fitted, route, spacing, ends)
+            path = departure_path(fitted, route, spacing or fitted.spacing, ends)
+            return DrawnRoute(route, path, None, rng)
     return None
 
 

@@ -69,7 +69,7 @@ class SavedPlan:
     @property
     def value(self) -> float:
         """Mean loss per departure by the best ambush, which must choose a slot, too."""
-        return self.slots.value if self.slots else self.plan.value
+        return self.plan.value * (self.slots.covered if self.slots else 1.0)
 
 
 def digest_of(path: Path) -> str:

@@ -48,7 +48,7 @@ class Section:
     @property
     def strategy(self) -> Strategy:
         """The latest strategy."""
-        return self.departures[-1].shown
+        return self.departures[-1].departed_on
 
     @property
     def slots(self) -> RecordedSlots | None:
@@ -58,8 +58,7 @@ class Section:
     @property
     def bounds(self) -> tuple[float, float]:
         """Value and lower bound for an ambusher who also has to choose a time, if it is drawn."""
-        of = self.slots or self.strategy
-        return of.value, of.lower_bound
+        return self.departures[-1].value, self.departures[-1].lower_bound
 
     @property
     def risk_map(self) -> RiskMap:
