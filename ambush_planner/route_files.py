@@ -97,7 +97,7 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | int | None = None) -> Dr
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
     times = [datetime.now(timezone.utc)] * n
-    return Drawn(plan.strategy, plan.own_map, plan.paths(n, rng), times)
+    return Drawn(plan.drawn_from, plan.own_map, plan.paths(n, rng), times)
 
 
 def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | None = None) -> None:

@@ -18,10 +18,11 @@ from test_path_mixtures import GOAL, START, ground
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
-from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.road_file import RoadGraph
-from ambush_planner.planning.few_strategy import few_strategy
+from ambush_planner.planning.concerns import concerns, plan_numbers
+from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.planning.path_mixtures import PathMixtures
 from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
@@ -137,14 +138,28 @@ def test_other_readers_take_the_recordings(plans, tmp_path):
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):
     plan, _ = plans['few']
-    mixture, routes = few_strategy(plan.strategy, plan.few)
-    assert mixture.value == plan.few.value and mixture.lower_bound == plan.lower_bound
+    mixture, few = plan.few.strategy, plan.few
+    judged = PathMixtures(plan.own_map, plan, few.paths).judged(few.shares)
+    assert (mixture.value, *few.worst_xy) == pytest.approx((judged.value, *judged.worst_xy))
     drawn = mixture.sample_routes(4000, np.random.default_rng(1))
-    for route, nodes, share in zip(routes, plan.few.routes, plan.few.shares, strict=True):
-        count = sum(np.array_equal(each, route) for each in drawn)
+    for k, (path, share) in enumerate(zip(few.paths, few.shares, strict=True)):
+        count = sum(np.array_equal(each, few.nodes(k)) for each in drawn)
         assert abs(count / 4000 - share) < 0.04
-        assert np.array_equal(mixture.network.points[route], plan.network.points[nodes])
-    assert chain_of(mixture.network, mixture.edge_probability) is not None
+        assert np.isin(mixture.network.points[few.nodes(k)], path[:, :2]).all()
+
+
+def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
+    """And so are its concerns: here one route is the best mixture, and one place hits it."""
+    plan, _ = plans['few']
+    numbers, row = plan_numbers(plan), evaluate(plan)['stochastic']
+    assert plan._summary()['value'] == f'{plan.few.value:.4g}'
+    assert float(numbers['value']) == pytest.approx(plan.few.value)
+    assert float(numbers['expected_length']) == pytest.approx(plan.driven_length)
+    assert (row.v_repeated, row.expected_length) == pytest.approx((plan.value, plan.driven_length))
+    best = plan.drawn_from.network.points[plan.bottleneck.sites]
+    np.testing.assert_allclose(best, [plan.few.worst_xy])
+    one = replace(plan, few=plan_trip(ground(), START, GOAL, OPTIONS, routes=1, rng=1).few)
+    assert 'every route' in ' '.join(concerns(one)) and 'every' not in ' '.join(concerns(plan))
 
 
 def test_the_week_needs_no_ros(plans, tmp_path):

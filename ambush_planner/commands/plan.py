@@ -130,10 +130,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
-    strategy, few = plan.strategy, plan.few
+    strategy, few = plan.drawn_from, plan.few
     covered = day.covered if day else 1.0
     value, bound = plan.value * covered, plan.lower_bound * covered
-    shortest = evaluate(strategy)['energy_efficient'].v_repeated
+    shortest = evaluate(plan)['energy_efficient'].v_repeated
     console.fact('value', f'{value:.4g}: mean loss per departure if the ambusher plays optimally '
                  'and knows everything except the draw')
     console.fact('shortest route', f'{shortest:.4g}, once it is known')
@@ -155,7 +155,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
             'no mixture of the paths that were tried has a smaller value' if few else
             'no planner can guarantee less on this network of '
             f'{strategy.network.place_count} nodes'))
-        if len(plan.refinement) > 1:
+        if len(plan.refinement) > 1 and not few:
             values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
             known = ', at a known time' * bool(day)
             console.fact('refined', f'{values} after each round{known}, before the final strategy')

@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from ..game.game import Game
+from ..game.hits import hit_probabilities
 from ..game.slack import Reason
-from ..game.solver import ALL_ROUTES
 from ..game.strategy import within_slack
 from ..words import distance, ends
 from .options import holds_anywhere, start_tolerance
@@ -31,6 +31,8 @@ _WHY: dict[Reason, str] = {
 MAX_SPACING = 0.25
 # Maximum share of the way in the secured area that goes without saying.
 MAX_SECURED = 0.5
+# Least share of the routes that is called every route.
+ALL_ROUTES = 0.99
 # Maximum length budget that goes without saying, as a multiple of the shortest route.
 MAX_DETOUR = 5.0
 
@@ -80,6 +82,8 @@ def _secured_share(plan: Plan) -> float:
 def _coarse(plan: Plan) -> list[str]:
     """Say that a finer network could have a lower value: refinement was short, or there is none."""
     reach, spacing, rounds = plan.options.game.ambush_radius, plan.spacing, plan.refinement
+    if plan.few:
+        return []
     if len(rounds) > 1 and rounds[-1].value < (1.0 - LEAST_FALL) * rounds[-2].value:
         return [f'the last round of refinement brought {rounds[-2].value:.4g} to '
                 f'{rounds[-1].value:.4g}; with more rounds or time the value can be lower still']
@@ -104,8 +108,9 @@ def wide_gap(plan: Plan) -> str:
         wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the plan can be used, and '
                 f'its value, {strategy.value:.4g}, is at most that much above the best on this '
                 f'network (lower bound {strategy.lower_bound:.4g})')
+    whole = 'of the plan that the routes were chosen from, ' if plan.few else ''
     may_help = '; fewer stops may help' if len(plan.network.stops) else ''
-    return f'{wide}; {_WHY[strategy.reason]}{may_help}'
+    return f'{whole}{wide}; {_WHY[strategy.reason]}{may_help}'
 
 
 def _long_routes(plan: Plan) -> str:
@@ -119,12 +124,12 @@ def _long_routes(plan: Plan) -> str:
 
 def _secured_area(plan: Plan) -> str:
     """Whether the secured area decides too much: the value, or whether there is one."""
-    bottleneck, game = plan.bottleneck, plan.strategy.game
+    bottleneck, game = plan.bottleneck, plan.drawn_from.game
     secured = game.options.secured_distance
     if not len(game.sites):
         return (f'the value is 0: nobody can wait within {distance(secured)} of {_ends(plan)}, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
-    if not plan.strategy.value > 0.0:
+    if not plan.drawn_from.value > 0.0:
         return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
@@ -133,7 +138,7 @@ def _secured_area(plan: Plan) -> str:
     if place := _covers_all(plan):
         remedy = (f'hold {distance(enough)} there (game.secured_radius -1), or '
                   if hold else '')
-        return (f'{place}: an ambush there always succeeds and costs {plan.strategy.value:.4g}; '
+        return (f'{place}: an ambush there always succeeds and costs {plan.drawn_from.value:.4g}; '
                 f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
     if hold and asked is not None and game.reach > 0.0:
         return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
@@ -143,21 +148,18 @@ def _secured_area(plan: Plan) -> str:
         return ''
     count, near = len(bottleneck.sites), bottleneck.near_ends
     return (
-        f'the value {plan.strategy.value:.4g} is decided at {count} nodes, '
+        f'the value {plan.drawn_from.value:.4g} is decided at {count} nodes, '
         f'{"all" if near == count else f"{near} of them"} within {distance(bottleneck.distance)} '
         'of start, stops or goal; a larger secured area there (game.secured_radius) may lower it'
     )
 
 
 def _covers_all(plan: Plan) -> str:
-    """Which single place lies on every route, '' if none does.
-
-    Against a best strategy all sites that the ambusher uses cost the same, so that a site which
-    costs no more than the value if it hits a route hits them all.
-    """
-    network, game = plan.network, plan.strategy.game
-    sites = plan.bottleneck.sites
-    sites = sites[ALL_ROUTES * game.loss[sites] <= plan.strategy.value]
+    """Which single place hits (nearly) every route, '' if none does."""
+    network, game = plan.network, plan.drawn_from.game
+    rows = np.flatnonzero(np.isin(game.sites, plan.bottleneck.sites))
+    hits = hit_probabilities(game, plan.drawn_from.edge_probability, rows)
+    sites = game.sites[rows[hits >= ALL_ROUTES]]
     if not len(sites) or not is_sound(plan):
         return ''
     ends = network.points[[network.source, *network.stops, network.target]]
@@ -175,24 +177,24 @@ def _is_chance(game: Game) -> bool:
 
 
 def _strategy_number(name: str, plan: Plan) -> str:
-    return f'{getattr(plan.strategy, name):.9g}'
+    return f'{getattr(plan.drawn_from, name):.9g}'
 
 
 _NUMBERS: dict[str, Callable[[Plan], str]] = {
     **{name: partial(_strategy_number, name) for name in (
         'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
         'expected_length', 'shortest_length')},
-    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.strategy.game)
+    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.drawn_from.game)
                               else 'mean loss'),
     'value_holds_at': lambda plan: ('anywhere in free ground' if holds_anywhere(plan.options)
                                     else "the network's nodes"),
-    'secured_radius': lambda plan: f'{plan.strategy.game.options.secured_distance:.9g}',
-    'nodes': lambda plan: str(plan.network.place_count),
-    'edges': lambda plan: str(plan.network.stretches),
+    'secured_radius': lambda plan: f'{plan.drawn_from.game.options.secured_distance:.9g}',
+    'nodes': lambda plan: str(plan.drawn_from.network.place_count),
+    'edges': lambda plan: str(plan.drawn_from.network.stretches),
     'refined': lambda plan: ' '.join(f'{each.value:.4g}' for each in plan.refinement),
     'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
     'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),
-    'search_ended': lambda plan: plan.strategy.reason,
+    'search_ended': lambda plan: plan.drawn_from.reason,
     'stops': lambda plan: str(len(plan.network.stops)),
     'solve_seconds': lambda plan: f'{plan.seconds:.3f}',
 }

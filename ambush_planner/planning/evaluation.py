@@ -55,10 +55,19 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     >>> round(evaluate(solve(network))['energy_efficient'].v_repeated, 3)
     1.0
     """
-    strategy = planned.strategy if isinstance(planned, Plan) else planned
-    game, q = strategy.game, strategy.ambush_probability
-    p_first = meeting_probability(game, strategy.edge_probability, q)
-    stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)
+    if isinstance(planned, Plan):
+        return compared(planned.drawn_from, planned.strategy)
+    return compared(planned, planned)
+
+
+def compared(drawn: Strategy, whole: Strategy) -> dict[str, Measures]:
+    """Compare a strategy with the planners that always drive one route of a whole network.
+
+    The strategies are the same unless departures are ``drawn`` from few routes.
+    """
+    p_first = meeting_probability(drawn.game, drawn.edge_probability, drawn.ambush_probability)
+    stochastic = Measures('stochastic', drawn.expected_length, p_first, p_first, drawn.value)
+    game, q = whole.game, whole.ambush_probability
     return {
         'stochastic': stochastic,
         'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),

@@ -94,10 +94,18 @@ class Plan(Shown):
         """The network of the strategy."""
         return self.strategy.network
 
+    @property
+    def drawn_from(self) -> Strategy:
+        """The strategy that departures are drawn from: the plan's, or that of its few routes.
+
+        Every number of the plan is of this one.
+        """
+        return self.few.strategy if self.few else self.strategy
+
     @cached_property
     def bottleneck(self) -> Bottleneck:
         """The sites that decide the value."""
-        return find_bottleneck(self.strategy)
+        return find_bottleneck(self.drawn_from)
 
     @property
     def own_map(self) -> RiskMap:
@@ -109,7 +117,7 @@ class Plan(Shown):
     @property
     def value(self) -> float:
         """Mean loss per departure by the best ambush that knows everything except the draw."""
-        return self.few.value if self.few else self.strategy.value
+        return self.drawn_from.value
 
     @property
     def lower_bound(self) -> float:
@@ -117,10 +125,10 @@ class Plan(Shown):
 
         If departures draw from a few routes: no mixture of the paths that these were chosen from.
         """
-        return self.few.lower_bound if self.few else self.strategy.lower_bound
+        return self.drawn_from.lower_bound
 
     def _summary(self) -> dict[str, str]:
-        return {**self.strategy._summary(), 'node spacing': distance(self.spacing),
+        return {**self.drawn_from._summary(), 'node spacing': distance(self.spacing),
                 'secured area': distance(self.strategy.game.options.secured_distance),
                 'planned in': f'{self.seconds:.2g} s'}
 
@@ -132,7 +140,7 @@ class Plan(Shown):
         """
         from ..figures import draw_strategy
 
-        return draw_strategy(axes, self.strategy, self.risk_map)
+        return draw_strategy(axes, self.drawn_from, self.risk_map)
 
     def paths(self, n: int,
               rng: np.random.Generator | int | None = None) -> list[FloatArray]:
@@ -190,7 +198,7 @@ class Plan(Shown):
     def _tables(self) -> Any:
         from .route_layers import strategy_tables
 
-        return strategy_tables(self.strategy, self.own_map)
+        return strategy_tables(self.drawn_from, self.own_map)
 
     def to_networkx(self) -> Any:
         """The network as a directed graph of networkx.
@@ -201,7 +209,8 @@ class Plan(Shown):
         """
         import networkx
 
-        network, strategy, graph = self.network, self.strategy, networkx.DiGraph()
+        strategy, graph = self.drawn_from, networkx.DiGraph()
+        network = strategy.network
         graph.add_nodes_from(
             (k, {'place': place, 'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
             for k, (place, (x, y), loss, q) in enumerate(zip(

@@ -23,7 +23,6 @@ from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
 from ..planning.few_routes import FewRoutes
-from ..planning.few_strategy import few_strategy
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.options import PlanningOptions
 from ..planning.plan import make_plan
@@ -63,7 +62,7 @@ class RecordedDeparture:
         Node indices from the source to the target. For a diversion this is the whole route: what
         was driven before, and the rest that ``drawn`` (L,) holds, after the source.
     stated
-        The numbers that the file states of the strategy.
+        The numbers that the file states of the strategy, and ``few_value`` of few routes.
     strategy
         The recorded strategy, its certificate computed from its probabilities.
     drawn_from
@@ -76,7 +75,7 @@ class RecordedDeparture:
     before
         What was recorded of the departure before this diversion, if that is known.
     few
-        The few routes that it was drawn from; ``drawn_from`` is then their mixture, and ``route``
+        The few routes that it was drawn from; ``drawn_from`` is then their strategy, and ``route``
         is on its network.
     """
 
@@ -201,8 +200,9 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
                                                                          metadata.value)))
     few = None
     if FEW_FILE in files:
-        few, drawn_from, routes = once(_few, strategy, files[FEW_FILE])
-        route = routes[_few_route(metadata.day)]
+        few, few_value = once(few_from_file, files[FEW_FILE], ground().plan)
+        drawn_from, route = few.strategy, few.nodes(_few_route(metadata.day))
+        stated = {**stated, 'few_value': few_value}
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
                              strategy, stated, drawn_from, joined, planned_on, newest, risk_map,
@@ -230,11 +230,6 @@ def _few_route(day: RecordedDay | None) -> int:
     if day is None or day.few_route is None or day.few_route < 0:
         raise ValueError('no index of the few routes')
     return day.few_route
-
-
-def _few(strategy: Strategy, data: bytes) -> tuple[FewRoutes, Strategy, list[IndexArray]]:
-    few = few_from_file(data)
-    return few, *few_strategy(strategy, few)
 
 
 def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:

@@ -31,14 +31,11 @@ from ..network.network import Network
 from ..network.trip_graph import original_edges, original_nodes, with_layers
 from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.departure import draw_route
-from ..planning.few_routes import FewRoutes
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
-from ..planning.path_mixtures import PathMixtures
-from ..planning.plan import Plan
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
-from .attachments import misstated
+from .attachments import misstated, misstated_few
 from .metadata import Metadata, RecordedTrip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
@@ -122,6 +119,7 @@ class Verifier:
             *self._shared.once(network_problems, strategy, departure.risk_map, planning,
                                departure.metadata.trip),
             *certificate_problems(strategy, departure.stated, planning),
+            *(misstated_few(departure.few, departure.stated['few_value']) if departure.few else ()),
             *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
@@ -140,9 +138,6 @@ class Verifier:
         few_route = said.day.few_route if said.day else None
         if departure.few:
             plan = replace(plan, few=departure.few)
-            if problems := self._shared.once(few_problems, departure.few, plan,
-                                             departure.risk_map):
-                return problems
         if said.diversion:
             again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), source,
                                spacing)
@@ -167,14 +162,6 @@ def _same_path(poses: FloatArray, rows: FloatArray) -> bool:
         np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
         and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
                         rtol=0.0, atol=_POSE_TOLERANCE))
-
-
-def few_problems(few: FewRoutes, plan: Plan, risk_map: RiskMap) -> list[str]:
-    """Judge few routes with their shares again."""
-    found = PathMixtures(risk_map, plan, few.paths).judged(few.shares).value
-    if math.isclose(found, few.value, rel_tol=1e-6):
-        return []
-    return [f'few routes: the worst ambush costs {found:.9g}, not {few.value:.9g}']
 
 
 def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +40,36 @@ class FlowSolution(NamedTuple):
     cost: float
 
 
+@cache
+def quiet_model() -> Any:
+    """The class that ``highspy.Highs`` extends, which does not greet on the standard output.
+
+    ``highspy.Highs`` itself if that class has changed: it must find x of three equations.
+    """
+    import highspy
+
+    quiet: Any = highspy.Highs.__base__
+    model, find = quiet(), np.array([4.0, -1.0, 2.0])
+    try:
+        _with_options(model)  # HiGHS keeps the number of threads of its first run
+        model.addCols(3, np.ones(3), np.full(3, -9.0), np.full(3, 9.0), 0, np.zeros(3, np.int32),
+                      np.zeros(0, np.int32), np.zeros(0))
+        rows = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+        model.addRows(3, rows @ find, rows @ find, 9, 3 * np.arange(3, dtype=np.int32),
+                      np.tile(np.arange(3, dtype=np.int32), 3), rows.ravel())
+        model.run()
+        found = np.allclose(model.getSolution().col_value, find)
+    except (AttributeError, TypeError):
+        found = False
+    return quiet if found else highspy.Highs
+
+
+def _with_options(model: Any) -> Any:
+    for name, setting in _OPTIONS.items():
+        model.setOptionValue(name, setting)
+    return model
+
+
 class KeptFlows:
     """The LP in HiGHS' memory."""
 
@@ -47,11 +78,7 @@ class KeptFlows:
 
         self._status, self._infinity = highspy.HighsBasisStatus, highspy.kHighsInf
         self._new_basis, self._optimal = highspy.HighsBasis, highspy.HighsModelStatus.kOptimal
-        # The class that highspy.Highs extends: it does not greet on the standard output.
-        quiet: Any = highspy.Highs.__base__
-        self._model = quiet()
-        for name, setting in _OPTIONS.items():
-            self._model.setOptionValue(name, setting)
+        self._model = _with_options(quiet_model()())
         self._nodes = 0
 
     def add_nodes(self, count: int) -> None:

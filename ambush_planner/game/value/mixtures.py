@@ -176,11 +176,8 @@ class Mixtures:
 
 
 def _solved(lp: highs.LP, precision: float, deadline: float, vertex: bool) -> OptimizeResult:
-    first, second = ('simplex', 'interior_point')[:: 1 if vertex else -1]
-    try:
-        result = highs.run(lp, first, deadline, False, precision)
-    except SolverFailed:
-        result = highs.run(lp, second, deadline)
+    first = 'simplex' if vertex else 'interior_point'
+    result = highs.run_either(lp, first, deadline, False, precision)
     if result.x is None:
         raise SolverFailed('no mixture of the known routes is within the budget')
     return result
