@@ -23,12 +23,13 @@ from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.concerns import concerns, plan_numbers
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.path_mixtures import PathMixtures
-from ambush_planner.recordings import read_departure
+from ambush_planner.recordings import read_departure, read_departures
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
 from ambush_planner.recordings.recording_file import encode, read_recording
 from ambush_planner.recordings.verify import Verifier
+from ambush_planner.route_files import Drawn
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
@@ -121,6 +122,13 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
     assert f'<b>{plan.value / 2:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
     assert 'Verified: all 6 recordings' in page
+    last = read_departures(found, pytest.fail)[-1]
+    picture = Drawn(last.departed_on, last.risk_map, [], [], covered=last.covered).picture()
+    for text in (page, picture.axes[0].get_title('left')):
+        assert f'mean loss of at most {plan.value / 2:.3g} ' in text or (
+            f'mean loss of {plan.value / 2:#.3g}\n' in text)
+    measures = page.split('these random routes and times</th>')[1].split('</tr>')[0]
+    assert f'<td>{plan.value / 2:.3g}</td>' in measures, 'the table of planners, too'
 
 
 def test_other_readers_take_the_recordings(plans, tmp_path):

@@ -96,6 +96,13 @@ class RecordedDeparture:
     before: RecordedDeparture | None = field(default=None, repr=False)
     few: FewRoutes | None = field(default=None, repr=False)
 
+    @cached_property
+    def newest_risk_map(self) -> RiskMap:
+        """The losses at the time of departure."""
+        if self.newest is self.planned_on:
+            return self.risk_map
+        return self.newest.risk_map(self.parameters.occupancy)
+
     @property
     def departed_on(self) -> Strategy:
         """The strategy that it was drawn from, before it was diverted if that is known."""
