@@ -253,15 +253,18 @@ def marks_of(strategy: Strategy) -> FloatArray:
 
 
 def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,
-                  routes: Sequence[FloatArray] = ()) -> Axes:
-    """Draw a strategy on its map, or alone, with ambush sites; on new axes of pyplot if None."""
+                  routes: Sequence[FloatArray] = (), covered: float = 1.0) -> Axes:
+    """Draw a strategy on its map, or alone, with ambush sites; on new axes of pyplot if None.
+
+    ``covered`` is the share of departures that an ambush at one of the times covers.
+    """
     if axes is None:
         from matplotlib import pyplot
 
         _, axes = pyplot.subplots(figsize=(WIDTH, 6.2), layout='compressed')
     figure = axes.figure
     longer = strategy.expected_length / strategy.shortest_length
-    title = (f'The best ambush causes a mean loss of {strategy.value:#.3g}\n'
+    title = (f'The best ambush causes a mean loss of {strategy.value * covered:#.3g}\n'
              f'Along the network, routes are on average {longer:.2f} times the shortest')
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []

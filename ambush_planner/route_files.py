@@ -46,7 +46,8 @@ _STRAIGHT = 0.5
 class Drawn:
     """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot.
 
-    Without ``labels``, they are named by their numbers and slots.
+    Without ``labels``, they are named by their numbers and slots. ``covered`` is the share of
+    departures that an ambush at one of the times covers, if these are drawn.
     """
 
     strategy: Strategy
@@ -55,6 +56,7 @@ class Drawn:
     times: Sequence[datetime]
     slots: Sequence[str] = field(default=(), kw_only=True)
     labels: Sequence[str] = field(default=(), kw_only=True)
+    covered: float = field(default=1.0, kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -87,7 +89,7 @@ class Drawn:
 
         figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
         draw_strategy(figure.subplots(), self.strategy, self.risk_map,
-                      [path[:, :2] for path in self.paths])
+                      [path[:, :2] for path in self.paths], self.covered)
         return figure
 
 
@@ -97,7 +99,7 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | int | None = None) -> Dr
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
     times = [datetime.now(timezone.utc)] * n
-    return Drawn(plan.strategy, plan.own_map, plan.paths(n, rng), times)
+    return Drawn(plan.drawn_from, plan.own_map, plan.paths(n, rng), times)
 
 
 def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | None = None) -> None:

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..maps.risk_map_file import read_risk_map
+from ..planning.ambush_costs import best_ambush
 from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
@@ -20,6 +21,7 @@ from ..planning.trip import plan_trip
 from ..recordings.metadata import RecordedSlots
 from ..recordings.plan_file import saved_plan
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
+from ..words import best_ambush as in_words
 from ..words import distance, duration, percent
 from . import cli
 from .few_files import FewDrawn, tell_few
@@ -45,10 +47,10 @@ shows each. The table on the console has the faces of one or two dice (a first a
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "driven_length", "shortest_route_loss",
-"refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
-or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
-"draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
+"shortest_length", "driven_length", "shortest_route_loss", "best_ambush": {{"xy", "hit"}},
+"refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null, or with --routes {{"value",
+"lower_bound", "candidates", "worst_xy", "shares", "costs", "curve", "draws"}}, "slots": null, or
+with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """
 
 
@@ -101,7 +103,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                          routes=arguments.routes, rng=rng)
     day = None
     if slots:
-        day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)
+        day = RecordedSlots.of(slots, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -112,16 +114,17 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     quick = [path for path in arguments.output if path.suffix.lower() != PLAN]
     drawn = (FewDrawn(plan.strategy, risk_map, few.paths, (), few) if few else
              draw(plan, arguments.departures if quick else 0, rng))
-    if day and few is None:
-        drawn = replace(drawn, slots=[day.drawn(rng) for _ in drawn.paths])
+    if day:
+        slots = () if few else [day.drawn(rng) for _ in drawn.paths]
+        drawn = replace(drawn, slots=slots, covered=day.covered)
     write_routes(arguments.output, drawn,
                  saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map)
                  if len(quick) < len(arguments.output) else None)
     _tell(plan, day, arguments, console)
     if few:
-        tell_few(plan, few, arguments.routes, console)
+        tell_few(plan, few, arguments.routes, day.covered if day else 1.0, console)
     if day:
-        _tell_slots(day, drawn, console)
+        _tell_slots(plan, day, drawn, console)
     for text in concerns(plan):
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
     tell_outputs(arguments.output, drawn, console)
@@ -130,12 +133,16 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
-    strategy, few = plan.strategy, plan.few
-    value, bound = ((day.value, day.lower_bound) if day
-                    else (plan.value, plan.lower_bound))
-    shortest = evaluate(strategy)['energy_efficient'].v_repeated
+    strategy, few = plan.drawn_from, plan.few
+    covered = day.covered if day else 1.0
+    value, bound = plan.value * covered, plan.lower_bound * covered
+    shortest = evaluate(plan)['energy_efficient'].v_repeated
     console.fact('value', f'{value:.4g}: mean loss per departure if the ambusher plays optimally '
                  'and knows everything except the draw')
+    best = best_ambush(strategy, plan.own_map)
+    if best:
+        start: Position = arguments.start[0]
+        console.fact('in words', in_words(best.hit, start.like(best.xy, plan.own_map), covered))
     console.fact('shortest route', f'{shortest:.4g}, once it is known')
     ratio = f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest'
     if strategy.network.travel_unit == 's':
@@ -155,7 +162,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
             'no mixture of the paths that were tried has a smaller value' if few else
             'no planner can guarantee less on this network of '
             f'{strategy.network.place_count} nodes'))
-        if len(plan.refinement) > 1:
+        if len(plan.refinement) > 1 and not few:
             values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
             known = ', at a known time' * bool(day)
             console.fact('refined', f'{values} after each round{known}, before the final strategy')
@@ -164,20 +171,21 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
     console.result = {
         'refinement': [each._asdict() for each in plan.refinement],
         'seconds': round(console.seconds, 1),
-        'value': value, 'lower_bound': bound,
+        'value': value, 'lower_bound': bound, 'best_ambush': best and best._asdict(),
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
         'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
         'few': None, 'slots': None,
     }
 
 
-def _tell_slots(day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+def _tell_slots(plan: Plan, day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
     shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:
         console.fact('departures', ', '.join(drawn.slots))
-    console.result['slots'] = {'value': day.value, 'lower_bound': day.lower_bound,
-                               'shares': shares, 'drawn': list(drawn.slots)}
+    console.result['slots'] = {
+        'value': plan.value * day.covered, 'lower_bound': plan.lower_bound * day.covered,
+        'shares': shares, 'drawn': list(drawn.slots)}
 
 
 main = cli.command(parser, _work)

@@ -7,13 +7,14 @@ import math
 
 from ..arrays import NEGLIGIBLE
 from ..game.strategy import Strategy
+from ..maps.coordinates import InvalidCoordinates
 from ..parameters.table import PARAMETERS
-from ..planning.evaluation import evaluate
 from ..planning.plan import path_lengths
 from ..recordings import RecordedDeparture
 from ..recordings.report_data import Section
-from ..words import distance, ends, percent, rounded, travel
+from ..words import best_ambush, count, distance, ends, of_departures, percent, rounded, travel
 from .console import when
+from .positions import Position
 
 PLANNERS = {
     'stochastic': 'these random routes',
@@ -47,7 +48,23 @@ def _guarantee(section: Section) -> str:
             f'{rounded(value)} per departure, even if he knows the map, the probabilities '
             f'and all earlier routes.{when_known} This assumes that he does not know the next '
             f'route{" and time" * timed}; an informant who tells him whether the convoy passes '
-            'raises the mean loss at most twofold.')
+            f'raises the mean loss at most twofold. {_in_words(section)}')
+
+
+def _in_words(section: Section) -> str:
+    if section.best is None:
+        return 'No ambush causes a loss.'
+    text = best_ambush(section.best.hit, _place(section), section.departures[-1].covered)
+    return f'In other words, {text}.'
+
+
+def _place(section: Section) -> str:
+    """Where the best ambush is: latitude and longitude, or x and y."""
+    assert section.best
+    try:
+        return Position((0.0, 0.0), True).like(section.best.xy, section.risk_map)
+    except InvalidCoordinates:
+        return Position((0.0, 0.0), False).like(section.best.xy, section.risk_map)
 
 
 def _optimality(section: Section) -> str:
@@ -76,20 +93,21 @@ def _assumptions(strategy: Strategy) -> str:
 def secured(section: Section) -> str:
     """The assumption about the secured area; '' if there is none."""
     radius = section.strategy.game.options.secured_distance
-    asked = section.departures[-1].parameters.planning.game.secured_radius
+    game = section.departures[-1].parameters.planning.game
+    asked, held = game.secured_radius, len(game.held_places)
     if not radius > 0.0:
         return ''
     margin = ''
     if asked is not None and round(asked - radius) > 0:
         margin = f' ({distance(asked)}, less how far start and goal may move)'
+    more = f', nor at {count(held, "held place")}' if held else ''
     return (f'A secured area is assumed: nobody can wait within {distance(radius)} of '
-            f'{ends(len(section.strategy.network.stops))}{margin}.')
+            f'{ends(len(section.strategy.network.stops))}{margin}{more}.')
 
 
 def tiles(section: Section) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
-    strategy, rows = section.strategy, evaluate(section.strategy)
-    fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
+    strategy, fixed = section.strategy, section.measures['energy_efficient']
     different = len({each.path_poses.round(1).tobytes() for each in section.departures})
     driven = path_lengths([each.path_poses for each in section.departures])
     ratio = rounded(strategy.expected_length / strategy.shortest_length)
@@ -99,22 +117,31 @@ def tiles(section: Section) -> list[tuple[str, str]]:
         (rounded(section.bounds[0]), 'mean loss per departure from the best ambush'
          f'{" (at one time)" * timed}, instead of {rounded(fixed.v_repeated)} if you always take '
          'the shortest route'),
-        (percent(chance), f'of departures are hit by the best ambush{" at the right time" * timed},'
-         f' instead of {percent(fixed.p_repeated)} on a fixed route that he has learnt'),
+        _hits_tile(section),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),
         (distance(float(driven.mean())), 'driven per departure, on average; the mean '
          f'{unit} along the network is {ratio} times the shortest'),
     ]
 
 
-def measures(strategy: Strategy) -> list[tuple[str, ...]]:
+def _hits_tile(section: Section) -> tuple[str, str]:
+    if section.best is None:
+        return 'no departure', 'meets an ambush that causes a loss'
+    return (of_departures(section.best.hit * section.departures[-1].covered),
+            f'hit by the best ambush, at {_place(section)}, instead of every one once he has '
+            'learnt a habit')
+
+
+def measures(section: Section) -> list[tuple[str, ...]]:
     """Head and rows of the comparison of planners (the paper's table III: E, P_1, P_inf, V_inf)."""
     head = ('the convoy drives', 'mean along the network', 'hit by the ambusher on the map',
             'hit once the habit is known', 'mean loss once it is known')
+    timed = section.slots is not None
     return [head, *(
-        (PLANNERS[name], travel(row.expected_length, strategy.network.travel_unit),
+        (PLANNERS[name] + ' and times' * (timed and name == 'stochastic'),
+         travel(row.expected_length, section.strategy.network.travel_unit),
          percent(row.p_first), percent(row.p_repeated), rounded(row.v_repeated))
-        for name, row in evaluate(strategy).items()
+        for name, row in section.measures.items()
     )]
 
 
@@ -138,12 +165,12 @@ def quantities(section: Section) -> list[tuple[str, str]]:
 
 def departures(section: Section) -> list[tuple[str, ...]]:
     """Head and rows of the list of departures, in order of time; the loss only if it varies."""
-    varies = len({id(each.strategy) for each in section.departures}) > 1
+    varies = len({id(each.departed_on) for each in section.departures}) > 1
     rows = []
     for number, each in enumerate(section.departures, start=1):
         (length,) = path_lengths([each.path_poses])
         rows.append((str(number), leaving(each)[:len('2000-01-01 00:00')],
-                     distance(float(length)), *([rounded(each.strategy.value)] * varies)))
+                     distance(float(length)), *([rounded(each.value)] * varies)))
     time = 'day' if section.departures[-1].metadata.day else 'time (UTC)'
     return [('route', time, 'length', *(['mean loss'] * varies)), *rows]
 

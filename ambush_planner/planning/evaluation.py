@@ -55,10 +55,20 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     >>> round(evaluate(solve(network))['energy_efficient'].v_repeated, 3)
     1.0
     """
-    strategy = planned.strategy if isinstance(planned, Plan) else planned
-    game, q = strategy.game, strategy.ambush_probability
-    p_first = meeting_probability(game, strategy.law, q)
-    stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)
+    if isinstance(planned, Plan):
+        (drawn,) = planned.drawn_from.legs
+        return compared(drawn, planned.strategy)
+    return compared(planned, planned)
+
+
+def compared(drawn: Strategy, whole: Strategy) -> dict[str, Measures]:
+    """Compare a strategy with the planners that always drive one route of a whole network.
+
+    The strategies are the same unless departures are ``drawn`` from few routes.
+    """
+    p_first = meeting_probability(drawn.game, drawn.law, drawn.ambush_probability)
+    stochastic = Measures('stochastic', drawn.expected_length, p_first, p_first, drawn.value)
+    game, q = whole.game, whole.ambush_probability
     return {
         'stochastic': stochastic,
         'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),
@@ -81,5 +91,6 @@ def risk_avoiding_route(game: Game) -> IndexArray:
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
     worst = worst_loss(game, p)
-    return Measures(planner, float(p @ game.network.travel_costs), meeting_probability(game, law_of(game, p), q),
-                                        1.0 if worst > 0.0 else 0.0, worst)
+    return Measures(planner, float(p @ game.network.travel_costs),
+                    meeting_probability(game, law_of(game, p), q),
+                    1.0 if worst > 0.0 else 0.0, worst)

@@ -24,6 +24,7 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
 from ..game.route_sampler import route_edges
+from ..game.strategy import Strategy
 from ..routes.driven_path import driven_paths
 from .best_shares import BestShares, SharesLP
 from .path_mixtures import PathMixture, PathMixtures
@@ -64,14 +65,11 @@ class FewRoutes:
         The driven paths, as ``Plan.paths`` has them.
     shares : (K,)
         How likely each is driven; the largest first.
-    value : float
-        Mean loss by the worst ambusher who knows all of this, anywhere on the map.
-    worst_xy : (2,)
-        Where that is [m].
-    lower_bound : float
-        No mixture of the ``candidates`` has a smaller value: paths as they are driven, from which
-        these were chosen. The plan's own bound is that of another game, in which convoys may stray
-        from their routes by the tube.
+    strategy : Strategy
+        The mixture, on a network of the paths side by side. Its ambusher waits at the worst place
+        anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``: paths as
+        they are driven, from which these were chosen. The plan's own bound is that of another game,
+        in which convoys may stray from their routes by the tube.
     candidates : int
         Their number.
     costs : (K,)
@@ -84,13 +82,33 @@ class FewRoutes:
 
     paths: tuple[FloatArray, ...]
     shares: FloatArray
-    value: float
-    worst_xy: FloatArray
-    lower_bound: float
+    strategy: Strategy
     candidates: int
     costs: FloatArray
     curve: tuple[tuple[int, float], ...]
     routes: tuple[IndexArray, ...]
+
+    @property
+    def value(self) -> float:
+        """Mean loss by the worst ambusher who knows all of this."""
+        return self.strategy.value
+
+    @property
+    def lower_bound(self) -> float:
+        """No mixture of the candidates has a smaller value."""
+        return self.strategy.lower_bound
+
+    @property
+    def worst_xy(self) -> FloatArray:
+        """The worst place (2,) [m]."""
+        network, q = self.strategy.network, self.strategy.ambush_probability
+        return np.asarray(network.points[q.argmax()])
+
+    def nodes(self, k: int) -> IndexArray:
+        """The nodes (L,) of a route in the network of ``strategy``."""
+        network = self.strategy.network
+        first = np.flatnonzero(network.tails == network.source)
+        return np.append(network.source, np.split(network.heads, first[1:])[k])
 
     def draw(self, rng: np.random.Generator) -> int:
         """Draw the index of a departure's route."""
@@ -131,15 +149,23 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     except TimeLimit as late:
         raise TimeLimit('the time limit (strategy.time_limit) passed before a mixture of few '
                         'routes was found; allow more time', plan.strategy) from late
-    mixture = found[most]
-    chosen = np.argsort(-mixture.shares, kind='stable')[: np.count_nonzero(mixture.shares)]
-    return FewRoutes(tuple(paths[k] for k in chosen),
-                     frozen_array(mixture.shares[chosen], np.float64),
-                     mixture.value, mixture.worst_xy, min(search.bound, mixture.value),
-                     len(paths), frozen_array(costs[chosen], np.float64),
-                     tuple({min(size, len(chosen)): each.value  # more do not lower it
-                            for size, each in found.items()}.items()),
+    all_shares = found[most].shares
+    chosen = np.argsort(-all_shares, kind='stable')[: np.count_nonzero(all_shares)]
+    few = tuple(paths[k] for k in chosen)
+    shares, spent = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
+    strategy = mixed(plan, few, shares, search.bound, spent)
+    curve = {min(size, len(chosen)): each.value for size, each in found.items()}  # no more needed
+    curve[len(chosen)] = strategy.value
+    return FewRoutes(few, shares, strategy, len(paths), spent, tuple(curve.items()),
                      tuple(frozen_array(routes[k], np.int64) for k in chosen))
+
+
+def mixed(plan: Plan, paths: Sequence[FloatArray], shares: FloatArray, bound: float,
+          costs: FloatArray) -> Strategy:
+    """The strategy of a plan's few paths with their shares and costs (K,), as FewRoutes has it."""
+    timed = plan.network.seconds is not None
+    return PathMixtures(plan.own_map, plan, paths).strategy(shares, bound,
+                                                            costs if timed else None)
 
 
 def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:

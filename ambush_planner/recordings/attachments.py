@@ -29,7 +29,8 @@ from ..game.tolerance import Reason
 from ..game.strategy import Strategy, strategy_of
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
-from ..planning.few_routes import FewRoutes
+from ..planning.few_routes import FewRoutes, mixed
+from ..planning.plan import Plan
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
 MAP_FILE, FEW_FILE = 'map.npz', 'few.npz'
@@ -52,8 +53,8 @@ _CIRCULATION = ('through', 'site', 'face', 'flow')
 _ROADS = ('points', 'pairs', 'speeds', 'timed')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
-_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), 'shares', 'value', 'worst_xy',
-        'lower_bound', 'candidates', 'costs', 'curve')
+_OF_FEW = ('shares', 'value', 'lower_bound', 'candidates', 'costs', 'curve')
+_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW)
 # Why the search ended.
 _REASON = 'reason'
 
@@ -122,6 +123,13 @@ def misstated(strategy: Strategy,
             yield name, said, found
 
 
+def misstated_few(few: FewRoutes, stated: float) -> list[str]:
+    """Say so if few routes have another value than what is stated."""
+    if math.isclose(few.value, stated, rel_tol=1e-6):
+        return []
+    return [f'few routes: the worst ambush costs {few.value:.9g}, not {stated:.9g}']
+
+
 def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) -> bytes:
     """Return the cells in which two maps (H, W) differ; no bytes if they are equal.
 
@@ -157,26 +165,27 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
 
 def few_file(few: FewRoutes) -> bytes:
     """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
-    arrays: dict[str, Any] = {}
-    for name, value in vars(few).items():
-        if name in _RAGGED:
-            arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
-        else:
-            arrays[name] = value
+    arrays: dict[str, Any] = {name: getattr(few, name) for name in _OF_FEW}
+    for name in _RAGGED:
+        value = getattr(few, name)
+        arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
     return _npz(arrays)
 
 
-def few_from_file(data: bytes) -> FewRoutes:
-    """Return the few routes in the bytes of a ``few.npz``."""
+def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
+    """Return the few routes of a plan in the bytes of a ``few.npz``, and the value stated there.
+
+    Their strategy is computed from paths and shares.
+    """
     content = arrays_in(BytesIO(data), _FEW)
     ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
               for name in _RAGGED}
-    return FewRoutes(
-        **ragged, shares=frozen_array(content['shares'], np.float64),
-        value=float(content['value']), worst_xy=content['worst_xy'],
-        lower_bound=float(content['lower_bound']), candidates=int(content['candidates']),
-        costs=content['costs'],
-        curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
+    shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
+    strategy = mixed(plan, ragged['paths'], shares, float(content['lower_bound']), costs)
+    few = FewRoutes(
+        **ragged, shares=shares, strategy=strategy, candidates=int(content['candidates']),
+        costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
+    return few, float(content['value'])
 
 
 def _npz(arrays: Mapping[str, Any]) -> bytes:

@@ -72,10 +72,11 @@ class Audit:
     segments, passages, expected : (C, 2, 2), (C,), (C,)
         Ends of each edge [m], how often it was driven, and how often that is expected.
     value : float
-        Mean published value of the departures after the first.
+        Mean value of the departures after the first.
     observer_losses : (n - 1,)
         Losses at the departures after the first, caused by an observer who learns as he goes:
-        before each departure he waits where waiting would have cost the earlier ones most.
+        before each departure he waits where waiting would have cost the earlier ones most. Where
+        the time was drawn, he waits at the times that cover most departures.
     observer_range : (float, float)
         5 % and 95 % quantiles of the mean of these losses for departures drawn honestly.
     """
@@ -108,10 +109,10 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     """Test departures against their strategies, and follow an observer who learns from them.
 
     ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy),
-    ``route`` (K,) and ``drawn_slot`` (its time and the RecordedSlots that it was drawn from, or
-    None); those of one strategy share the strategy. A finding needs 999 ``resamples`` or
-    more. Raises NotAuditable if fewer than ``MIN_DEPARTURES`` are from strategies without
-    cycles.
+    ``route`` (K,), ``drawn_slot`` (its time and the RecordedSlots that it was drawn from, or
+    None), ``covered`` and ``value`` of RecordedDeparture; those of one strategy share the strategy.
+    A finding needs 999 ``resamples`` or more. Raises NotAuditable if fewer than ``MIN_DEPARTURES``
+    are from strategies without cycles.
     """
     rng = np.random.default_rng(rng)
     groups, audited = _grouped(departures)
@@ -136,6 +137,7 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     counts = [(passages, expected, variance)]
     counts += _slot_counts([each.drawn_slot for each in audited if each.drawn_slot], resamples, rng)
     loss, row, node = (np.concatenate(parts) for parts in zip(*losses, strict=True))
+    loss = loss * np.array([each.covered for each in audited])[row % n]
     caused = _observe(followed, n, loss, row, node)
     low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
     return Audit(departures=n, strategies=len(groups), left_out=len(departures) - n,
@@ -143,7 +145,7 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
                  p_value=0.0 if impossible else _p_value(counts),
                  segments=segments, passages=frozen_array(passages[0], np.int64),
                  expected=frozen_array(expected, np.float64),
-                 value=float(np.mean([each.drawn_from.value for each in audited[1:]])),
+                 value=float(np.mean([each.value for each in audited[1:]])),
                  observer_losses=frozen_array(caused[0], np.float64),
                  observer_range=(float(low), float(high)))
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, TimeLimit
 from ..game.budget import Budget
 from ..game.distribution.acyclic import is_acyclic
@@ -30,14 +30,12 @@ from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.trip_graph import original_edges, original_nodes, with_layers
 from ..planning.cell_losses import CellLosses, CellSearch
-from ..planning.few_routes import FewRoutes
+from ..planning.departure import draw_route
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
-from ..planning.path_mixtures import PathMixtures
-from ..planning.plan import Plan, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
-from .attachments import misstated
+from .attachments import misstated, misstated_few
 from .metadata import Metadata, RecordedTrip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
@@ -102,7 +100,7 @@ class Verifier:
             verdict.route, verdict.drawn = map(tuple, (departure.route.tolist(),
                                                        departure.drawn.tolist()))
             verdict.nodes = len(departure.strategy.network.points)
-            verdict.value = departure.shown.value
+            verdict.value = departure.departed_on.value
             if departure.parameters.values['seed'] >= 0:
                 verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
             verdict.problems += self._problems(departure)
@@ -121,7 +119,8 @@ class Verifier:
             *self._shared.once(network_problems, strategy, departure.risk_map, planning,
                                departure.metadata.trip),
             *certificate_problems(strategy, departure.stated, planning),
-            *source_problems(departure),
+            *(misstated_few(departure.few, departure.stated['few_value']) if departure.few else ()),
+            *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
             problems += self._draw_problems(departure)
@@ -134,31 +133,27 @@ class Verifier:
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
         ground = self._shared.once(ground_of, departure.strategy, departure.planned_on,
                                    parameters.occupancy, parameters.planning, departure.risk_map)
-        plan = ground.plan
-        rng = np.random.default_rng(said.route_entropy_source)
-        spacing = parameters.values['route.path_spacing'] or plan.spacing
-        again: tuple[IndexArray, FloatArray] | None = None
+        plan, source = ground.plan, said.route_entropy_source
+        spacing = parameters.values['route.path_spacing']
+        few_route = said.day.few_route if said.day else None
         if departure.few:
-            return [*self._shared.once(few_problems, departure.few, plan, departure.risk_map),
-                    *_few_draw_problems(departure, departure.few, rng)]
+            plan = replace(plan, few=departure.few)
         if said.diversion:
-            again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
+            again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), source,
                                spacing)
+        elif departure.joined:
+            again = draw_route(departure.joined.plan, source, spacing, said.ends)
         else:
-            fitted = departure.joined.plan if departure.joined else (
-                ground.fitted(newest, said.ends))
-            drawn = (fitted.strategy.sample_route(rng) if departure.joined
-                     else ground.draw(rng, newest))
-            if drawn is not None and np.array_equal(drawn, departure.drawn):
-                again = drawn, departure_path(fitted, drawn, spacing, said.ends)
-        if again is None or not np.array_equal(again[0], departure.drawn):
+            again = draw_route(plan, source, spacing, said.ends, ground, newest)
+        if again is None or again.few_route != few_route or not np.array_equal(
+                again.nodes, departure.drawn):
             return ['route: the recorded entropy draws another one']
-        rows, poses = again[1], departure.recorded_poses
+        rows, poses = again.poses, departure.recorded_poses
         if len(poses) == len(rows) + 1:
             poses = poses[1:]  # before the route, the robot leaves a costmap's inflation
         if not _same_path(poses, rows):
             return ['path: it does not follow from the recorded route']
-        return _slot_problems(said, rng)
+        return _slot_problems(said, again.rng)
 
 
 def _same_path(poses: FloatArray, rows: FloatArray) -> bool:
@@ -167,24 +162,6 @@ def _same_path(poses: FloatArray, rows: FloatArray) -> bool:
         np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
         and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
                         rtol=0.0, atol=_POSE_TOLERANCE))
-
-
-def few_problems(few: FewRoutes, plan: Plan, risk_map: RiskMap) -> list[str]:
-    """Judge few routes with their shares again."""
-    found = PathMixtures(risk_map, plan, few.paths).judged(few.shares).value
-    if math.isclose(found, few.value, rel_tol=1e-6):
-        return []
-    return [f'few routes: the worst ambush costs {found:.9g}, not {few.value:.9g}']
-
-
-def _few_draw_problems(departure: RecordedDeparture, few: FewRoutes,
-                       rng: np.random.Generator) -> list[str]:
-    """Draw one of few routes again, and the slot."""
-    day, k = departure.metadata.day, few.draw(rng)
-    if day is None or k != day.few_route or not _same_path(departure.recorded_poses,
-                                                           few.paths[k]):
-        return ['route: the recorded entropy draws another one']
-    return _slot_problems(departure.metadata, rng)
 
 
 def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
@@ -273,6 +250,15 @@ def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
     if not gap <= planning.max_gap * strategy.value:
         problems.append(f'strategy: its certificate does not close, the gap is {gap:.3g}')
     return problems
+
+
+def value_problems(departure: RecordedDeparture) -> list[str]:
+    """Compare the value that is stated of a departure with that on the map of that moment."""
+    stated, found = departure.metadata.value, departure.value
+    if math.isclose(stated, found, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE):
+        return []
+    return [f'value: the departure is stated to cost {stated:.9g}, on the map of that moment it '
+            f'costs {found:.9g}']
 
 
 def source_problems(departure: RecordedDeparture) -> list[str]:
