@@ -16,24 +16,29 @@ from .game import Game
 
 
 def worst_loss(game: Game, p: FloatArray) -> float:
-    """What the best ambush against p (M,) costs on average.
+    """What the best ambush against p (M,) costs on average."""
+    return worst_site(game, p)[0]
+
+
+def worst_site(game: Game, p: FloatArray) -> tuple[float, int]:
+    """Mean loss by the best ambush against p (M,), and the row of its site; -1 without a loss.
 
     Each route counts once per site if p is acyclic. Otherwise every entry counts, which is an upper
     bound. Entries bound the hits from above, so only sites that could still be the worst are
     computed.
     """
     losses = game.site_losses(p)
+    order, found, worst, done = np.argsort(-losses, kind='stable'), 0.0, -1, 0
     if game.entries_are_hits or not is_acyclic(game.network, p):
-        return float(losses.max(initial=0.0))
+        return float(losses.max(initial=0.0)), int(order[0]) if losses.any() else -1
     chain = chain_of(game.network, p)
-
-    order, found, done = np.argsort(-losses, kind='stable'), 0.0, 0
     while done < len(order) and losses[order[done]] > found:
         some = order[done : 2 * done + 1]  # twice as many
         hit = game.loss[game.sites[some]] * chain.meets(game.entering[some])
-        found = max(found, float(hit.max()))
+        if hit.max() > found:
+            found, worst = float(hit.max()), int(some[hit.argmax()])
         done += len(some)
-    return found
+    return found, worst
 
 
 def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None) -> FloatArray:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
 from ..game.distribution.acyclic import is_acyclic
 from ..game.distribution.chain import chain_of
-from ..game.hits import hit_probabilities, largest_losses
+from ..game.hits import hit_probabilities, worst_site
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from .cell_losses import CellLosses, CellSearch
@@ -48,10 +48,10 @@ def holds_at_cells(strategy: Strategy) -> bool:
 def best_ambush(strategy: Strategy, risk_map: RiskMap) -> BestAmbush | None:
     """Find the place where an ambush causes the value; None if none causes a loss."""
     game, p = strategy.game, strategy.edge_probability
-    losses, rows = largest_losses(game, p)
-    if not strategy.value > 0.0 or not len(rows):
+    loss, row = worst_site(game, p)
+    if not strategy.value > 0.0 or row < 0:
         return None
-    site, loss = game.sites[rows[0]], float(losses[0])
+    site = game.sites[row]
     point, hit = game.network.points[site], loss / float(game.loss[site])
     if holds_at_cells(strategy) and loss < strategy.value * (1.0 - ROUNDING):
         cells = CellLosses(risk_map, game.options.ambush_in_obstacles)

@@ -15,7 +15,7 @@ from ..game.budget import BUDGET_TOLERANCE
 from ..game.certificate.certificate import Certificate
 from ..game.distribution.chain import chain_of
 from ..game.game import Game, make_game
-from ..game.revaluation import budgets_in_game, revalue
+from ..game.revaluation import budget_in_game, revalue
 from ..game.route_sampler import route_edges
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
@@ -145,7 +145,7 @@ class ChangedGround:
         if not known.clear_share > 0.0:
             raise ValueError('no route of the strategy is clear')
         game = make_game(replace(self.plan.network, alpha=look.alpha), strategy.game.options)
-        return replace(strategy, game=game, budgets=budgets_in_game(game, strategy),
+        return replace(strategy, game=game, budget=budget_in_game(game, strategy),
                        edge_probability=frozen_array(self._clear_routes(look)[1], np.float64),
                        certificate=certificate)
 
