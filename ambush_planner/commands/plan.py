@@ -141,8 +141,8 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
                  'and knows everything except the draw')
     best = best_ambush(strategy, plan.own_map)
     if best:
-        start: Position = arguments.start[0]
-        console.fact('in words', in_words(best.hit, start.like(best.xy, plan.own_map), covered))
+        place = arguments.start[0].like(best.xy, plan.own_map)
+        console.fact('in words', in_words(best.hit, place, covered))
     console.fact('shortest route', f'{shortest:.4g}, once it is known')
     ratio = f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest'
     if strategy.network.travel_unit == 's':

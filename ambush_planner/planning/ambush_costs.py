@@ -50,9 +50,9 @@ def holds_at_cells(trip: TripStrategy) -> bool:
 def best_ambush(trip: TripStrategy, risk_map: RiskMap) -> BestAmbush | None:
     """Find the place where an ambush causes the value; None if none causes a loss."""
     game, legs = trip.game, trip.joint
-    if not trip.value > 0.0 or not len(game.sites):
-        return None
     loss, row = largest_product(legs.loss, legs.entering, trip.law)
+    if not trip.value > 0.0 or row < 0:
+        return None
     point, hits = legs.site_points[row], loss / float(legs.loss[row])
     if holds_at_cells(trip) and loss < trip.value * (1.0 - ROUNDING):
         cells = CellLosses(risk_map, game.options.ambush_in_obstacles)
