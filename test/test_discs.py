@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, solve
-from ambush_planner.game.discs import ExposedEdges, secured_area
+from ambush_planner.game.discs import ExposedEdges, SecuredArea
 
 # Distances within NEAR radii of the circle are ambiguous.
 NEAR = 1e-6
@@ -29,7 +29,8 @@ def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
 
 
 def _everywhere(network: Network) -> ExposedEdges:
-    return ExposedEdges(network, secured_area(network, 0.0).shrunk(0.0))
+    nothing = SecuredArea(np.empty((0, 2)), np.empty(0))
+    return ExposedEdges(network.points, network.edges, nothing, np.array([network.source]))
 
 
 def visits_to_disc(points: np.ndarray, centre: np.ndarray, radius: float) -> tuple[int, int]:

@@ -28,8 +28,7 @@ def test_arrays_are_private_and_read_only():
     network = Network(**{**GOOD, 'points': points})
     points[0, 0] = 9.0
     assert network.points[0, 0] == 0.0
-    for name in ('points', 'alpha', 'edges', 'lengths', 'tails', 'heads', 'places', 'leg',
-                 'stops', 'ends', 'representatives'):
+    for name in ('points', 'alpha', 'edges', 'lengths', 'tails', 'heads'):
         with pytest.raises(ValueError, match='read-only'):
             getattr(network, name)[...] = 0
     with pytest.raises(AttributeError):
@@ -63,30 +62,11 @@ def test_warns_of_dropped_edges_into_the_source_and_out_of_the_target():
     ({'edges': [(0, 1), (1,)]}, 'edges'), ({'source': 3}, r'source .*0\.\.2, got 3'),
     ({'target': -1}, r'target .*0\.\.2, got -1'), ({'source': 0.0}, r'source .*0\.0'),
     ({'source': True}, 'source'), ({'target': None}, 'target .*None'),
-    ({'source': 2}, 'source and target .*2'), ({'places': [0, 1]}, r'places .*3 nodes.*\(2,\)'),
-    ({'places': [0.0, 1.0, 2.0]}, 'places .*float64'), ({'places': [0, 1, 3]}, r'places .*0\.\.3'),
-    ({'places': [0, 1, 1]}, 'nodes 1 and 2 .*place 1'), ({'leg': [-1, 0, 0]}, r'leg .*-1\.\.0'),
-    ({'leg': [1, 0, 0]}, r'edge 0 \(0, 1\).*leg'),
+    ({'source': 2}, 'source and target .*2'),
 ])
 def test_rejects_bad_input(change, words):
     with pytest.raises(InvalidNetwork, match=words):
         Network(**{**GOOD, **change})
-
-
-def test_nodes_of_one_place_are_one_site():
-    """On the second leg, the stop, place 2, has two nodes; place 1 has one on each leg."""
-    at = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
-    places = np.array([0, 1, 2, 1, 2, 3, 2])
-    network = Network(at[places], np.array([0.0, 2.0, 0.0, 0.0])[places],
-                      [(0, 1), (1, 2), (1, 6), (2, 3), (6, 3), (3, 5), (0, 4), (4, 3)], 0, 5,
-                      places, np.array([0, 0, 1, 1, 0, 1, 1]))
-    assert (network.legs, network.place_count) == (2, 4)
-    assert network.representatives.tolist() == [0, 1, 2, 5]
-    assert network.stops.tolist() == [2] and network.ends.tolist() == [0, 2, 4, 5, 6]
-    game = make_game(network, GameOptions())
-    assert game.sites.tolist() == [1]
-    assert game.entering.toarray().tolist() == [[1, 0, 0, 1, 1, 0, 0, 1]]
-    assert game.at_sites(np.arange(7.0)).tolist() == [4.0]
 
 
 @examples(25)

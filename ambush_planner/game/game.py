@@ -135,7 +135,7 @@ class Game:
 
     @property
     def no_reentry(self) -> bool:
-        """Whether a simple route enters each site's reach at most once, so that entries are hits."""
+        """Whether a simple route enters a site's reach at most once, so that entries are hits."""
         return self.reach == 0.0
 
     @property

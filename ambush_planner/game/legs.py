@@ -39,7 +39,7 @@ class Legs:
 
     @property
     def no_reentry(self) -> bool:
-        """Whether a simple route enters each site's reach at most once, so that entries are hits."""
+        """Whether a simple route enters a site's reach at most once, so that entries are hits."""
         return self.games[0].no_reentry
 
     @property
@@ -92,8 +92,7 @@ class Legs:
                                  for game, own in zip(self.games, rows, strict=True)])
 
     def avoiding(self, entering: csr_matrix) -> Legs | None:
-        """The legs on the edges that enter none of some discs, as rows (K, M); None if one has none.
-        """
+        """The legs on edges that enter no disc of the rows (K, M); None if a leg has no route."""
         games = [game.avoiding(own)
                  for game, own in zip(self.games, self.rows_by_leg(entering), strict=True)]
         return self._with_games([game for game in games if game]) if all(games) else None

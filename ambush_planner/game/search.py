@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a search: the problem, the sites so far, the program for the value, the incumbent."""
+"""The state of a search: the problem, the program for its value, the sites and the incumbent."""
 
 from __future__ import annotations
 
@@ -95,10 +95,15 @@ class Incumbent:
 
 
 class Program(Protocol):
-    """Finds the least value: no strategy has less than its ``bound``, as the ``ambush`` proves."""
+    """Finds the least value."""
 
-    bound: float
-    apart: float
+    @property
+    def bound(self) -> float:
+        """No strategy has a smaller value, as the ``ambush`` proves."""
+
+    @property
+    def apart(self) -> float:
+        """Minimum distance of sites that join at once [reaches]."""
 
     @property
     def value(self) -> float:
@@ -123,8 +128,8 @@ class Search:
     """A problem, a program for its value, and the sites that are known so far.
 
     ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) are those of the sites; ``earlier`` has
-    the ambushers of programs before. ``reason`` says why the program ended last, ``evaluations`` how many
-    Gibbs distributions were computed.
+    the ambushers of programs before. ``reason`` says why the program ended last, ``evaluations``
+    how many Gibbs distributions were computed.
     """
 
     def __init__(self, problem: SearchProblem, program: Program, tolerance: float) -> None:

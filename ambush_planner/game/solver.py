@@ -43,7 +43,7 @@ from .hits import Law, largest_product
 from .legs import Legs
 from .search import Incumbent, Search, SearchProblem, SiteSearch
 from .strategy import Strategy, StrategyOptions, TripStrategy, make_strategies
-from .tolerance import CERTIFICATE_TOLERANCE, MIN_TOLERANCE, ROUNDS, ceiling, within
+from .tolerance import CERTIFICATE_TOLERANCE, MIN_TOLERANCE, ROUNDS, Reason, ceiling, within
 from .value.cut import solve_by_min_cut
 from .value.linear_program import linear_program_strategy
 from .value.potential import Potential
@@ -415,18 +415,17 @@ def certify(search: Search, best: Incumbent) -> TripStrategy:
                            csr_matrix(search.entering[added]))
     ambusher, bounds = _best_proof(search, legs, best, [each.ambusher(legs.games[0], kept)
                                                         for each in ambushes])
-    law, mixtures = best.law, [None] * len(legs.games)
+    law, mixtures = best.law, list[RouteMixture | None]([None] * len(legs.games))
     if isinstance(law, RouteMixture):
         mixtures = [law.of_leg(k, int(first)) for k, first in enumerate(legs.first[:-1])]
     found = make_strategies(legs, law.uses(legs.edge_count), mixtures, ambusher, bounds,
                             iterations=search.evaluations)
-    reason = 'complete'
+    reason: Reason = 'complete'
     if not within(found.value, found.lower_bound, search.problem.tolerance + CERTIFICATE_TOLERANCE):
         reason = 'time' if search.problem.out_of_time else search.reason
-    bound = best.entropy_bound
-    each = tuple(replace(leg, reason=reason, entropy_bound=bound if len(legs.games) == 1 else np.nan)
-                 for leg in found.legs)
-    return replace(found, legs=each, reason=reason, entropy_bound=bound)
+    alone = best.entropy_bound if len(legs.games) == 1 else np.nan
+    strategies = tuple(replace(leg, reason=reason, entropy_bound=alone) for leg in found.legs)
+    return replace(found, legs=strategies, reason=reason, entropy_bound=best.entropy_bound)
 
 
 def _best_proof(search: Search, legs: Legs, best: Incumbent,

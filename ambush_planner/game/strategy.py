@@ -379,8 +379,8 @@ def make_strategies(legs: Legs, p: FloatArray, mixtures: Sequence[RouteMixture |
         if alone.prices[0] > 0.0:
             bound -= alone.prices[0] * budget.overrun(own)
         total += bound
-        found = Strategy(game, frozen_array(own, np.float64), alone, budget, Certificate(math.inf, 0.0),
-                         mixture, **facts)
+        found = Strategy(game, frozen_array(own, np.float64), alone, budget,
+                         Certificate(math.inf, 0.0), mixture, **facts)
         value = largest_product(game.loss[game.sites], game.entering, found.law)[0]
         strategies.append(replace(found, certificate=Certificate(value, max(bound, 0.0))))
     if len(strategies) == 1:

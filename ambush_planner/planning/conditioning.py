@@ -31,7 +31,7 @@ class ConditionedStrategy:
             self._nodes[on.tail], self._nodes[on.head] = network.edges[on.edge].T
 
     def avoiding(self, lost: BoolArray) -> tuple[float, Law | None]:
-        """The probability that a route avoids the edges ``lost`` (M,), and the law of those that do.
+        """The probability that a route avoids the edges ``lost`` (M,), and the law of these.
 
         The law is None if none does.
         """

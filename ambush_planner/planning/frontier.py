@@ -107,8 +107,8 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     return _rows(solved, detours, slacks, options.strategy, on_row)
 
 
-def _rows(solved: Callable[[StrategyOptions, TripStrategy | None], TripStrategy], detours: Sequence[float],
-          slacks: Sequence[float], options: StrategyOptions,
+def _rows(solved: Callable[[StrategyOptions, TripStrategy | None], TripStrategy],
+          detours: Sequence[float], slacks: Sequence[float], options: StrategyOptions,
           on_row: Callable[[FrontierRow], None] | None) -> tuple[FrontierRow, ...]:
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
     tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]

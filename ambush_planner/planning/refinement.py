@@ -71,8 +71,9 @@ def refine(find_value: FindValue, ground: Ground, warm: WarmStart | None, latest
     """
     given, done = ground.options.network.refine, list[Round]()
     best: Search | None = None
+    newest: Search | None = None
     while len(done) <= (ROUNDS if given is None else given) and time.monotonic() < latest:
-        if best is not None:
+        if newest is not None:
             places = next_places(newest, ground.risk_map, ground.options)
             if places is None or (given is None and done[-1].nodes > MAX_NODES):
                 break

@@ -49,9 +49,9 @@ def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str
 def strategy_tables(trip: TripStrategy, risk_map: RiskMap) -> Mapping[str, Any]:
     """Return the tables ``edges``, ``sites``, ``places``, ``secured_area`` and ``forbidden``.
 
-    Edges have a ``probability``, on a trip with stops the expected uses by all legs; sites have the ``probability`` q that the best ambusher waits
-    there and the ``loss``; places are start, stops and goal. Forbidden ground is the map's
-    obstacles.
+    Edges have a ``probability``, on a trip with stops the expected uses by all legs; sites have the
+    ``probability`` q that the best ambusher waits there and the ``loss``; places are start, stops
+    and goal. Forbidden ground is the map's obstacles.
     """
     import geopandas
     import shapely

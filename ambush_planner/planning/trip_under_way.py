@@ -30,7 +30,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from .options import strays
-from .plan import Plan
+from .plan import Plan, Route
 
 Position = tuple[float, float]
 
@@ -82,8 +82,8 @@ class TripUnderWay:
         As the trip was requested.
     path : (L, 3) float
         Poses (x, y, yaw) of the path [m, m, rad].
-    nodes, places : (K,) int, (K, 2) float
-        The drawn route, and where its nodes are [m].
+    nodes, legs, places : (K,) int, (K,) int, (K, 2) float
+        The drawn routes of all legs, the leg that leads to each node, and where the nodes are [m].
     passes, visits : (S,) int
         Indices of the stops that lay ahead when the path began, among ``nodes`` and among the
         stops of ``destination``, in the order of the route.
@@ -94,6 +94,7 @@ class TripUnderWay:
     destination: Destination
     path: FloatArray
     nodes: IndexArray
+    legs: IndexArray
     places: FloatArray
     passes: IndexArray
     visits: IndexArray
@@ -167,15 +168,17 @@ class TripUnderWay:
             rest[-1, :2] = goal
         return rest
 
-    def nodes_ahead(self, place: Position) -> IndexArray:
-        """Return the nodes from which the route of a robot at ``place`` can change.
+    def nodes_ahead(self, place: Position) -> tuple[int, IndexArray]:
+        """Return the leg of a robot at ``place``, and the nodes from which its route can change.
 
         They are the next one and the last one that it has passed, to which it can turn back.
         """
         at = self.follow(place) or 0.0
         following = int(np.searchsorted(self._nodes_along, at, side='right'))
-        steps = [k for k in (following, following - 1) if 0 < k < len(self.nodes)]
-        return self.nodes[steps]
+        leg = int(self.legs[min(following, len(self.nodes) - 1)])
+        steps = [k for k in (following, following - 1)
+                 if 0 < k < len(self.nodes) and self.legs[k] == leg]
+        return leg, self.nodes[steps]
 
     def _same_trip(self, request: Destination, place: Position, tolerance: float) -> bool:
         """Whether a request is for the goal and the stops that remain at ``place``."""
@@ -221,18 +224,22 @@ class TripUnderWay:
         return np.array(found)
 
 
-def trip_on(plan: Plan, route: IndexArray, path: FloatArray, destination: Destination,
+def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination,
             passed: Set[int] = frozenset()) -> TripUnderWay:
-    """Return the trip on a path (L, 3) along a route (K,) of a plan.
+    """Return the trip on a path (L, 3) along a route of the last legs of a plan.
 
     A robot is on the path within the tube, its tracking error and a cell. Stops that it has
     ``passed`` before do not lie ahead again, even if the path leads back to them.
     """
-    passes, visits = plan.network.visited(route)
+    first = len(plan.legs) - len(route)
+    nodes = np.concatenate((route[0][:1], *(own[1:] for own in route)))
+    steps = [len(own) - 1 for own in route]
+    legs = first + np.append(0, np.repeat(np.arange(len(route)), steps))
+    passes, visits = np.cumsum(steps)[:-1], first + np.arange(len(route) - 1)
     ahead = ~np.isin(visits, list(passed))
-    places = np.vstack((path[:1, :2], plan.network.points[route[1:]]))
+    places = np.vstack((path[:1, :2], plan.network.points[nodes[1:]]))
     return TripUnderWay(
-        destination, path, route, places, passes[ahead], visits[ahead],
+        destination, path, nodes, legs, places, passes[ahead], visits[ahead],
         strays(plan.options, plan.spacing) + plan.options.drive.tracking_error + destination.cell,
         2.0 * plan.spacing,
     )

@@ -70,12 +70,12 @@ def curve_bound(faces: Faces, given: Circulation, site_prices: FloatArray, budge
         if winds > 1:
             winding.append((weight * (winds - 1), winds, cycle))
     routes = _RoutesAcross(faces)
-    for most, winds, cycle in sorted(winding, key=lambda curve: -curve[0]):
+    for extra, winds, cycle in sorted(winding, key=lambda curve: -curve[0]):
         if bound >= target or time.monotonic() > deadline:
             break
         link, row = arcs.link[cycle], np.unique(arcs.row[cycle])
         met = routes.least_met(link[link >= 0], row[row >= 0], winds)
-        bound += most / (winds - 1) * (met - 1)
+        bound += extra / (winds - 1) * (met - 1)
     return bound
 
 

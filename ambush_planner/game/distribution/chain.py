@@ -77,7 +77,7 @@ class MarkovChain:
         return float(0.0 - self.p[used] @ np.log(self.share[used]))
 
     def hits(self, rows: csr_matrix) -> FloatArray:
-        """Expected hits (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
+        """Expected hits (K,) by sites whose discs the edges of ``rows`` (K, m) enter."""
         count, rows = rows.shape[0], self.network.by_leg(rows)
         hit = np.zeros(rows.shape[0])
         tails, weight = self.network.tail[rows.indices], self.share[rows.indices]
@@ -86,7 +86,7 @@ class MarkovChain:
         return np.asarray(np.minimum(hit, 1.0).reshape(count, len(self.network.starts)).sum(axis=1))
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
-        """Expected hits (K,), and the derivatives as rows (K, m), whose products with p they are."""
+        """Expected hits (K,), and derivatives as rows (K, m), which times p are the hits."""
         site_count, rows = rows.shape[0], self.network.by_leg(rows)
         edges, weights = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
         hit, count = np.zeros(rows.shape[0]), np.zeros(rows.shape[0] + 1, dtype=np.int64)

@@ -30,7 +30,7 @@ INTEGER_FLOW = (np.iinfo(np.int32).max + 1) / 2**2
 
 @dataclass(frozen=True, eq=False)
 class CutSolution:
-    """Value z, an acyclic optimal strategy p (M,), and the ambusher's q (N,), 0 if the value is 0."""
+    """Value z, an acyclic optimal strategy p (M,), and the ambusher's q (N,) if z > 0."""
 
     value: float
     p: FloatArray

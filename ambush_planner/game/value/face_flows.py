@@ -87,8 +87,7 @@ class FaceFlows:
 
     def add_columns(self, rows: IndexArray, entries: FloatArray, cost: FloatArray, low: FloatArray,
                     high: FloatArray) -> IndexArray:
-        """Add columns (K,) with ``entries`` (K, R) in ``rows`` (K, R); -1: no entry. Return numbers.
-        """
+        """Add columns with ``entries`` (K, R) in ``rows`` (K, R), -1: none. Return numbers."""
         used, count = rows >= 0, len(rows)
         starts = np.cumsum(used.sum(axis=1)) - used.sum(axis=1)
         self._model.addCols(count, cost, low, high, int(used.sum()), starts.astype(np.int32),

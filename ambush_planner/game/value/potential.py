@@ -78,8 +78,7 @@ class Potential:
 
     def __init__(self, legs: Legs, faces: Sequence[Faces], gap: float,
                  first: float = np.inf) -> None:
-        """The search for z begins at ``first``, or at half the largest loss a leg if that is less.
-        """
+        """The search for z begins at ``first``, or at half the largest loss a leg if less."""
         self.legs, count = legs, len(faces)
         least = 2.0 / POTENTIAL.endless  # an endless flow proves no more
         self._precision = min(max(gap, least), POTENTIAL.precision)
@@ -203,9 +202,10 @@ class Potential:
         found = []
         for number, leg in enumerate(self._legs):
             network, potential = leg.faces.game.network, self._best_potential(number)
-            levels = (np.arange(count) + 0.5) / count if potential is not None else []
-            edges = [np.flatnonzero(leg.faces.flow(np.floor(potential - level)))
-                     for level in levels]
+            edges: list[IndexArray] = []
+            if potential is not None:
+                edges = [np.flatnonzero(leg.faces.flow(np.floor(potential - level)))
+                         for level in (np.arange(count) + 0.5) / count]
             found.append([route_edges(network, shortest_route(network, edge, leg.budget.cost))
                           for edge in edges])
         return found
@@ -422,10 +422,11 @@ class _LegLinks:
         self._cost[faces.link[edge]] = budget.cost[edge]
         self.capacity = self._cost / budget.limit
         self.real = np.flatnonzero(faces.left != faces.right)
-        self.bridges = float((self.capacity * np.abs(faces.crossed))[faces.left == faces.right].sum())
+        bridges = self.capacity * np.abs(faces.crossed)
+        self.bridges = float(bridges[faces.left == faces.right].sum())
 
     def full_links(self) -> IndexArray:
-        """Which real links (K,) are full at the start: 1 or -1 on the shortest-path tree, else 0."""
+        """Which real links (K,) are full at the start: 1 or -1 on the shortest paths, else 0."""
         game, faces = self.faces.game, self.faces
         edge, ends = np.flatnonzero(game.playable), np.zeros((2, len(faces.left)), dtype=np.int64)
         ends[:, faces.link[edge]] = np.sort(game.network.edges[edge], axis=1).T
