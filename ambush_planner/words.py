@@ -54,6 +54,12 @@ def best_ambush(share: float, place: str, covered: float = 1.0) -> str:
     return f'the best ambush hits {of_departures(share * covered)}, at {place}{known}'
 
 
+def over_legs(legs: int, first_hit_value: float) -> str:
+    """Return what the value of a trip with stops adds up, and the loss if the first hit ends it."""
+    return (f'added up over its {legs} legs, each drawn on its own ({first_hit_value:.4g} if the '
+            'first hit ends the trip)')
+
+
 def ends(stops: int) -> str:
     """Return the names of the places around which the area is secured."""
     return 'start, stops and goal' if stops else 'start and goal'

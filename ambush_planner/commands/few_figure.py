@@ -38,7 +38,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
     grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
     overview = top.add_subplot(grid[:, 0])
     title = f'Mean loss {drawn.few.value * drawn.covered:#.3g}'
-    risk = figures.draw_ground(overview, drawn.strategy, drawn.risk_map, title)
+    risk = figures.draw_ground(overview, drawn.trip, drawn.risk_map, title)
     map_figures.risk_bar(top, risk, overview, location='bottom', shrink=0.6, aspect=30)
     _key(drawn, top.add_subplot(grid[0, 1]))
     _curve(top.add_subplot(grid[1, 1]), drawn.few, drawn.covered)
@@ -49,7 +49,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
     overview.plot(*drawn.few.worst_xy, zorder=9, **_WORST)
     for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
         if k < panels:
-            figures.draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k], small=True)
+            figures.draw_ground(axes, drawn.trip, drawn.risk_map, drawn.names[k], small=True)
             figures.draw_stripes(axes, [paths[k]], [_style(k)])
         else:
             axes.set_axis_off()

@@ -44,7 +44,7 @@ class FewDrawn(Drawn):
     def tables(self) -> Mapping[str, Any]:
         """A layer for each route, then secured area and forbidden ground."""
         layers = {f'route_{k + 1}': self.routes.iloc[[k]] for k in range(len(self.paths))}
-        tables = strategy_tables(self.strategy, self.risk_map)
+        tables = strategy_tables(self.trip, self.risk_map)
         return {**layers, **{name: tables[name] for name in _ALSO if name in tables}}
 
     def picture(self) -> Figure:

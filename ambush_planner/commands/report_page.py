@@ -106,9 +106,9 @@ def _audit(checks: Checks | None, departures: int) -> str:
 
 
 def _section(section: Section, folder: Path, name: str) -> str:
-    departures, strategy = section.departures, section.strategy
+    departures, trip = section.departures, section.trip
     times = dict.fromkeys(words.leaving(departures[k]) for k in (0, -1))
-    warnings, several = [], len({id(each.strategy) for each in departures})
+    warnings, several = [], len({id(each.trip) for each in departures})
     if any(each.parameters.values['seed'] >= 0 for each in departures):
         warnings.append(FIXED_SEED)
     try:
@@ -128,9 +128,9 @@ def _section(section: Section, folder: Path, name: str) -> str:
         tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
                       for number, text in words.tiles(section)),
         least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
-        likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
+        likeliest=percent(float(trip.ground_uses[1].max(initial=0.0))),
         **{name: '' if there else 'hidden' for name, there in (
-            ('waits', strategy.value > 0.0), ('holds', data['discs']),
+            ('waits', trip.value > 0.0), ('holds', data['discs']),
             ('blocks', section.risk_map.obstacles.any()))},
         north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),

@@ -19,7 +19,7 @@ FILLED = 0.97
 
 def map_picture(section: Section, ratio: float) -> bytes:
     """Draw map, strategy and routes as a JPEG file whose width is ``ratio`` times its height."""
-    strategy, risk_map = section.strategy, section.risk_map
+    trip, risk_map = section.trip, section.risk_map
     figure = Figure((WIDTH, WIDTH / ratio))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     low, high = risk_map.bounds
@@ -29,7 +29,7 @@ def map_picture(section: Section, ratio: float) -> bytes:
              ylim=(middle[1] - half[1], middle[1] + half[1]))
     axes.set_axis_off()
     map_figures.draw_risk_map(axes, risk_map)
-    figures.draw_network(axes, strategy)
+    figures.draw_network(axes, trip)
     paths = [each.path_poses[:, :2] for each in section.departures]
     for path in paths[: -len(ROUTES)]:
         axes.plot(*path.T, color=ROUTES[0], linewidth=0.8, zorder=3)
@@ -37,10 +37,10 @@ def map_picture(section: Section, ratio: float) -> bytes:
     figures.draw_stripes(axes, paths[first:], [
         {'color': ROUTES[k % len(ROUTES)], 'path_effects': map_figures.HALO}
         for k in range(first, len(paths))])
-    if strategy.value > 0.0:
-        figures.draw_sites(axes, strategy)
-    figures.draw_ends(axes, strategy)
-    map_figures.scale_bar(axes, figures.places_of(strategy))
+    if trip.value > 0.0:
+        figures.draw_sites(axes, trip)
+    figures.draw_ends(axes, trip)
+    map_figures.scale_bar(axes, figures.places_of(trip))
     stream = BytesIO()
     figure.savefig(stream, format='jpeg', dpi=DOTS_PER_INCH, pil_kwargs={'quality': 80})
     return stream.getvalue()

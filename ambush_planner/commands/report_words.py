@@ -4,15 +4,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from ..arrays import NEGLIGIBLE
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..maps.coordinates import InvalidCoordinates
 from ..parameters.table import PARAMETERS
 from ..planning.plan import path_lengths
 from ..recordings import RecordedDeparture
 from ..recordings.report_data import Section
-from ..words import best_ambush, count, distance, ends, of_departures, percent, rounded, travel
+from ..words import (
+    best_ambush,
+    count,
+    distance,
+    ends,
+    of_departures,
+    over_legs,
+    percent,
+    rounded,
+    travel,
+)
 from .console import when
 from .positions import Position
 
@@ -29,23 +40,26 @@ def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
         _guarantee(section), _optimality(section),
-        ' '.join(filter(None, (_assumptions(section.strategy), secured(section)))),
+        ' '.join(filter(None, (_assumptions(section.trip), secured(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
     ]
 
 
 def _guarantee(section: Section) -> str:
-    strategy, (value, _) = section.strategy, section.bounds
-    anywhere = strategy.game.options.widened > 0.0
+    trip, (value, _) = section.trip, section.bounds
+    anywhere = trip.game.options.widened > 0.0
     where = 'Wherever' if anywhere else 'At whichever node of the network'
-    outside = (f', except on the secured area around {ends(len(strategy.network.stops))}'
+    outside = (f', except on the secured area around {ends(len(trip.legs) - 1)}'
                if secured(section) else '')
     timed = section.slots is not None
     when_known = (' He can wait at one time of departure only; if he knows the time, it is at most '
-                  f'{rounded(strategy.value)}.') * timed
+                  f'{rounded(trip.value)}.') * timed
+    several = len(trip.legs) > 1
+    covered = section.departures[-1].covered
+    summed = f', {over_legs(len(trip.legs), trip.first_hit_value * covered)},' * several
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
-            f'{rounded(value)} per departure, even if he knows the map, the probabilities '
+            f'{rounded(value)} per departure{summed}, even if he knows the map, the probabilities '
             f'and all earlier routes.{when_known} This assumes that he does not know the next '
             f'route{" and time" * timed}; an informant who tells him whether the convoy passes '
             f'raises the mean loss at most twofold. {_in_words(section)}')
@@ -68,10 +82,11 @@ def _place(section: Section) -> str:
 
 
 def _optimality(section: Section) -> str:
-    strategy, (value, bound) = section.strategy, section.bounds
-    unit = strategy.network.travel_unit
-    length = ('' if strategy.length_budget == math.inf else
-              f' with a mean length of at most {travel(strategy.length_budget, unit)}')
+    trip, (value, bound) = section.trip, section.bounds
+    unit = trip.game.network.travel_unit
+    budgets = [leg.length_budget for leg in trip.legs]
+    length = ('' if max(budgets) == math.inf else
+              f' with a mean length of at most {_limits(budgets, unit)}')
     gap = (value - bound) / value if value > 0.0 else 0.0
     near = f'within {percent(gap)} of ' if gap > OPTIMAL else ''
     return (f'No other probabilities on this network{length} can promise less than '
@@ -80,8 +95,8 @@ def _optimality(section: Section) -> str:
             'this page.')
 
 
-def _assumptions(strategy: Strategy) -> str:
-    game, radius = strategy.game, strategy.game.options.ambush_radius
+def _assumptions(trip: TripStrategy) -> str:
+    game, radius = trip.game, trip.game.options.ambush_radius
     hits = (f'every route that passes within {distance(game.reach)} (his reach of '
             f'{distance(radius)}, and {distance(game.reach - radius)} by which the path and his '
             'place may be off)' if radius > 0.0 else
@@ -92,7 +107,7 @@ def _assumptions(strategy: Strategy) -> str:
 
 def secured(section: Section) -> str:
     """The assumption about the secured area; '' if there is none."""
-    radius = section.strategy.game.options.secured_distance
+    radius = section.trip.game.options.secured_distance
     game = section.departures[-1].parameters.planning.game
     asked, held = game.secured_radius, len(game.held_places)
     if not radius > 0.0:
@@ -102,16 +117,16 @@ def secured(section: Section) -> str:
         margin = f' ({distance(asked)}, less how far start and goal may move)'
     more = f', nor at {count(held, "held place")}' if held else ''
     return (f'A secured area is assumed: nobody can wait within {distance(radius)} of '
-            f'{ends(len(section.strategy.network.stops))}{margin}{more}.')
+            f'{ends(len(section.trip.legs) - 1)}{margin}{more}.')
 
 
 def tiles(section: Section) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
-    strategy, fixed = section.strategy, section.measures['energy_efficient']
+    trip, fixed = section.trip, section.measures['energy_efficient']
     different = len({each.path_poses.round(1).tobytes() for each in section.departures})
     driven = path_lengths([each.path_poses for each in section.departures])
-    ratio = rounded(strategy.expected_length / strategy.shortest_length)
-    unit = 'time' if strategy.network.travel_unit == 's' else 'length'
+    ratio = rounded(trip.expected_length / trip.shortest_length)
+    unit = 'time' if trip.game.network.travel_unit == 's' else 'length'
     timed = section.slots is not None
     return [
         (rounded(section.bounds[0]), 'mean loss per departure from the best ambush'
@@ -139,7 +154,7 @@ def measures(section: Section) -> list[tuple[str, ...]]:
     timed = section.slots is not None
     return [head, *(
         (PLANNERS[name] + ' and times' * (timed and name == 'stochastic'),
-         travel(row.expected_length, section.strategy.network.travel_unit),
+         travel(row.expected_length, section.trip.game.network.travel_unit),
          percent(row.p_first), percent(row.p_repeated), rounded(row.v_repeated))
         for name, row in section.measures.items()
     )]
@@ -147,18 +162,18 @@ def measures(section: Section) -> list[tuple[str, ...]]:
 
 def quantities(section: Section) -> list[tuple[str, str]]:
     """Further measures of the strategy by name."""
-    strategy, (value, bound) = section.strategy, section.bounds
-    network, budget, unit = strategy.network, strategy.length_budget, strategy.network.travel_unit
-    waits = strategy.ambush_at_places
-    sites = int((waits > NEGLIGIBLE * waits.max()).sum()) if strategy.value > 0.0 else 0
+    trip, (value, bound) = section.trip, section.bounds
+    network, unit, waits = trip.game.network, trip.game.network.travel_unit, trip.ambusher.q
+    budgets = [leg.length_budget for leg in trip.legs]
+    sites = int((waits > NEGLIGIBLE * waits.max()).sum()) if trip.value > 0.0 else 0
     return [
         ('mean loss, at most (value)', rounded(value, 4)),
         ('no planner can promise less than', rounded(bound, 4)),
-        ('mean along the network', travel(strategy.expected_length, unit)),
-        ('shortest route along it', travel(strategy.shortest_length, unit)),
-        ('limit of that mean', travel(budget, unit) if math.isfinite(budget) else 'none'),
-        ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
-        ('network', f'{network.place_count:,} nodes, {network.stretches:,} edges'),
+        ('mean along the network', travel(trip.expected_length, unit)),
+        ('shortest route along it', travel(trip.shortest_length, unit)),
+        ('limit of that mean', _limits(budgets, unit) if math.isfinite(max(budgets)) else 'none'),
+        ('as hard to guess as one of', f'{_routes(trip)} equally likely routes'),
+        ('network', f'{len(network.points):,} nodes, {len(trip.ground_uses[0]):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
     ]
 
@@ -199,7 +214,12 @@ def settings(section: Section) -> list[tuple[str, str, str]]:
     return sorted(rows, key=lambda row: not row[2])
 
 
-def _routes(strategy: Strategy) -> str:
+def _limits(budgets: Sequence[float], unit: str) -> str:
+    """The length budgets of the legs."""
+    return ', '.join(travel(each, unit) for each in budgets) + ' on its leg' * (len(budgets) > 1)
+
+
+def _routes(trip: TripStrategy) -> str:
     """The effective number of routes."""
-    power = strategy.route_entropy / math.log(10.0)
-    return f'{math.exp(strategy.route_entropy):,.0f}' if power < 6.0 else f'about 10^{power:.0f}'
+    power = trip.route_entropy / math.log(10.0)
+    return f'{math.exp(trip.route_entropy):,.0f}' if power < 6.0 else f'about 10^{power:.0f}'

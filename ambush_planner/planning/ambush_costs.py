@@ -22,13 +22,13 @@ _LEAST = 1e-3
 
 
 class BestAmbush(NamedTuple):
-    """The place (x, y) [m] of a best ambush, and how often it hits a departure on average.
+    """The place (x, y) [m] of a best ambush, and the share of the departures that it hits.
 
-    On a trip, it may hit each leg once.
+    On a trip with stops, those that are hit on any leg.
     """
 
     xy: tuple[float, float]
-    hits: float
+    hit: float
 
 
 class CostRaster(NamedTuple):
@@ -53,15 +53,17 @@ def best_ambush(trip: TripStrategy, risk_map: RiskMap) -> BestAmbush | None:
     loss, row = largest_product(legs.loss, legs.entering, trip.law)
     if not trip.value > 0.0 or row < 0:
         return None
-    point, hits = legs.site_points[row], loss / float(legs.loss[row])
+    point, entering = legs.site_points[row], legs.entering[row]
     if holds_at_cells(trip) and loss < trip.value * (1.0 - ROUNDING):
         cells = CellLosses(risk_map, game.options.ambush_in_obstacles)
         used = trip.law.uses(legs.edge_count) > 0.0
         found = CellSearch(cells, legs.games, used).worst(trip.law, loss)
         if len(found.points):
-            point, hits = found.points[0], float(found.mean_loss[0] / found.alpha[0])
+            point, entering = found.points[0], found.entering[0]
+    hits = [float(leg.law.meets(own)[0]) for leg, own in zip(
+        trip.legs, legs.rows_by_leg(csr_matrix(entering)), strict=True)]
     x, y = point.tolist()
-    return BestAmbush((x, y), hits)
+    return BestAmbush((x, y), 1.0 - float(np.prod(1.0 - np.minimum(hits, 1.0))))
 
 
 def cost_raster(trip: TripStrategy, risk_map: RiskMap, most: int) -> CostRaster:

@@ -102,9 +102,11 @@ def wide_gap(plan: Plan) -> str:
         return ''
     wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
     if strategy.lower_bound > 0.0:
-        wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the plan can be used, and '
-                f'its value, {strategy.value:.4g}, is at most that much above the best on this '
-                f'network (lower bound {strategy.lower_bound:.4g})')
+        usable = (f'more than {plan.options.max_gap:.0%} (strategy.max_gap)' if plan.gap_is_wide
+                  else 'so the plan can be used')
+        wide = (f'the value, {strategy.value:.4g}, is at most '
+                f'{strategy.gap / strategy.lower_bound:.1%} above the best on this network (lower '
+                f'bound {strategy.lower_bound:.4g}), {usable}')
     whole = 'of the plan that the routes were chosen from, ' if plan.few else ''
     may_help = '; fewer stops may help' if len(plan.stops_xy) else ''
     return f'{whole}{wide}; {_WHY[strategy.reason]}{may_help}'

@@ -17,7 +17,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck
-from ..game.strategy import Strategy, TripStrategy
+from ..game.strategy import Strategy, TripStrategy, within_slack
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
@@ -162,8 +162,10 @@ class Plan(Shown):
 
     @property
     def gap_is_wide(self) -> bool:
-        """Whether the gap is over ``max_gap``: then departures should not be drawn from it."""
-        return self.value - self.lower_bound > self.options.max_gap * self.value
+        """Whether the strategies' gap is over ``max_gap``: better ones may exist."""
+        trip, options = self.trip, self.options
+        return (trip.gap > options.max_gap * trip.value
+                and not within_slack(trip, options.strategy))
 
     def _summary(self) -> dict[str, str]:
         trip = self.drawn_from

@@ -49,12 +49,13 @@ class RecordedCall:
 class Diversion:
     """How a departure was diverted, for the ``number``-th time.
 
-    ``left`` (K,) are the nodes of the whole route that the convoy was on, ``ahead`` those from
-    which its rest could change, the first one to be tried first.
+    ``left`` are the nodes of the whole route that the convoy was on, leg by leg; ``ahead`` those
+    from which its rest could change, in the first leg of the departure's ``route``, the first one
+    to be tried first.
     """
 
     number: int
-    left: tuple[int, ...]
+    left: tuple[tuple[int, ...], ...]
     ahead: tuple[int, ...]
 
 
@@ -160,12 +161,12 @@ class Metadata:
         Whether the path joins the plan from where the convoy was.
     value
         Of the departure, on the map of that moment, against an ambusher who must choose a time,
-        too, if that was drawn. A diversion has that of its departure.
+        too, if that was drawn. A diversion has that of its departure. None in files of before.
     route, route_entropy_source
-        Node indices, and what seeded ``numpy.random.default_rng`` for their draw.
+        Node indices of each leg, and what seeded ``numpy.random.default_rng`` for their draw.
     diversion
         None for a departure; else the route is the rest of its departure's, from where it was
-        diverted, with the source in place of the convoy.
+        diverted, with the source of that leg in place of the convoy.
     previous
         ``recording_id`` of the recording made before this one in the same run; '' if unknown.
     plan, day
@@ -184,10 +185,10 @@ class Metadata:
     trip: RecordedTrip
     ends: tuple[Position, Position]
     joined: bool
-    value: float
-    route: tuple[int, ...]
+    route: tuple[tuple[int, ...], ...]
     route_entropy_source: tuple[int, ...]
     call: RecordedCall
+    value: float | None = None
     diversion: Diversion | None = None
     previous: str = ''
     plan: RecordedPlan | None = None

@@ -128,13 +128,12 @@ def recorded_plan(saved: SavedPlan) -> RecordedPlan:
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
     """The trip of a plan."""
-    x, y = plan.network.points[plan.network.source].tolist()
-    return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy)
+    return RecordedTrip(plan.start_xy, plan.goal_xy, plan.stops_xy)
 
 
 def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
     """The attached files of a plan, and of each departure drawn from it, on a map in ``crs``."""
-    files = {STRATEGY_FILE: strategy_file(plan.strategy)}
+    files = {STRATEGY_FILE: strategy_file(plan.trip)}
     if plan.risk_map is not None:
         files[MAP_FILE] = npz_bytes(plan.risk_map)
     if roads := plan.options.network.roads:
@@ -163,11 +162,11 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
                                  roads_from_file(files.get(ROADS_FILE)))
     planning = parameters.planning
     risk_map = map_from_bytes(files[MAP_FILE])
-    strategy, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
-    for name, number, found in misstated(strategy, stated):
+    trip, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
+    for name, number, found in misstated(trip, stated):
         raise UnreadableRecording(file.path, f'it was edited: its {name} is stated as '
-                                  f'{number:.9g}, its strategy has {found:.9g}; plan again')
-    plan = replace(make_plan(risk_map, strategy, planning), seconds=about.seconds)
+                                  f'{number:.9g}, its strategies have {found:.9g}; plan again')
+    plan = replace(make_plan(risk_map, trip, planning), seconds=about.seconds)
     if FEW_FILE in files:
         few, value = few_from_file(files[FEW_FILE], plan)
         if problems := misstated_few(few, value):

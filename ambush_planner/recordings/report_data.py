@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..colours import ROUTES
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
 from ..planning.ambush_costs import BestAmbush, best_ambush, cost_raster
@@ -52,8 +52,8 @@ class Section:
     departures: list[RecordedDeparture]
 
     @property
-    def strategy(self) -> Strategy:
-        """The latest strategy."""
+    def trip(self) -> TripStrategy:
+        """The latest strategies."""
         return self.departures[-1].departed_on
 
     @property
@@ -75,7 +75,7 @@ class Section:
     def measures(self) -> dict[str, Measures]:
         """The departures' strategy, at the times that are drawn, and planners of a fixed route."""
         last = self.departures[-1]
-        rows = compared(self.strategy, last.strategy if last.few else self.strategy)
+        rows = compared(self.trip, last.trip if last.few else self.trip)
         drawn = rows['stochastic']
         return rows | {'stochastic': replace(
             drawn, p_first=drawn.p_first * last.covered, p_repeated=drawn.p_repeated * last.covered,
@@ -84,7 +84,7 @@ class Section:
     @cached_property
     def best(self) -> BestAmbush | None:
         """The best ambush, for one who knows the time."""
-        return best_ambush(self.strategy, self.risk_map)
+        return best_ambush(self.trip, self.risk_map)
 
     def includes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is on this trip."""
@@ -116,14 +116,13 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     of the later coloured routes follow them.
     Raises InvalidCoordinates if the map's coordinate system cannot be used.
     """
-    risk_map, strategy = section.risk_map, section.strategy
-    network, game = strategy.network, strategy.game
+    risk_map, trip, game = section.risk_map, section.trip, section.trip.game
     cells, levels, cell = map_cells(risk_map)
-    shown = strategy.shown_probability
-    used = np.flatnonzero(shown >= MIN_PROBABILITY)
-    costs = cost_raster(strategy, risk_map, MAX_COSTS)
+    edges, p = trip.ground_uses
+    used = np.flatnonzero(p >= MIN_PROBABILITY)
+    costs = cost_raster(trip, risk_map, MAX_COSTS)
     covered = section.departures[-1].covered
-    most_cost = max(strategy.value, float(np.nanmax(costs.cost, initial=0.0))) or 1.0
+    most_cost = max(trip.value, float(np.nanmax(costs.cost, initial=0.0))) or 1.0
     codes = np.where(np.isnan(costs.cost), np.where(costs.secured, SECURED, NOBODY),
                      np.rint(FULL * np.nan_to_num(costs.cost) / most_cost))
     corner = np.array(risk_map.origin[:2])
@@ -133,7 +132,8 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     lines = [*([(path, 0)] for path in paths[: -len(ROUTES)]), *stripes(paths[-len(ROUTES) :])]
     pieces = [(k, piece[main_corners(piece, PATH_ACCURACY * cell)] - corner, over)
               for k, line in enumerate(lines) for piece, over in line]
-    ends = [network.source, network.target, *network.stops]
+    network, targets = game.network, [leg.network.target for leg in trip.legs]
+    ends = [network.source, targets[-1], *targets[:-1]]
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
@@ -144,9 +144,9 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'reach': game.reach, 'value': section.bounds[0], 'most_cost': covered * most_cost,
         'degrees': degrees, 'cells': packed(cells, 'u1'), 'costs': packed(codes, 'u1'),
         'block': costs.block * risk_map.resolution, 'blocks': codes.shape[1],
-        'segments': packed((network.points - corner)[network.edges[used]], '<f4'),
-        'shown': packed(shown[used], '<f4'),
-        'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
+        'segments': packed((network.points - corner)[edges[used]], '<f4'),
+        'shown': packed(p[used], '<f4'),
+        'sites': packed(_sites(trip) - [*corner, 0.0], '<f4'),
         'routes': packed(np.concatenate([line for _, line, _ in pieces]), '<f4'),
         'pieces': [(k, len(line), over) for k, line, over in pieces],
     }
@@ -175,9 +175,8 @@ def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDAr
     return function.reduceat(function.reduceat(cells, row, axis=0), column, axis=1)
 
 
-def _sites(strategy: Strategy) -> FloatArray:
+def _sites(trip: TripStrategy) -> FloatArray:
     """Position of each ambush site [m], and its probability relative to the likeliest (K, 3)."""
-    q = strategy.ambush_at_places if strategy.value > 0.0 else np.zeros(1)
-    at, network = np.flatnonzero(q > MIN_SITE * q.max()), strategy.network
-    points = network.points[network.representatives[at]]
-    return np.column_stack((points, q[at] / (q.max() or 1.0)))
+    q = trip.ambusher.q if trip.value > 0.0 else np.zeros(1)
+    at = np.flatnonzero(q > MIN_SITE * q.max())
+    return np.column_stack((trip.game.network.points[at], q[at] / (q.max() or 1.0)))
