@@ -21,7 +21,8 @@ from ..game.ambusher import Ambusher
 from ..game.budget import Budget
 from ..game.distribution.chain import chain_of
 from ..game.game import GameOptions, make_game
-from ..game.strategy import Strategy, strategy_of
+from ..game.legs import Legs
+from ..game.strategy import TripStrategy, make_strategies
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network
@@ -93,13 +94,13 @@ class PathMixtures:
                            frozen_array(self._hit[worst].toarray()[0], np.bool_))
 
     def strategy(self, shares: FloatArray, bound: float,
-                 costs: FloatArray | None = None) -> Strategy:
+                 costs: FloatArray | None = None) -> TripStrategy:
         """The mixture with given shares (K,) as a strategy, which has the value of ``judged``.
 
         Its ambusher waits at the worst place. ``costs`` (K,) are driving times [s] of the paths, if
         the plan has them.
         """
-        value, known, planned = self.judged(shares).value, self._network, self._plan.strategy
+        value, known = self.judged(shares).value, self._network
         seconds = None
         if costs is not None:
             lengths = known.lengths @ self._uses
@@ -107,8 +108,9 @@ class PathMixtures:
         network = with_places(replace(known, seconds=seconds), self._points, self._loss)
         game, q = make_game(network, self._game.options), np.zeros(len(network.points))
         q[len(known.points) + int((self._loss * (self._hit @ shares)).argmax())] = 1.0
-        budget = replace(Budget.length(game, math.inf), least=planned.shortest_length)
-        return strategy_of(game, self._uses @ shares, Ambusher(q), budget, min(bound, value))
+        legs = Legs((game,), (Budget(game, math.inf, self._plan.trip.shortest_length),))
+        return make_strategies(legs, self._uses @ shares, [None], Ambusher(q, (0.0,)),
+                               np.array([min(bound, value)]))
 
     def best(self, costs: FloatArray, deadline: float = math.inf) -> PathMixture:
         """The shares of least value, up to ``MAX_GAP``.

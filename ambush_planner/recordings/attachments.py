@@ -208,8 +208,7 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
 def few_file(few: FewRoutes) -> bytes:
     """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
     arrays: dict[str, Any] = {name: getattr(few, name) for name in _OF_FEW}
-    for name in _RAGGED:
-        value = getattr(few, name)
+    for name, value in (('paths', few.paths), ('routes', [nodes for nodes, in few.routes])):
         arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
     return _npz(arrays)
 
@@ -223,9 +222,10 @@ def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
     ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
               for name in _RAGGED}
     shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
-    strategy = mixed(plan, ragged['paths'], shares, float(content['lower_bound']), costs)
+    trip = mixed(plan, ragged['paths'], shares, float(content['lower_bound']), costs)
     few = FewRoutes(
-        **ragged, shares=shares, strategy=strategy, candidates=int(content['candidates']),
+        paths=ragged['paths'], routes=tuple((nodes,) for nodes in ragged['routes']),
+        shares=shares, trip=trip, candidates=int(content['candidates']),
         costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
     return few, float(content['value'])
 
