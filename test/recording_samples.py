@@ -112,7 +112,7 @@ def metadata_entries():
         'parameters': {'seed': -1}, 'topics': INPUTS, 'route': [0, 1],
         'route_entropy_source': [2**255 + 1],
         'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': []},
-        'ends': [[1.5, 2.5], [3.0, 4.0]], 'joined': False,
+        'ends': [[1.5, 2.5], [3.0, 4.0]], 'joined': False, 'value': 0.0,
         'call': new_route_call(START_NS),
     }
 

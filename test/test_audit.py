@@ -25,6 +25,14 @@ class Departure:
     route: np.ndarray
     drawn_slot: tuple[str, RecordedSlots] | None = None
 
+    @property
+    def covered(self):
+        return self.drawn_slot[1].covered if self.drawn_slot else 1.0
+
+    @property
+    def value(self):
+        return self.drawn_from.value * self.covered
+
 
 @pytest.fixture(scope='module')
 def paper():
@@ -109,7 +117,7 @@ def test_two_strategies_are_tested_each_under_its_own_distribution(terrain, pape
 
 def test_times_of_departure_follow_their_shares_or_are_a_finding(terrain):
     """Honest draws of routes, with honest times or with 08:00 every time."""
-    slots = RecordedSlots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1, 1.0, 1.0)
+    slots = RecordedSlots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1)
     routes, rng = drawn(terrain, 20, 3), np.random.default_rng(4)
     fair = [(slots.times[k], slots) for k in rng.choice(4, 20)]
     for times, finding in ((fair, False), ([('08:00', slots)] * 20, True)):

@@ -36,6 +36,7 @@ from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.recordings.plan_file import read_plan
+from ambush_planner.words import of_departures
 
 GEOD = Geod(ellps='WGS84')
 FILES = ('r.gpx', 'r.gpkg', 'r.geojson', 'r.csv', 'r.png')
@@ -203,6 +204,10 @@ def test_departures_have_slots_and_files_name_them(plain, tmp_path):
         '08:00': pytest.approx(0.5), '09:30': 0.0, '11:00': pytest.approx(0.5)}
     for name in ('value', 'lower_bound'):
         assert slots[name] == result[name], 'the number that the console prints'
+    said = run_here(plan, plain, *ENDS, *SLOTS, '-o', tmp_path / 's.csv').out
+    hit = result['best_ambush']['hit']
+    words = f'the best ambush hits {of_departures(hit / 2)}, at '
+    assert words in ' '.join(said.split()) and f'({of_departures(hit)} if he' in said
     assert set(slots['drawn']) == {'08:00', '11:00'} and len(slots['drawn']) == 40
     assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
     assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']

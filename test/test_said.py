@@ -20,6 +20,7 @@ from ambush_planner import (
     PlanningOptions,
     Problem,
     RiskMap,
+    StrategyOptions,
     plan_trip,
     read_risk_map,
     solve,
@@ -98,6 +99,19 @@ def test_a_passage_far_from_the_ends_is_named():
         network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=10.0)))
     (text,) = concerns(made)
     assert 'hits every route' in text and 'hold' not in text
+
+
+def test_a_wide_slack_does_not_make_an_ambush_certain():
+    """Two ways, of loss 1 and 2, are driven equally often: an ambush hits half of the routes."""
+    wide = StrategyOptions(risk_slack=0.55, max_detour=np.inf)
+    network = Network([(0, 0), (50, 9), (50, -9), (99, 0)], [0, 1, 2, 0],
+                      [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    options = PlanningOptions(network=plain_options(spacing=1.0), strategy=wide)
+    made = replace(plan_trip(ground(), START, GOAL, PlanningOptions(
+        network=plain_options(spacing=20.0))), strategy=solve(network, options=wide),
+        options=options, spacing=1.0)
+    assert made.value == pytest.approx(1.0, abs=0.04)
+    assert not any('every' in text for text in concerns(made))
 
 
 def test_geojson_is_cut_at_180_degrees(tmp_path):

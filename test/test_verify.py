@@ -9,17 +9,22 @@ from threading import Event
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from forging import GET_PLAN, NEW_ROUTE, SEEDED, Forger
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.serialization import deserialize_message
 from ros_harness import header, pose, risk_grid, stage
 from waiting import TIMEOUT
 
 from ambush_planner import GameOptions, PlanningOptions, RiskMap, StrategyOptions, plan_trip
+from ambush_planner.commands import report_words
 from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
+from ambush_planner.recordings.audit import audit
 from ambush_planner.recordings.metadata import RecordedTrip
+from ambush_planner.recordings.report_data import sections_of
 from ambush_planner.recordings.verify import network_problems, replan_problems
 from ambush_planner.worker.process import WorkerProcess
 
@@ -81,6 +86,8 @@ FORGERIES = {
     'a path moved': (GET_PLAN, lambda f: f.edit('path', shift_path), 'path: it does not follow'),
     'other probabilities': (NEW_ROUTE, other_probabilities, 'strategy'),
     'value understated': (NEW_ROUTE, lambda f: scaled(f, 'value', 0.9), 'its value is stated as'),
+    'a cheaper departure': (NEW_ROUTE, lambda f: f.entries.update(value=0.9 * f.entries['value']),
+                            'value: the departure is stated to cost'),
     'bound overstated': (NEW_ROUTE, lambda f: scaled(f, 'lower_bound', 1.01),
                          'its lower_bound is stated as'),
     'another ambusher': (NEW_ROUTE, lambda f: f.set_arrays(
@@ -213,6 +220,14 @@ def test_a_start_from_initialpose_and_remapped_names(tmp_path, capsys):
     holds(path, capsys)
 
 
+def published_value(path):
+    """The value that the node's diagnostics had at a departure."""
+    file = read_recording(path)
+    (message,) = [each for each in file.messages if each.topic == '/diagnostics']
+    status = deserialize_message(message.data, DiagnosticArray).status[0]
+    return float(next(each.value for each in status.values if each.key == 'departure_value'))
+
+
 def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
     """Start and goal move a little and an obstacle appears: routes are drawn until clear."""
     go_on, solve = Event(), WorkerProcess.solve
@@ -230,21 +245,30 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
         grid = risk_grid()
         values = np.array(grid.data, dtype=np.int8).reshape(20, 20)
         values[12:16, 5:7] = 100
-        values[0, 0] = 77
+        values[7:12, 11:14] = 95
         grid.data = values.ravel().tolist()
         client.publish('alpha_map', grid)
         client.diagnostics(stale='yes')
-        for k in range(3):
+        for k in range(5):
             assert client.get_plan(pose(1.5 + 0.04 * k, 5.4), pose(8.5, 5.5 + 0.05 * k)).poses
         go_on.set()
     files = recordings_in(tmp_path)
     departures = [read_departure(path) for path in files]
-    assert [each.newest is each.planned_on for each in departures] == [True] + 3 * [False]
+    assert [each.newest is each.planned_on for each in departures] == [True] + 5 * [False]
     for each in departures[1:]:
         assert np.array_equal(each.newest.values, values)
         lost = each.drawn_from.edge_probability < each.strategy.edge_probability
-        assert lost.any() and each.drawn_from.value != each.strategy.value
-    holds(tmp_path, capsys)
+        assert lost.any() and each.value > 1.05 * each.strategy.value
+    lines = [line for line in holds(tmp_path, capsys).splitlines() if 'value' in line]
+    for path, each, line in zip(files, departures, lines, strict=True):
+        published = published_value(path)
+        assert (each.value, each.metadata.value) == pytest.approx([published] * 2, rel=1e-8)
+        assert float(line.split('value ')[1]) == pytest.approx(published, rel=1e-5)
+        section, = sections_of([each])
+        assert report_words.tiles(section)[0][0] == f'{published:.3g}'
+    # The observer's losses are those of that map, too, so he cannot cause more than this for long.
+    assert audit(departures, resamples=49).value == pytest.approx(
+        np.mean([each.value for each in departures[1:]]))
     forger = Forger(files[-1])
     other_route(forger)
     code, out = verified(forger.save(tmp_path / 'forged.mcap'), capsys)

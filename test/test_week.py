@@ -18,21 +18,23 @@ from test_path_mixtures import GOAL, START, ground
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
-from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.road_file import RoadGraph
-from ambush_planner.planning.few_strategy import few_strategy
-from ambush_planner.recordings import read_departure
+from ambush_planner.planning.concerns import concerns, plan_numbers
+from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.planning.path_mixtures import PathMixtures
+from ambush_planner.recordings import read_departure, read_departures
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
 from ambush_planner.recordings.recording_file import encode, read_recording
 from ambush_planner.recordings.verify import Verifier
+from ambush_planner.route_files import Drawn
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=3.0), game=GameOptions(ambush_radius=2.5))
-SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1, 0.6, 0.5)
+SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1)
 
 
 def roads():
@@ -115,11 +117,18 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         assert done.code == 0, (command, done.out, done.err)
     assert '2030-01-06 ' in (tmp_path / 'all.csv').read_text(), 'the day that it is for'
     said = ' '.join(run_here(audit, folder).out.split())
-    assert f"the plan's value, {plan.value / 2:.3g}, is for one who does not" in said
+    assert f'at most the value, {plan.value / 2:.3g}, on average' in said, 'one number everywhere'
     page = (tmp_path / 'out' / 'report.html').read_text()
-    assert f'<b>{SLOTS.value:.3g}</b>' in page, 'the value that the plan was printed with'
+    assert f'<b>{plan.value / 2:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
     assert 'Verified: all 6 recordings' in page
+    last = read_departures(found, pytest.fail)[-1]
+    picture = Drawn(last.departed_on, last.risk_map, [], [], covered=last.covered).picture()
+    for text in (page, picture.axes[0].get_title('left')):
+        assert f'mean loss of at most {plan.value / 2:.3g} ' in text or (
+            f'mean loss of {plan.value / 2:#.3g}\n' in text)
+    measures = page.split('these random routes and times</th>')[1].split('</tr>')[0]
+    assert f'<td>{plan.value / 2:.3g}</td>' in measures, 'the table of planners, too'
 
 
 def test_other_readers_take_the_recordings(plans, tmp_path):
@@ -137,14 +146,28 @@ def test_other_readers_take_the_recordings(plans, tmp_path):
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):
     plan, _ = plans['few']
-    mixture, routes = few_strategy(plan.strategy, plan.few)
-    assert mixture.value == plan.few.value and mixture.lower_bound == plan.lower_bound
+    mixture, few = plan.few.strategy, plan.few
+    judged = PathMixtures(plan.own_map, plan, few.paths).judged(few.shares)
+    assert (mixture.value, *few.worst_xy) == pytest.approx((judged.value, *judged.worst_xy))
     drawn = mixture.sample_routes(4000, np.random.default_rng(1))
-    for route, nodes, share in zip(routes, plan.few.routes, plan.few.shares, strict=True):
-        count = sum(np.array_equal(each, route) for each in drawn)
+    for k, (path, share) in enumerate(zip(few.paths, few.shares, strict=True)):
+        count = sum(np.array_equal(each, few.nodes(k)) for each in drawn)
         assert abs(count / 4000 - share) < 0.04
-        assert np.array_equal(mixture.network.points[route], plan.network.points[nodes])
-    assert chain_of(mixture.network, mixture.edge_probability) is not None
+        assert np.isin(mixture.network.points[few.nodes(k)], path[:, :2]).all()
+
+
+def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
+    """And so are its concerns: here one route is the best mixture, and one place hits it."""
+    plan, _ = plans['few']
+    numbers, row = plan_numbers(plan), evaluate(plan)['stochastic']
+    assert plan._summary()['value'] == f'{plan.few.value:.4g}'
+    assert float(numbers['value']) == pytest.approx(plan.few.value)
+    assert float(numbers['expected_length']) == pytest.approx(plan.driven_length)
+    assert (row.v_repeated, row.expected_length) == pytest.approx((plan.value, plan.driven_length))
+    best = plan.drawn_from.network.points[plan.bottleneck.sites]
+    np.testing.assert_allclose(best, [plan.few.worst_xy])
+    one = replace(plan, few=plan_trip(ground(), START, GOAL, OPTIONS, routes=1, rng=1).few)
+    assert 'every route' in ' '.join(concerns(one)) and 'every' not in ' '.join(concerns(plan))
 
 
 def test_the_week_needs_no_ros(plans, tmp_path):

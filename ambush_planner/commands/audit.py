@@ -54,8 +54,7 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         result = audit(departures)
     except NotAuditable as error:
         return None, findings, [f'Not enough data: {error}.']
-    values = [each.value for each in departures if each.drawn_slot]
-    timed = bool(values)
+    timed = any(each.drawn_slot for each in departures)
     if result.impossible:
         findings.append(f'{result.impossible} steps or ends of routes cannot have been drawn: '
                         'the recorded routes are not those that were planned')
@@ -73,9 +72,6 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         f'departures give {low:.3g} to {high:.3g} in nine cases of ten, so this is {usual}. Over '
         f'many departures, he can cause at most the value, {result.value:.3g}, on average.',
     ]
-    if timed:
-        notes[-1] += (" He is taken to know the times: the plan's value, "
-                      f'{sum(values) / len(values):.3g}, is for one who does not.')
     if not findings:
         used = 'the stretches' + ' and times of departure' * timed
         notes.insert(0, f'Nothing suspicious: the convoy used {used} as often as published '

@@ -99,17 +99,15 @@ class Console:
         return show
 
     @contextmanager
-    def waiting(self, what: str) -> Iterator[Callable[[float, float], None]]:
+    def waiting(self, what: str) -> Iterator[Callable[[str, float], None]]:
         """After two seconds, print what is still running; repeat at doubling intervals.
 
-        Yields a function that takes the value and the bound so far.
+        Yields a function that takes the phase, and the value so far, which is printed if finite.
         """
         done, so_far = threading.Event(), ['']
 
-        def progress(value: float, bound: float) -> None:
-            so_far[0] = f' lower bound {bound:.4g}'
-            if 0.0 < bound <= value < math.inf:
-                so_far[0] += f', value {value:.4g}, gap {value / bound - 1.0:.1%}'
+        def progress(phase: str, value: float) -> None:
+            so_far[0] = f' {phase}' + (f', value so far {value:.4g}' if value < math.inf else '')
 
         def tell() -> None:
             pause = 2.0

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 
+from ..planning.concerns import wide_gap
 from ..recordings import plan_departures
 from ..recordings.durable_files import write_all_durably
 from ..recordings.metadata import Metadata, RecordedDay
@@ -34,7 +35,8 @@ route for his receiver (.gpx); nothing in it tells of other routes. With --days,
 the name of each file, as in card_2026-11-30.html, and the console does not tell the routes.
 If a departure for the same day and slot was drawn before, say with --earlier whether it was driven;
 on a terminal, the command asks. One that was not driven does not count in audit and report.
-If a file cannot be written, nothing is, and nothing has been drawn.
+If a file cannot be written, nothing is, and nothing has been drawn. If the plan's gap is wide, it
+warns and the exit code is 1.
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
 "recording"}]}
 """
@@ -73,6 +75,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if saved.source and saved.map_has_changed:
         console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '
                      'if the ground has changed, plan again')
+    if saved.plan.gap_is_wide:
+        console.warn(wide_gap(saved.plan))
     today = date.today()
     first = arguments.date or today
     if arguments.slot and saved.slots:
@@ -161,7 +165,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     if arguments.dry_run:
         console.say('Nothing was recorded: do not drive this.')
     console.result = {'files': [cli.place(path) for path in files], 'departures': rows}
-    return cli.Exit.HOLDS
+    return cli.Exit.FINDING if saved.plan.gap_is_wide else cli.Exit.HOLDS
 
 
 def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
@@ -171,12 +175,12 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
         if path.suffix.lower() == '.html':
-            card = card_of(drawn.poses, plan.own_map, plan.strategy, (plan.network, drawn.nodes),
+            card = card_of(drawn.poses, plan.own_map, plan.trip, (plan.trip, drawn.route),
                            arguments.speed, drawn.slot, day)
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
-            yield path, content_of(path, Drawn(plan.strategy, plan.own_map, [drawn.poses], times,
+            yield path, content_of(path, Drawn(plan.drawn_from, plan.own_map, [drawn.poses], times,
                                                labels=[name]))
 
 

@@ -21,9 +21,10 @@ from urllib.parse import quote
 from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
 from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
-from ..words import distance, ends, percent, rounded
+from ..words import percent, rounded
 from . import report_words as words
 from .cli import count, resource
+from .report_picture import map_picture
 
 # The colours of the page by their names in CSS and in the script.
 COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
@@ -105,9 +106,9 @@ def _audit(checks: Checks | None, departures: int) -> str:
 
 
 def _section(section: Section, folder: Path, name: str) -> str:
-    departures, strategy = section.departures, section.strategy
+    departures, trip = section.departures, section.trip
     times = dict.fromkeys(words.leaving(departures[k]) for k in (0, -1))
-    warnings, several = [], len({id(each.strategy) for each in departures})
+    warnings, several = [], len({id(each.trip) for each in departures})
     if any(each.parameters.values['seed'] >= 0 for each in departures):
         warnings.append(FIXED_SEED)
     try:
@@ -117,24 +118,24 @@ def _section(section: Section, folder: Path, name: str) -> str:
         data = map_data(section, with_degrees=False)
     data['colours'] = colours(section)
     left, bottom, right, top = data['box']
+    ratio = min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO)
     settings = words.settings(section)
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
         warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
-        ratio=f'{min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO):.3f}',
+        ratio=f'{ratio:.3f}', picture=b64encode(map_picture(section, ratio)).decode(),
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
         tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
                       for number, text in words.tiles(section)),
         least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
-        likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
+        likeliest=percent(float(trip.ground_uses[1].max(initial=0.0))),
         **{name: '' if there else 'hidden' for name, there in (
-            ('waits', strategy.value > 0.0), ('holds', data['secured'] > 0.0),
+            ('waits', trip.value > 0.0), ('holds', data['discs']),
             ('blocks', section.risk_map.obstacles.any()))},
-        secured=distance(data['secured']), ends=ends(len(strategy.network.stops)),
         north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),
-        measures=_table(words.measures(strategy), 'first'),
+        measures=_table(words.measures(section), 'first'),
         quantities=_table([(), *words.quantities(section)]),
         changed=sum(bool(default) for _, _, default in settings),
         settings=_table([('setting', 'value', 'default'), *settings]),

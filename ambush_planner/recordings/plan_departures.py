@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
-import numpy as np
-
-from ..arrays import FloatArray, IndexArray
-from ..planning.plan import departure_path, path_lengths
+from ..arrays import FloatArray
+from ..planning.departure import draw_route
+from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
 from .metadata import Metadata, RecordedCall, RecordedDay
 from .plain_messages import map_message, path_message, pose_message
@@ -34,14 +33,14 @@ _NAME = re.compile(r'(\d+)_(\d{4}-\d\d-\d\d)\.mcap')
 
 @dataclass(frozen=True, eq=False)
 class DrawnDeparture:
-    """One departure: nodes of its route, and its path (L, 3) = (x, y, yaw).
+    """One departure: its route, the nodes of each leg, and its path (L, 3) = (x, y, yaw).
 
     ``few_route`` is the index of one of few routes. ``slot`` is when it leaves (HH:MM; '': not
     said), which was drawn, too, if ``slot_drawn``. All follows from the random ``source``.
     """
 
     source: int
-    nodes: IndexArray
+    route: Route
     poses: FloatArray
     few_route: int | None
     slot: str
@@ -59,17 +58,12 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
     ``source`` are 256 random bits, by default the operating system's.
     """
     source = secrets.randbits(256) if source is None else source
-    rng, plan, few_route = np.random.default_rng([source]), saved.plan, None
-    if plan.few is None:
-        nodes = plan.strategy.sample_route(rng)
-        poses = departure_path(plan, nodes, plan.spacing)
-    else:
-        few_route = plan.few.draw(rng)
-        nodes, poses = plan.few.routes[few_route], plan.few.paths[few_route]
-    drawn = not slot and saved.slots is not None
+    drawn = draw_route(saved.plan, [source])
+    assert drawn is not None  # all routes are clear on the plan's own map
+    slot_drawn = not slot and saved.slots is not None
     if saved.slots and not slot:
-        slot = saved.slots.drawn(rng)
-    return DrawnDeparture(source, nodes, poses, few_route, slot, drawn)
+        slot = saved.slots.drawn(drawn.rng)
+    return DrawnDeparture(source, drawn.route, drawn.poses, drawn.few_route, slot, slot_drawn)
 
 
 def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: str, stamp_ns: int,
@@ -80,6 +74,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     day that was not driven.
     """
     plan, trip = saved.plan, recorded_trip(saved.plan)
+    covered = saved.slots.covered if saved.slots and drawn.slot_drawn else 1.0
     roles = {
         'map': map_message(plan.own_map, saved.parameters.occupancy, saved.frame, stamp_ns),
         'start': pose_message('/start_pose', trip.start, saved.frame, stamp_ns),
@@ -89,9 +84,9 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     said = Metadata(
         str(uuid4()), number, saved.frame, dict(saved.parameters.values), dict(software_versions()),
         {role: message.topic for role, message in roles.items()}, trip, (trip.start, trip.goal),
-        False, tuple(drawn.nodes.tolist()), (drawn.source,),
-        RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}), previous=previous,
-        plan=recorded_plan(saved),
+        False, tuple(tuple(nodes.tolist()) for nodes in drawn.route), (drawn.source,),
+        RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}),
+        saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
         day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces))
     return said.departure_id, encode(list(roles.values()), said.entries(),
                                      attachments_of(plan, plan.own_map.crs), 'zstd')

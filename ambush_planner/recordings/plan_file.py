@@ -21,7 +21,6 @@ from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
-from ..planning.few_strategy import few_strategy
 from ..planning.plan import Plan, make_plan
 from .attachments import (
     FEW_FILE,
@@ -31,6 +30,7 @@ from .attachments import (
     few_file,
     few_from_file,
     misstated,
+    misstated_few,
     roads_file,
     roads_from_file,
     strategy_file,
@@ -69,7 +69,7 @@ class SavedPlan:
     @property
     def value(self) -> float:
         """Mean loss per departure by the best ambush, which must choose a slot, too."""
-        return self.slots.value if self.slots else self.plan.value
+        return self.plan.value * (self.slots.covered if self.slots else 1.0)
 
 
 def digest_of(path: Path) -> str:
@@ -128,13 +128,12 @@ def recorded_plan(saved: SavedPlan) -> RecordedPlan:
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
     """The trip of a plan."""
-    x, y = plan.network.points[plan.network.source].tolist()
-    return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy)
+    return RecordedTrip(plan.start_xy, plan.goal_xy, plan.stops_xy)
 
 
 def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
     """The attached files of a plan, and of each departure drawn from it, on a map in ``crs``."""
-    files = {STRATEGY_FILE: strategy_file(plan.strategy)}
+    files = {STRATEGY_FILE: strategy_file(plan.trip)}
     if plan.risk_map is not None:
         files[MAP_FILE] = npz_bytes(plan.risk_map)
     if roads := plan.options.network.roads:
@@ -163,14 +162,15 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
                                  roads_from_file(files.get(ROADS_FILE)))
     planning = parameters.planning
     risk_map = map_from_bytes(files[MAP_FILE])
-    strategy, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
-    for name, number, found in misstated(strategy, stated):
+    trip, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
+    for name, number, found in misstated(trip, stated):
         raise UnreadableRecording(file.path, f'it was edited: its {name} is stated as '
-                                  f'{number:.9g}, its strategy has {found:.9g}; plan again')
-    few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
-    if few:
-        few_strategy(strategy, few)  # raises an error if its shares and routes are none
-    plan = replace(make_plan(risk_map, strategy, planning), seconds=about.seconds,
-                   few=few)
+                                  f'{number:.9g}, its strategies have {found:.9g}; plan again')
+    plan = replace(make_plan(risk_map, trip, planning), seconds=about.seconds)
+    if FEW_FILE in files:
+        few, value = few_from_file(files[FEW_FILE], plan)
+        if problems := misstated_few(few, value):
+            raise UnreadableRecording(file.path, f'it was edited: {problems[0]}; plan again')
+        plan = replace(plan, few=few)
     return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
                      about.made_ns)

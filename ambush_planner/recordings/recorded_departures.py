@@ -139,8 +139,11 @@ def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iter
                                   if diversion.number > 1 else None).recording_id)
         if before is None:
             yield f'missing: what {name} was diverted from'
-        elif before[0].route != diversion.left or not {*diversion.ahead} <= {*before[0].drawn}:
+        elif before[0].route != diversion.left or not {*diversion.ahead} <= {
+                *before[0].drawn[-len(said.route)]}:
             yield f'diversion: {name} does not begin on the route before it'
+        elif before[1].value != said.value:
+            yield f'value: {name} states another one than the departure that it diverts'
     for name in listed_in(folder):
         if not (folder / name).exists():
             yield f'missing: {name}, which {FILE_NAME} lists'
