@@ -204,7 +204,7 @@ def test_a_recording_that_fails_after_cleanup_says_nothing_of_the_next_configura
 
 
 @pytest.mark.parametrize('method, transition', [
-    ('set_active', 'deactivate'), ('stop_solving', 'cleanup')])
+    ('_deactivate', 'deactivate'), ('stop', 'cleanup')])
 def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):
     def broken(*_):
         raise AmbushPlannerError('no good')
@@ -215,9 +215,10 @@ def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method
         if transition == 'cleanup':
             manager.go(deactivate='inactive')
         with monkeypatch.context() as patch:
-            patch.setattr(type(dispatcher), method, broken)
+            patch.setattr(type(running.planner if transition == 'deactivate' else dispatcher),
+                          method, broken)
             assert not manager.change(transition)
-        if method == 'stop_solving':
+        if method == 'stop':
             dispatcher.close()
         assert manager.state == 'unconfigured'
         assert 'no good' in client.diagnostics(state='unconfigured')['message']

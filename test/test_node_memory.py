@@ -37,12 +37,11 @@ def test_a_plan_that_gives_way_to_others_is_freed(monkeypatch, no_collection):
 def test_the_maps_of_earlier_diversions_are_freed(no_collection):
     with stage(parameters={**ROBOT, 'replan.tolerance': 1e9, 'seed': 1}) as running:
         drive = Drive(running)
-        trips = running.planner._dispatcher._departures.trips
         drive.begin()
         rest, maps = drive.ask('continued'), []
         for paths in (2, 3, 4):
             rest = diverted(drive, rest, 0.2, paths)
-            maps.append(ref(trips._trips[0].departure.trip.map))
+            maps.append(ref(running.planner._dispatcher.inputs.map))
         wait_until(lambda: maps[0]() is None, 'the map being freed')
         assert maps[-1]() is not None
 

@@ -19,6 +19,7 @@ from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.error_codes import FrameMismatch
+from ambush_planner.ros.listener import Listener
 from ambush_planner.ros.topics import TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
@@ -31,7 +32,8 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 def frames():
     with free_domain() as domain, ros_context(domain) as context:
         node = Node('planner', context=context)
-        with closing(FrameTransforms(node)) as frames:
+        with (closing(Listener(node)) as listener,
+              closing(FrameTransforms(node, listener)) as frames):
             yield frames
         node.destroy_node()
 

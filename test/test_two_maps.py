@@ -93,8 +93,7 @@ def test_a_costmap_that_comes_once_is_used_when_its_transform_comes(capfd):
         wait_until(lambda: client.diagnostics()['solve_seconds'] != planned, 'another plan')
 
 
-def test_a_risk_map_that_is_refused_stays_reported_while_costmaps_come(monkeypatch):
-    monkeypatch.setattr(subscriptions, '_JOIN_PERIOD', 0.05)
+def test_a_risk_map_that_is_refused_stays_reported_while_costmaps_come():
     with stage(parameters=BOTH) as running:
         client = running.client
         client.publish('alpha_map', risk_grid(FLAT))

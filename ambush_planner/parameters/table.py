@@ -175,6 +175,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         True,
         'Whether the path is published. If not, only responses of get_plan and results of the '
         'actions carry routes, and new_route is refused.', fixed=True),
+    'trip.max_idle': Declaration(
+        600.0,
+        'Time after which the trip of a robot that makes no progress is over [s], so that its next '
+        'request is a departure; .inf: never.'),
     'recording.enabled': Declaration(True, 'Whether departures are recorded.', fixed=True),
     'recording.required': Declaration(
         False,

@@ -37,9 +37,10 @@ class ComputePath:
     """The action called ``name``, of the type ``action``.
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
-    last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere. Waiting goals
-    are accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal
-    leaves the solves of other requests alone. Destroy ``server`` before the node.
+    last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere; goals from
+    fixed places, whoever sends them, replace none. Waiting goals are accepted but not executing,
+    because rclpy polls coroutines that await. Cancelling a goal leaves the solves of other requests
+    alone. Destroy ``server`` before the node.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
@@ -100,7 +101,7 @@ class ComputePath:
         return result
 
     def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray, str]:
-        """Return the goal as a request of get_plan, its stops, and who asks: each robot for itself.
+        """Return the goal as a request of get_plan, its stops, and who asks.
 
         Raises Refusal if the goal is for another planner or has no poses, the start is missing or
         has no frame, or the stops have several.
@@ -126,8 +127,7 @@ class ComputePath:
         via = PoseArray(poses=[stop.pose for stop in stops])
         if stops:
             via.header = stops[0].header
-        return (GetPlan.Request(start=start, goal=last), via,
-                f'{self._name} {start.header.frame_id}')
+        return GetPlan.Request(start=start, goal=last), via, self._name
 
 
 def poses_of(goal: Any) -> list[PoseStamped]:
