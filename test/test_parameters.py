@@ -66,11 +66,15 @@ def test_defaults_are_the_cores_own():
 
 
 @pytest.mark.parametrize('values, words', [
-    ({'map__alpha_max': 1e10}, 'map.alpha_max must be 0 or in 1e-09..1e+09'),
+    ({'map__alpha_min': 1e-10}, 'map.alpha_min must be 0 or in 1e-09..1e+09'),
+    ({'game__ambush_radius': 5e-324}, 'game.ambush_radius must be 0 or in 0.001..1e+06 [m]'),
+    ({'game__ambush_radius': 1e308}, 'Max: 1000000'),
+    ({'map__crs': 'xxx'}, "map.crs: not a coordinate system: 'xxx'"),
+    ({'map__crs': 'datum 41.0 nan 0.0'}, 'map.crs: a datum is'),
     ({'map__obstacle_threshold': 102}, 'Max: 101'),
     ({'map__obstacle_threshold': 50.0}, 'Wrong parameter type'),
     ({'network__method': 'hexagons'}, 'network.method must be one of uniform_delaunay'),
-    ({'network__spacing': math.inf}, 'network.spacing must be finite'),
+    ({'network__spacing': math.inf}, 'out of range'),
     ({'network__clearance': math.nan}, 'out of range'),
     ({'route__tube': -0.5}, 'route.tube must be finite and >= 0'),
     ({'route__tracking_error': 0.2, 'game__ambush_radius': 0.0}, 'game.ambush_radius must be'),

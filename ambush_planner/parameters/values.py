@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -37,12 +37,6 @@ OF_PLAIN_NETWORK = ('network.refine', 'network.target_nodes')
 _MAX_ROADS = 100_000_000
 # Stands for any file with roads.
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
-# Parameters that are not fields of the options that their groups are named after.
-NO_OPTIONS = ('map.preset', 'map.costmap', 'strategy.max_gap', 'route.path_spacing')
-
-_Options = TypeVar('_Options')
-
-
 @dataclass(frozen=True)
 class RecordingOptions:
     """Whether, where and how departures are recorded.
@@ -166,12 +160,12 @@ def check_named(values: Mapping[str, Any]) -> None:
             raise InvalidOption(f'map.crs: {error}') from error
 
 
-def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any],
-             **others: Any) -> _Options:
+def _options(kind: Any, group: str, values: Mapping[str, Any],
+             **others: Any) -> Any:
     """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
-    options = {name.removeprefix(start): values[name]
-               for name in values if name.startswith(start) and name not in NO_OPTIONS}
+    options = {each.name: values[start + each.name] for each in fields(kind)
+               if start + each.name in values}
     try:
         return kind(**options, **others)
     except InvalidOption as error:

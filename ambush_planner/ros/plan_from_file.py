@@ -12,17 +12,14 @@ from std_msgs.msg import Header
 
 from ..errors import InvalidOption
 from ..maps.occupancy import risk_from_occupancy
-from ..parameters.table import PARAMETERS
-from ..parameters.values import NO_OPTIONS, NodeParameters
+from ..parameters.table import PARAMETERS, is_planned
+from ..parameters.values import NodeParameters
 from ..recordings import UnreadableRecording
 from ..recordings.plain_messages import grid_values
 from ..recordings.plan_file import SavedPlan, read_plan
 from .conversions import occupancy_to_ros, pose_to_ros
 from .current_map import CurrentMap, map_from
 from .trip import TripRequest
-
-# Parameters that the plan sets begin with one of these; the node keeps the others.
-_SET = ('map.', 'network.', 'game.', 'strategy.', 'route.')
 
 
 def read_plan_for_node(path: str) -> SavedPlan:
@@ -49,8 +46,7 @@ def read_plan_for_node(path: str) -> SavedPlan:
 def planned_parameters(saved: SavedPlan) -> dict[str, Any]:
     """The parameters that a plan sets, by name."""
     return {name: value for name, value in saved.parameters.values.items()
-            if name in PARAMETERS and name.startswith(_SET)
-            and (name not in NO_OPTIONS or name == 'map.preset')}
+            if name in PARAMETERS and (is_planned(name) or name == 'map.preset')}
 
 
 def inputs_of(saved: SavedPlan, parameters: NodeParameters,
