@@ -241,5 +241,10 @@ def test_a_manager_hears_the_heartbeat_of_an_active_node():
             assert heard[0].heartbeat_timeout == 4.0
             manager.go(deactivate='inactive')
             wait_until(lambda: not heard[-1].active, 'the end')
+            count = len(heard)
+            manager.go(activate='active')
+            wait_until(lambda: len(heard) > count and heard[-1].active, 'heartbeats again')
+            running.planner.stop_solving(Mock())
+            wait_until(lambda: not heard[-1].active, 'the end of the node')
     finally:
         interfaces.uninstall('bond')

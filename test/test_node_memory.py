@@ -46,6 +46,23 @@ def test_the_maps_of_earlier_diversions_are_freed(no_collection):
         assert maps[-1]() is not None
 
 
+def test_trips_keep_neither_plans_nor_maps(monkeypatch, no_collection):
+    monkeypatch.setattr(plan_cache, '_MAX_PLANS', 1)
+    with stage(parameters=ROBOT) as running:
+        maps, values = [], FLAT.copy()
+        for number in range(5):
+            values[0, 0] = number
+            robot = Drive(running, f'robot_{number}')
+            robot.robot.is_at(1.5, 2.5 + number)
+            running.know(values)
+            goal = pose(8.5, 2.5 + number)
+            robot.ask('new', goal)
+            maps.append(ref(running.planner._dispatcher.inputs.map))
+        wait_until(lambda: all(each() is None for each in maps[:-1]), 'the maps being freed')
+        assert len(running.planner._dispatcher._departures.trips._trips) == 5
+        robot.ask('continued', goal)
+
+
 def test_what_kept_plans_know_of_earlier_maps_is_freed(no_collection):
     with stage() as running:
         client, goals = running.give(risk_grid(FLAT)), [pose(8.5, y) for y in (2.5, 4.0, 5.5)]

@@ -115,3 +115,10 @@ def test_every_map_without_risk_is_warned_of_as_long_as_it_is_used():
             client.publish('alpha_map', risk_grid(values))
             wait_until(lambda warned=warned: warned == (
                 'carries no risk' in client.diagnostics()['message']), 'the report')
+        values = FLAT.copy()
+        values[:, 10:] = 50
+        for threshold, warned in ((100, False), (50, True), (100, False)):
+            client.publish('alpha_map', risk_grid(values))
+            running.use({'map.obstacle_threshold': threshold})
+            wait_until(lambda warned=warned: warned == (
+                'carries no risk' in client.diagnostics()['message']), 'the report')

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from threading import Thread
+from threading import RLock, Thread
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -69,8 +69,9 @@ class NodeSettings:
         with telling_warnings(self._warning):
             self.current = parameters_from(values, roads)
         self.contradiction = ''
-        # The roads in use, and what they were or are read from.
+        # The roads in use, what they were or are read from, and why there are none.
         self._roads, self._read_from = self.current.planning.network.roads, roads_named(values)
+        self._fault, self._lock = '', RLock()
         node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._update)
@@ -105,21 +106,11 @@ class NodeSettings:
         """Use the values, or have the roads read that they name."""
         named = roads_named(self._values())
         if named and (named != self._read_from or any(each.name in _OF_ROADS for each in changes)):
-            self._roads, self._read_from = None, named
+            with self._lock:
+                self._roads, self._read_from = None, named
+                self._fault = f'network.graph {named[0]} is being read'
             Thread(target=self._read_roads, args=named, name='roads', daemon=True).start()
         self._use()
-
-    def _use(self, fault: str = '') -> None:
-        values = self._values()
-        if not fault and roads_named(values) and self._roads is None:
-            fault = f'network.graph {values["network.graph"]} is being read'
-        try:
-            if not fault:
-                self.current = parameters_from(values, self._roads)
-        except InvalidOption as error:
-            fault = f'parameters contradict each other: {error}'
-        self.contradiction = f'requests are refused: {fault}' if fault else ''
-        self._changed(self.contradiction)
 
     def _read_roads(self, *named: Any) -> None:
         """Read roads, and use them unless others are named by then."""
@@ -129,9 +120,23 @@ class NodeSettings:
                 roads = read_roads(*named)
         except Exception as error:
             fault = f'network.{known(error)}'
-        if named == self._read_from:
-            self._roads = roads
-            self._use(fault)
+        with self._lock:
+            if named == self._read_from:
+                self._roads, self._fault = roads, fault
+        self._use()
+
+    def _use(self) -> None:
+        """Make the present values the current ones if they agree."""
+        with self._lock:
+            values = self._values()
+            fault = self._fault if roads_named(values) else ''
+            try:
+                if not fault:
+                    self.current = parameters_from(values, self._roads)
+            except InvalidOption as error:
+                fault = f'parameters contradict each other: {error}'
+            self.contradiction = f'requests are refused: {fault}' if fault else ''
+            self._changed(self.contradiction)
 
 
 def _saved_plan(node: Node) -> SavedPlan | None:

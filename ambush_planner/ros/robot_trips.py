@@ -21,6 +21,9 @@ from .trip import Trip, TripRequest, seconds
 # Maximum number of trips that are kept. Asking for a path to another goal does not end the present
 # trip, so a robot may have several.
 _MAX_TRIPS = 256
+# What every departure that has left is replaced by.
+_LEFT: Future[None] = Future()
+_LEFT.set_result(None)
 # A clock that goes back by more than this is that of a simulation or a bag that has restarted [s].
 _RESTART = 1.0
 
@@ -70,8 +73,10 @@ class RobotTrip:
         """Return this trip, or the one before it if its departure has failed to leave."""
         if not self.left.done():
             return self
-        before, self.before = self.before, None
-        return before if self.left.exception() else self
+        failed, before = self.left.exception(), self.before
+        # A future keeps its callbacks, and with them the departure and its maps.
+        self.left, self.before = _LEFT, None
+        return before if failed else self
 
 
 class RobotTrips:
@@ -84,8 +89,7 @@ class RobotTrips:
 
     def continued_by(self, trip: Trip) -> RobotTrip | None:
         """Return the trip under way that a request for this trip continues, if there is one."""
-        now = self._now()
-        self._trips = [each for one in self._trips if (each := one.settled()) is not None]
+        now = self._settle()
         for each in list(self._trips):
             if each.is_continued_by(trip):
                 self._trips.remove(each)
@@ -104,7 +108,7 @@ class RobotTrips:
 
     def watch(self) -> None:
         """Note how far the robots have come; to be called about once a second."""
-        now = self._now()
+        now = self._settle()
         for each in list(self._trips):
             with suppress(AmbushPlannerError):  # TF does not know where the robot is
                 at, _ = self._inputs.start_of(each.asked)
@@ -113,9 +117,10 @@ class RobotTrips:
                 if each.is_over((now, seen.seconds)):
                     self._trips.remove(each)
 
-    def _now(self) -> float:
-        """Return the time, and forget all trips if it has gone back: a simulation has restarted."""
+    def _settle(self) -> float:
+        """Forget what has not left, or all after a restart of the simulation; return the time."""
         before, self._latest = self._latest, self._clock()
         if self._latest < before - _RESTART:
             self._trips = []
+        self._trips = [each for one in self._trips if (each := one.settled()) is not None]
         return self._latest
