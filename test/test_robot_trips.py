@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which trips are under way: when departures do not leave, and when robots make no progress."""
+"""Which trips are under way, and when they are over."""
 
-from concurrent.futures import Future
 from types import SimpleNamespace
 
 import pytest
@@ -20,12 +19,12 @@ def asked(stamp=0.0, frames=FRAMES):
                            request=SimpleNamespace(goal_tolerance=0.0), stamp=stamp)
 
 
-def trip(before=None, goal=(1.0, 1.0), frames=FRAMES):
+def trip(goal=(1.0, 1.0), frames=FRAMES):
     track = SimpleNamespace(destination=SimpleNamespace(frames=frames, goal=goal), arrived=False,
                             progress=0.0, tolerance=0.5,
                             continues=lambda *_: True, drive_on=lambda _: None)
     wish = SimpleNamespace(parameters=SimpleNamespace(values={'trip.max_idle': 600.0}))
-    return RobotTrip(track, wish, 'id', 1, 0, None, None, None, Future(), (0.0, 0.0), before)
+    return RobotTrip(track, wish, 'id', 1, 0, None, None, None, (0.0, 0.0))
 
 
 class Clock:
@@ -52,29 +51,6 @@ def test_requests_with_stops_in_different_frames_lead_elsewhere():
 
     assert through('map').leads_to(through('map'))
     assert not through('map').leads_to(through('odom'))
-
-
-@pytest.mark.parametrize('fails', [False, True])
-def test_a_robot_whose_diversion_does_not_leave_is_on_its_trip_as_before(trips, fails):
-    first = trip()
-    first.left.set_result(None)
-    diversion = trip(first)
-    trips.add(first)
-    trips.add(diversion)
-    assert trips.continued_by(asked()) is diversion, 'it may be on the disk in a moment'
-    if fails:
-        diversion.left.set_exception(OSError())
-    else:
-        diversion.left.set_result(None)
-    assert trips.continued_by(asked()) is (first if fails else diversion)
-    assert diversion.before is None
-
-
-def test_a_departure_that_does_not_leave_is_not_under_way(trips):
-    first = trip()
-    trips.add(first)
-    first.left.set_exception(OSError())
-    assert trips.continued_by(asked()) is None
 
 
 @pytest.mark.parametrize('by_clock', [True, False])

@@ -28,6 +28,7 @@ from .inputs import Inputs
 from .plan_cache import CachedPlan, Fit
 from .recordings import Recordings
 from .robot_trips import RobotTrip, RobotTrips
+from .serial_executor import SerialExecutor
 from .topics import Publishers
 from .trip import Trip, TripRequest
 
@@ -60,18 +61,19 @@ class OutOfDate(Exception):
 class Departures:
     """Makes departures, which leave one after the other while the ``gate`` is open.
 
-    Call all methods on the departures thread. A request whose route is out of date before it leaves
-    is given to ``retry``. ``trips`` are those that robots are on.
+    Call all methods on the departures thread, which is ``thread``. A request whose route is out of
+    date before it leaves is given to ``retry``. ``trips`` are those that robots are on; ``leaving``
+    are the futures, by robot, of departures that are being recorded first.
     """
 
     def __init__(self, displayed: DisplayedPlan, inputs: Inputs, publishers: Publishers,
                  recordings: Recordings, reporter: Reporter, logger: RcutilsLogger, gate: Gate,
-                 retry: Callable[[Pending], None]) -> None:
+                 thread: SerialExecutor, retry: Callable[[Pending], None]) -> None:
         self._displayed, self._inputs, self._publishers = displayed, inputs, publishers
         self._recordings, self._reporter, self._logger = recordings, reporter, logger
-        self._gate, self._retry = gate, retry
-        self._now = lambda: publishers.clock.now().nanoseconds / 1e9
-        self.trips = RobotTrips(inputs, self._now)
+        self._gate, self._thread, self._retry = gate, thread, retry
+        self.trips = RobotTrips(inputs, lambda: publishers.clock.now().nanoseconds / 1e9)
+        self.leaving: dict[str, Future[None]] = {}
         self._count = 0
 
     def draw(self, fit: Fit, pending: Pending) -> bool:
@@ -119,7 +121,7 @@ class Departures:
             remarks=f'departure {under_way.number} diverted: its path is no longer clear, and '
                     'another route of its plan is', **driven)
         self._set_out(trip_on(held.plan, *drawn, track.destination, track.passed), departure, path,
-                      whole_route(under_way.route, drawn[0]), pending, under_way)
+                      whole_route(under_way.route, drawn[0]), pending)
         return True
 
     def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],
@@ -138,13 +140,14 @@ class Departures:
         }
 
     def _set_out(self, track: TripUnderWay, departure: Departure, path: Path, route: IndexArray,
-                 pending: Pending, before: RobotTrip | None = None) -> None:
-        """Publish a departure, at once or when it is recorded; it is under way from now on.
-
-        ``before`` is the trip that it diverts.
-        """
+                 pending: Pending) -> None:
+        """Publish a departure, at once or when it is recorded; it is under way from then on."""
         departure = self._reporter.departing(departure)
         trip, answer = departure.trip, pending.answer
+        diversions = departure.diversion.number if departure.diversion else 0
+        under_way = RobotTrip(track, replace(pending.trip_request, parameters=trip.parameters),
+                              departure.id, departure.number, diversions, departure.assessment,
+                              ref(departure.held), route, (self.trips.now(), trip.stamp))
 
         def leave() -> None:
             with self._gate.leaving:
@@ -156,23 +159,25 @@ class Departures:
                 self._reporter.departed(departure)
             diverted = ' diverted' if departure.diversion else ''
             self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
+            if trip.robot and trip.parameters.recording.required:  # in the recordings' thread
+                self._thread.submit(lambda: self.trips.add(under_way))
+            elif trip.robot:
+                self.trips.add(under_way)
             took_ns = departure.call.response_ns - departure.call.request_ns
             answer.set_result(Answer(path, departure.remarks, took_ns, departure))
 
-        def refuse_unless_left(left: Future[None]) -> None:
+        def settle(left: Future[None]) -> None:
+            if self.leaving.get(trip.robot) is left:
+                del self.leaving[trip.robot]
             if isinstance(error := left.exception(), OutOfDate):
-                self._retry(pending)
+                self._thread.submit(lambda: self._retry(pending), answer)
             elif error:
                 answer.set_exception(error)
 
         left = self._recordings.publish(departure, leave)
         if trip.robot:
-            asked = replace(pending.trip_request, parameters=trip.parameters)
-            diversions = departure.diversion.number if departure.diversion else 0
-            self.trips.add(RobotTrip(
-                track, asked, departure.id, departure.number, diversions, departure.assessment,
-                ref(departure.held), route, left, (self._now(), trip.stamp), before))
-        left.add_done_callback(refuse_unless_left)
+            self.leaving[trip.robot] = left
+        left.add_done_callback(settle)
 
     def _check_clear(self, trip: Trip, rows: FloatArray) -> None:
         """Raise OutOfDate if a path (L, 3) is blocked on a map that came since it was drawn."""

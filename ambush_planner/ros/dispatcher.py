@@ -61,8 +61,7 @@ class Dispatcher:
         self._displayed = DisplayedPlan(self._plans, inputs, settings, publishers, reporter,
                                         self._thread)
         self._departures = Departures(self._displayed, inputs, publishers, recordings, reporter,
-                                      logger, gate, lambda pending: self._thread.submit(
-                                          partial(self._try_again, pending), pending.answer))
+                                      logger, gate, self._thread, self._try_again)
         self._recordings = recordings
         self._waiting: list[Pending] = []
         self._aside: list[Pending] = []  # until there is room in the recordings' queue
@@ -151,11 +150,16 @@ class Dispatcher:
 
     def cancel(self, why: AmbushPlannerError | None = None) -> tuple[int, int]:
         """Cancel all solves, and refuse departures that wait for the disk; return their numbers."""
-        error, aside = why or SolveCancelled('the departure was cancelled'), list(self._aside)
-        for each in aside:
-            self._thread.submit(partial(_refuse, each, error))
-        solves = self._plans.queue.cancel(*([str(why)] if why else []))
-        return solves, len(aside) + self._recordings.refuse(error)
+        error = why or SolveCancelled('the request was cancelled')
+
+        def refuse() -> None:
+            for each in self._waiting:
+                if not each.answer.running():  # it has not been drawn
+                    _refuse(each, error)
+
+        departures = len(self._aside) + self._recordings.refuse(error)
+        self._thread.submit(refuse)
+        return self._plans.queue.cancel(str(error)), departures
 
     def _begin(self, pending: Pending) -> None:
         """Refuse the client's waiting requests for other goals, and try to answer."""
@@ -177,12 +181,12 @@ class Dispatcher:
             return
         self._gate.check()
         trip = self.inputs.locate(pending.trip_request)
-        if not pending.draws and self._goes_on(trip, pending) or self._waits_for_room(pending):
+        if (not pending.draws and self._goes_on(trip, pending)) or self._waits_for_room(pending):
             return
         trip = trip.out_of_obstacle()
         fit = self._plans.fit(trip, pending.tries >= _ANY_VALUE_FROM)
         if not (fit and self._departures.draw(fit, pending)):
-            self._solve_for(trip, pending)
+            self._try_again(pending, trip)
 
     def _waits_for_room(self, pending: Pending) -> bool:
         """Put a request aside if there is no room for its recording.
@@ -209,10 +213,11 @@ class Dispatcher:
 
     def _goes_on(self, trip: Trip, pending: Pending) -> bool:
         """Answer a robot that has arrived or is on its way; False if it is neither."""
+        if left := self._departures.leaving.get(trip.robot):
+            self._thread.submit_after(left, lambda _: self._try(pending), pending.answer)
+            return True
         under_way = self._departures.trips.continued_by(trip)
-        if under_way and not under_way.left.done():  # try again once it has left, or has not
-            self._thread.submit_after(under_way.left, lambda _: self._try(pending), pending.answer)
-        elif not trip.stops_xy and trip.ground.has_arrived(trip.start_xy, trip.goal_xy):
+        if not trip.stops_xy and trip.ground.has_arrived(trip.start_xy, trip.goal_xy):
             rows = np.array([(*trip.goal_xy, 0.0)])
             self._answer(trip, rows, 'arrived', pending, under_way is not None)
         elif under_way is None:
@@ -230,7 +235,7 @@ class Dispatcher:
     def _answer(self, trip: Trip, rows: FloatArray, remarks: str, pending: Pending,
                 continued: bool) -> None:
         """Answer with a path (L, 3) that is no departure, and may continue one."""
-        if pending.answer.set_running_or_notify_cancel():
+        if pending.is_wanted():
             now = self._clock.now().nanoseconds
             self._reporter.note('request', None)
             if continued:
@@ -238,23 +243,18 @@ class Dispatcher:
             pending.answer.set_result(Answer(trip.path(rows, now), remarks,
                                              max(0, now - pending.call.request_ns)))
 
-    def _solve_for(self, trip: Trip, pending: Pending) -> None:
-        """Try again with a plan for this trip, unless too many were out of date."""
-        self._count_try(pending)
-        self._when_solved(self._plans.share_or_solve(trip), lambda _: self._try(pending),
-                          pending.answer)
-
-    def _try_again(self, pending: Pending) -> None:
-        """Answer a request whose route was out of date before it left."""
-        self._count_try(pending)
-        self._try(pending)
-
-    def _count_try(self, pending: Pending) -> None:
+    def _try_again(self, pending: Pending, trip: Trip | None = None) -> None:
+        """Try to answer, if need be with a new plan for a trip, unless too much was out of date."""
         pending.tries += 1
         if pending.tries > _MAX_TRIES:
             raise Refusal('OUT_OF_DATE', f'{_MAX_TRIES} plans or routes in a row were out of date: '
                           'the map changes or the robot drives too fast; stop it until it has its '
                           'path, or raise network.spacing or strategy.max_gap')
+        if trip is None:
+            self._try(pending)
+        else:
+            self._when_solved(self._plans.share_or_solve(trip), lambda _: self._try(pending),
+                              pending.answer)
 
     def _when_solved(self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None],
                      result: Future[Any]) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
 from weakref import ref
@@ -21,22 +20,16 @@ from .trip import Trip, TripRequest, seconds
 # Maximum number of trips that are kept. Asking for a path to another goal does not end the present
 # trip, so a robot may have several.
 _MAX_TRIPS = 256
-# What every departure that has left is replaced by.
-_LEFT: Future[None] = Future()
-_LEFT.set_result(None)
 # A clock that goes back by more than this is that of a simulation or a bag that has restarted [s].
 _RESTART = 1.0
 
 
 @dataclass(eq=False)
 class RobotTrip:
-    """A trip as a robot ``asked`` for it, its departure or the last diversion of that.
+    """A trip as a robot ``asked`` for it: its departure or the last of its ``diversions``.
 
     It keeps no map: ``plan`` is that of the plan cache, and gone with it. The ``route`` (K,) is the
-    whole one. ``left`` is done once the path is published; with ``recording.required`` that takes a
-    while. ``before`` is the trip that this one diverts, until it has left. ``had_path``: whether a
-    request has come since then. The first one lets a robot that drove on meanwhile join the path
-    from where it is.
+    whole one. ``moment`` is when the robot has made progress, by the clock and by TF [s].
     """
 
     track: TripUnderWay
@@ -47,36 +40,25 @@ class RobotTrip:
     assessment: Assessment
     plan: ref[CachedPlan]
     route: IndexArray
-    left: Future[None]
     moment: tuple[float, float]
-    before: RobotTrip | None = None
-    had_path: bool = field(default=False, init=False)
+    _has_path: bool = field(default=False, init=False)
     _progress: float = field(default=0.0, init=False)
 
     def is_continued_by(self, trip: Trip) -> bool:
         """Whether a request for a trip continues this one."""
         if trip.destination.frames != self.track.destination.frames:
             return False
-        if not self.had_path:
-            self.had_path = self.left.done()
+        if not self._has_path:  # the robot may have driven on until it had the path
+            self._has_path = True
             self.track.drive_on(trip.start_xy)
         return self.track.continues(trip.destination, trip.start_xy, trip.request.goal_tolerance)
 
     def is_over(self, moment: tuple[float, float]) -> bool:
-        """Whether the robot has made no progress for too long, by the clock or by TF [s]."""
+        """Whether the robot has made no progress for too long."""
         if self.track.progress > self._progress + self.track.tolerance:
             self._progress, self.moment = self.track.progress, moment
         idle = max(now - then for now, then in zip(moment, self.moment, strict=True))
         return idle > self.asked.parameters.values['trip.max_idle']
-
-    def settled(self) -> RobotTrip | None:
-        """Return this trip, or the one before it if its departure has failed to leave."""
-        if not self.left.done():
-            return self
-        failed, before = self.left.exception(), self.before
-        # A future keeps its callbacks, and with them the departure and its maps.
-        self.left, self.before = _LEFT, None
-        return before if failed else self
 
 
 class RobotTrips:
@@ -89,7 +71,7 @@ class RobotTrips:
 
     def continued_by(self, trip: Trip) -> RobotTrip | None:
         """Return the trip under way that a request for this trip continues, if there is one."""
-        now = self._settle()
+        now = self.now()
         for each in list(self._trips):
             if each.is_continued_by(trip):
                 self._trips.remove(each)
@@ -108,7 +90,7 @@ class RobotTrips:
 
     def watch(self) -> None:
         """Note how far the robots have come; to be called about once a second."""
-        now = self._settle()
+        now = self.now()
         for each in list(self._trips):
             with suppress(AmbushPlannerError):  # TF does not know where the robot is
                 at, _ = self._inputs.start_of(each.asked)
@@ -117,10 +99,9 @@ class RobotTrips:
                 if each.is_over((now, seen.seconds)):
                     self._trips.remove(each)
 
-    def _settle(self) -> float:
-        """Forget what has not left, or all after a restart of the simulation; return the time."""
+    def now(self) -> float:
+        """Return the time [s]; forget all trips if it has gone back: a simulation has restarted."""
         before, self._latest = self._latest, self._clock()
         if self._latest < before - _RESTART:
             self._trips = []
-        self._trips = [each for one in self._trips if (each := one.settled()) is not None]
         return self._latest

@@ -130,7 +130,7 @@ class SolveQueue(Generic[_Key, _Result]):
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
         _end(waited, _WITHDRAWN)
 
-    def cancel(self, why: str = 'the solve was cancelled') -> int:
+    def cancel(self, why: str) -> int:
         """Cancel all solves; return their number."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
