@@ -204,7 +204,7 @@ def test_a_recording_that_fails_after_cleanup_says_nothing_of_the_next_configura
 
 
 @pytest.mark.parametrize('method, transition', [
-    ('set_active', 'deactivate'), ('stop_solving', 'cleanup')])
+    ('_deactivate', 'deactivate'), ('stop', 'cleanup')])
 def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):
     def broken(*_):
         raise AmbushPlannerError('no good')
@@ -215,9 +215,10 @@ def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method
         if transition == 'cleanup':
             manager.go(deactivate='inactive')
         with monkeypatch.context() as patch:
-            patch.setattr(type(dispatcher), method, broken)
+            patch.setattr(type(running.planner if transition == 'deactivate' else dispatcher),
+                          method, broken)
             assert not manager.change(transition)
-        if method == 'stop_solving':
+        if method == 'stop':
             dispatcher.close()
         assert manager.state == 'unconfigured'
         assert 'no good' in client.diagnostics(state='unconfigured')['message']
@@ -240,5 +241,10 @@ def test_a_manager_hears_the_heartbeat_of_an_active_node():
             assert heard[0].heartbeat_timeout == 4.0
             manager.go(deactivate='inactive')
             wait_until(lambda: not heard[-1].active, 'the end')
+            count = len(heard)
+            manager.go(activate='active')
+            wait_until(lambda: len(heard) > count and heard[-1].active, 'heartbeats again')
+            running.planner.stop_solving(Mock())
+            wait_until(lambda: not heard[-1].active, 'the end of the node')
     finally:
         interfaces.uninstall('bond')

@@ -53,6 +53,8 @@ class Coordinates:
             return
         try:
             latitude, longitude, yaw = map(float, words[1:])
+            if not math.isfinite(latitude + longitude + yaw):
+                raise ValueError
         except ValueError:
             raise InvalidCoordinates(
                 f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None

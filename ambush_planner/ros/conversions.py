@@ -16,9 +16,11 @@ import numpy.typing as npt
 from geometry_msgs.msg import Point, Pose, PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from ..arrays import FloatArray
+from .error_codes import Refusal
 
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
@@ -61,6 +63,15 @@ def installed_type(module: str, name: str) -> Any:
         return getattr(import_module(module), name)
     except ImportError:
         return None
+
+
+def message_from(data: bytes, kind: Any, topic: str) -> Any:
+    """Return the message of a topic whose bytes these are; raises Refusal if they are none."""
+    try:
+        return deserialize_message(data, kind)
+    except Exception as error:  # rclpy's own error type is not public
+        raise Refusal('INVALID_MESSAGE', f'{len(data)} bytes on {topic} are not a message of type '
+                      f'{kind.__name__}') from error
 
 
 def fields_of(message: Any) -> dict[str, Any]:

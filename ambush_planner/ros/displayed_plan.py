@@ -71,7 +71,9 @@ class DisplayedPlan:
         it is solved again, unless a robot has driven away from its start.
         """
         self._map_is_new = False
-        cached, newest = self.cached, self._inputs.current_map()
+        cached, newest = self.cached, self._inputs.map
+        if newest is None:
+            return
         self._plans.keep_ground(newest)
         if cached is None or not newest.same_ground(cached.trip.map):
             self._reporter.set(assessment=None, stale='')
@@ -83,7 +85,7 @@ class DisplayedPlan:
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
             )
-            if not cached.trip.moves:
+            if not cached.trip.robot:
                 with suppress(AmbushPlannerError):  # the node is inactive
                     self._resolve(cached, stale)
                     stale += '; a new plan is being solved'
