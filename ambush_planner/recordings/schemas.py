@@ -8,6 +8,18 @@ from functools import cache
 from importlib import resources
 from typing import NamedTuple
 
+# The types of recorded inputs, and of the path, by their roles in the metadata record.
+INPUT_TYPES = {
+    'map': ('nav_msgs/msg/OccupancyGrid',), 'goal': ('geometry_msgs/msg/PoseStamped',),
+    'start': ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped'),
+    'via': ('geometry_msgs/msg/PoseArray',)}
+ROLE_TYPES = {**INPUT_TYPES, 'path': ('nav_msgs/msg/Path',)}
+# What else is recorded: the strategy as markers, each on a topic below the node's name, and the
+# diagnostics.
+MARKERS, MARKER_NAMES = 'visualization_msgs/msg/MarkerArray', (
+    'network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
+DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray', '/diagnostics'
+
 
 class MessageDefinition(NamedTuple):
     """A message type, described so that a reader without ROS can decode it.
