@@ -13,9 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from .messages import Channel, RecordedMessage, fields_from_yaml
+from .recording_errors import UnreadableRecording, bytes_in
 from .schemas import definitions
 
 FILE_NAME = 'metadata.yaml'
@@ -63,12 +62,12 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
 
 
 def listed_in(folder: Path) -> list[str]:
-    """Return the files that the ``metadata.yaml`` of a folder lists; none if it cannot be read."""
+    """Return the files that the ``metadata.yaml`` of a folder lists; none unless it is ours."""
     try:
-        content = yaml.safe_load((folder / FILE_NAME).read_text())
-        return [str(name) for name in
-                content['rosbag2_bagfile_information']['relative_file_paths']]
-    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        content = json.loads(bytes_in(folder / FILE_NAME))
+        names = content['rosbag2_bagfile_information']['relative_file_paths']
+        return [name for name in names if isinstance(name, str)]
+    except (UnreadableRecording, ValueError, LookupError, TypeError, RecursionError):
         return []
 
 

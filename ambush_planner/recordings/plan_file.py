@@ -44,6 +44,7 @@ from .recording_file import RecordingFile, encode, read_recording
 from .versions import software_versions
 
 KIND = 'plan'
+_BLOCK = 2**20  # bytes that are hashed at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +74,12 @@ class SavedPlan:
 
 
 def digest_of(path: Path) -> str:
-    """The SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """The SHA-256 of a file, of any size."""
+    digest = hashlib.sha256()
+    with path.open('rb') as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,

@@ -11,16 +11,17 @@ import re
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile, is_zipfile
 
 from .messages import Channel, RecordedMessage
 from .metadata import Metadata, typed
-from .recording_errors import UnreadableRecording, reading_from
+from .recording_errors import UnreadableRecording, bytes_in, check_size
 from .schemas import definitions
 
 if TYPE_CHECKING:
@@ -103,13 +104,16 @@ def read_recording(path: Path | str) -> RecordingFile:
     from mcap.stream_reader import StreamReader
 
     path = Path(path)
-    with reading_from(path):
-        data = path.read_bytes()
+    data = bytes_in(path)
     try:
-        found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
+        packed = list(StreamReader(BytesIO(data), emit_chunks=True, validate_crcs=True).records)
         # The summary repeats schemas and channels.
-        found = list(takewhile(lambda each: not isinstance(each, DataEnd), found))
+        packed = list(takewhile(lambda each: not isinstance(each, DataEnd), packed))
         _check_summary(data)
+        check_size(path, sum(map(_unpacked_size, packed)))
+        found = [each for record in packed for each in _unpacked(record)]
+    except UnreadableRecording:
+        raise
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
@@ -134,10 +138,39 @@ def read_recording(path: Path | str) -> RecordingFile:
         )
     try:
         return _contents(path, found, {name: json.loads(text) for name, text in texts.items()})
-    except (ValueError, LookupError) as error:
+    except (ValueError, LookupError, RecursionError) as error:
         raise UnreadableRecording(
             path, f'its records are inconsistent ({type(error).__name__})'
         ) from error
+
+
+def _unpacked_size(record: McapRecord) -> int:
+    """Return what a record takes, with the arrays that are attached to it [bytes]."""
+    from mcap.records import Attachment, Chunk
+
+    if isinstance(record, Attachment) and is_zipfile(BytesIO(record.data)):
+        return sum(each.file_size for each in ZipFile(BytesIO(record.data)).infolist())
+    if isinstance(record, Chunk) and record.compression == 'zstd':
+        import zstandard
+
+        # The library takes the frame at its word.
+        return max(record.uncompressed_size, zstandard.frame_content_size(record.data))
+    return record.uncompressed_size if isinstance(record, Chunk) else 0
+
+
+def _unpacked(record: McapRecord) -> Sequence[McapRecord]:
+    """Return the records of a chunk, or else the record."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import breakup_chunk
+
+    if not isinstance(record, Chunk):
+        return [record]
+    if record.compression == 'lz4':  # the library does not stop at the size that is stated
+        from lz4.frame import LZ4FrameDecompressor
+
+        data = LZ4FrameDecompressor().decompress(record.data, record.uncompressed_size)
+        record = replace(record, compression='', data=data)
+    return breakup_chunk(record, validate_crc=True)
 
 
 def _check_summary(data: bytes) -> None:
