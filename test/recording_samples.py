@@ -18,7 +18,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recordings import RecordedMessage, type_name
-from ambush_planner.recordings.recording_file import encode
+from ambush_planner.recordings.encoding import encode
 
 START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

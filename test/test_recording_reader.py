@@ -41,10 +41,11 @@ from ambush_planner.recordings import (
     source_findings,
 )
 from ambush_planner.recordings.bag_folder import listed_in
+from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.metadata import InvalidEntry, RecordedSlots, typed
 from ambush_planner.recordings.plan_file import digest_of
 from ambush_planner.recordings.recorded_departure import conditioned, ground_of
-from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode, encode
+from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode
 
 VERIFY = NO_ROS + """
 from ambush_planner.commands import cli
@@ -237,7 +238,7 @@ def test_a_large_source_of_a_plan_is_hashed_in_blocks(tmp_path):
 
 
 def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch):
-    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '5')
+    monkeypatch.setattr('ambush_planner.recordings.encoding.FORMAT', '5')
     data = file_of(small_departure())
     monkeypatch.undo()
     path = tmp_path / 'x.mcap'

@@ -229,7 +229,7 @@ def test_what_recordings_do_not_hold_is_refused_and_nothing_is_published(
         slow, tmp_path, monkeypatch):
     shutil.copy(slow, tmp_path / 'a.mcap')
     path_text = definitions()['nav_msgs/msg/Path']
-    monkeypatch.setattr('ambush_planner.recordings.recording_file.definitions',
+    monkeypatch.setattr('ambush_planner.recordings.encoding.definitions',
                         lambda: defaultdict(lambda: path_text, definitions()))
     with listener() as (found, domain):
         found.listen('/goal_pose', PoseStamped, 1)

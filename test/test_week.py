@@ -23,10 +23,11 @@ from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.few_strategy import few_strategy
 from ambush_planner.recordings import read_departure
+from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
-from ambush_planner.recordings.recording_file import encode, read_recording
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')

@@ -36,11 +36,12 @@ from .attachments import (
     strategy_file,
     strategy_from_file,
 )
+from .encoding import encode
 from .metadata import MapSource, PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
-from .recording_file import RecordingFile, encode, read_recording
+from .recording_file import RecordingFile, read_recording
 from .versions import software_versions
 
 KIND = 'plan'

@@ -20,9 +20,9 @@ from typing import Any
 
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_all_durably
+from .encoding import encode
 from .messages import RecordedMessage
 from .recording_errors import RecordingFailed, recording_to
-from .recording_file import encode
 
 SESSION_PREFIX = 'ambush_planner_'
 # Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with

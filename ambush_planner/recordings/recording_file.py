@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One departure as an MCAP file with the profile ``ros2``: encoded, read back, messages decoded.
-
-The mcap library is imported on use: apt does not have it, and a node without it can still plan.
-"""
+"""Read the MCAP file of a departure, or of a plan, and decode its messages."""
 
 from __future__ import annotations
 
@@ -19,19 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile, is_zipfile
 
-from .messages import Channel, RecordedMessage
+from .encoding import FORMAT, MAGIC, METADATA_RECORD
+from .messages import RecordedMessage
 from .metadata import Metadata, typed
 from .recording_errors import UnreadableRecording, bytes_in, check_size
-from .schemas import definitions
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
-
-METADATA_RECORD = 'ambush_planner'
-# Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '10'
-_CHUNK_SIZE = 2**20  # bytes
-MAGIC = b'\x89MCAP0\r\n'  # begins and ends a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,40 +53,6 @@ class RecordingFile:
     def defined(self, message: RecordedMessage) -> tuple[str, str, bytes]:
         """Return a message as ``decode`` takes it."""
         return self.definitions[message.type], message.type, message.data
-
-
-def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
-           attachments: Mapping[str, bytes], compression: str) -> bytes:
-    """Return the bytes of a whole file; ``messages`` are in the order of time."""
-    from mcap.well_known import MessageEncoding, SchemaEncoding
-    from mcap.writer import CompressionType, Writer
-
-    stream = BytesIO()
-    # The checksum of the data section covers metadata and attachments; chunks have their own.
-    writer = Writer(stream, chunk_size=_CHUNK_SIZE, enable_data_crcs=True,
-                    compression=CompressionType[compression.upper()])
-    writer.start(profile='ros2')
-    texts = {name: json.dumps(value) for name, value in entries.items()}
-    writer.add_metadata(METADATA_RECORD, {'format': FORMAT, **texts})
-    for name, data in attachments.items():
-        writer.add_attachment(0, messages[0].stamp_ns, name, 'application/zip', data)
-    schemas: dict[str, int] = {}
-    channels: dict[Channel, int] = {}
-    for message in messages:
-        definition = definitions()[message.type]
-        if message.type not in schemas:
-            schemas[message.type] = writer.register_schema(
-                message.type, SchemaEncoding.ROS2, definition.text.encode()
-            )
-        channel = message.channel
-        if channel not in channels:
-            channels[channel] = writer.register_channel(
-                message.topic, MessageEncoding.CDR, schemas[message.type],
-                {'offered_qos_profiles': channel.qos, 'topic_type_hash': definition.type_hash},
-            )
-        writer.add_message(channels[channel], message.stamp_ns, message.data, message.stamp_ns)
-    writer.finish()
-    return stream.getvalue()
 
 
 def read_recording(path: Path | str) -> RecordingFile:

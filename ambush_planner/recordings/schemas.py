@@ -8,16 +8,15 @@ from functools import cache
 from importlib import resources
 from typing import NamedTuple
 
+MAP, POSE, PATH = 'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped', 'nav_msgs/msg/Path'
 # The types of recorded inputs, and of the path, by their roles in the metadata record.
-INPUT_TYPES = {
-    'map': ('nav_msgs/msg/OccupancyGrid',), 'goal': ('geometry_msgs/msg/PoseStamped',),
-    'start': ('geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/PoseWithCovarianceStamped'),
-    'via': ('geometry_msgs/msg/PoseArray',)}
-ROLE_TYPES = {**INPUT_TYPES, 'path': ('nav_msgs/msg/Path',)}
+INPUT_TYPES = {'map': (MAP,), 'start': (POSE, 'geometry_msgs/msg/PoseWithCovarianceStamped'),
+               'goal': (POSE,), 'via': ('geometry_msgs/msg/PoseArray',)}
+ROLE_TYPES = {**INPUT_TYPES, 'path': (PATH,)}
 # What else is recorded: the strategy as markers, each on a topic below the node's name, and the
 # diagnostics.
-MARKERS, MARKER_NAMES = 'visualization_msgs/msg/MarkerArray', (
-    'network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
+MARKERS = 'visualization_msgs/msg/MarkerArray'
+MARKER_NAMES = 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops'
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray', '/diagnostics'
 
 

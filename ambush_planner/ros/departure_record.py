@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from nav_msgs.msg import Path
-
 from ..arrays import IndexArray
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
@@ -15,6 +13,7 @@ from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
+from .conversions import SentPath
 from .current_map import ReceivedMessage
 from .plan_cache import CachedPlan
 from .trip import Trip
@@ -24,7 +23,7 @@ from .trip import Trip
 class Answer:
     """The answer to a request for a path, and how long it took; the ``departure`` if it is one."""
 
-    path: Path
+    path: SentPath
     remarks: str
     took_ns: int
     departure: Departure | None = None

@@ -14,7 +14,6 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from nav_msgs.msg import Path
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 
@@ -25,6 +24,7 @@ from ..planning.moved_start import other_rest, whole_route
 from ..planning.trip_under_way import Sighting, TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall
 from ..routes.driven_path import Ends, tight_turns
+from .conversions import SentPath
 from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
@@ -168,7 +168,8 @@ class Departures:
         departure = Departure(
             id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
             markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
-        track = trip_on(fit.cached.plan, route, rows, fit.trip.destination)
+        track = (trip_on(fit.cached.plan, route, rows, fit.trip.destination)
+                 if fit.trip.moves else None)
         self._set_out(track, departure, path, route, pending)
         return True
 
@@ -200,7 +201,7 @@ class Departures:
         return True
 
     def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],
-                route: IndexArray, rows: FloatArray, ends: Ends) -> tuple[Path, dict[str, Any]]:
+                route: IndexArray, rows: FloatArray, ends: Ends) -> tuple[SentPath, dict[str, Any]]:
         """Return a path, and the fields of its departure that say what is driven, for whom."""
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
@@ -210,15 +211,15 @@ class Departures:
         return path, {
             'call': replace(pending.call, response_ns=leaving), 'trip': trip, 'ends': ends,
             'entropy_source': source, 'route': route,
-            'published': self._publishers.as_recorded('path', path, topic),
+            'published': self._publishers.as_recorded('path', path.data, topic),
             'tight_turns': tight_turns(rows, held.plan.options.drive.turning_radius),
         }
 
-    def _set_out(self, track: TripUnderWay, departure: Departure, path: Path, route: IndexArray,
-                 pending: Pending, before: RobotTrip | None = None) -> None:
+    def _set_out(self, track: TripUnderWay | None, departure: Departure, path: SentPath,
+                 route: IndexArray, pending: Pending, before: RobotTrip | None = None) -> None:
         """Publish a departure, at once or when it is recorded; it is under way from now on.
 
-        ``before`` is the trip that it diverts.
+        Only a robot has a ``track``. ``before`` is the trip that this one diverts.
         """
         self.trips.watch()  # a tour that this one ends is recorded before
         departure = self._reporter.departing(departure)
@@ -240,11 +241,11 @@ class Departures:
             if error := left.exception():
                 answer.set_exception(error)
 
-        at_once = (before is not None or not (trip.moves and trip.stops_xy)
+        at_once = (before is not None or not (track and trip.stops_xy)
                    or trip.parameters.recording.required
                    or math.dist(trip.start_xy, trip.goal_xy) > track.tolerance)
         left = self._recordings.publish(departure, leave, record=at_once)
-        if trip.moves:
+        if track:
             self.trips.add(RobotTrip(track, departure, pending.trip_request, route, left, at_once,
                                     before))
         left.add_done_callback(refuse_unless_left)
