@@ -33,7 +33,7 @@ def pose(x, y):
     return message
 
 
-def risk_map(height=40, width=60):
+def risk_map(height=100, width=200):
     message = OccupancyGrid(header=Header(frame_id='map'))
     message.info.width, message.info.height, message.info.resolution = width, height, 0.5
     cells = np.random.default_rng(1).integers(-1, 101, width * height, dtype=np.int8)

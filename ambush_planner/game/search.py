@@ -229,7 +229,7 @@ class Search:
         if best is None:
             p = self.lp.flow
             best = Incumbent(chain_of(self.game.network, p), worst_loss(self.game, p))
-        best = self.worst_of(best)
+        best = self.worst_of(replace(best, chain=best.chain.without_rare()))
         own = np.arange(len(self.loss)) < len(self.game.sites)
         kept = own | np.any([padded(each.q, len(own)) for each in self.lp.provers], axis=0)
         if best.worst >= 0:

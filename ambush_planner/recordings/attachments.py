@@ -43,6 +43,8 @@ _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg', 're
 # Of networks with driving times, or with lengths over the ground.
 _ON_ROADS = ('seconds', 'ground_length')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
+# Numbers of nodes, which are written as differences from row to row: that takes a tenth.
+_NUMBERED = ('edges', 'places')
 # What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
 _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_distance'}
 # For which leg the ambusher waits at each site, on trips.
@@ -67,6 +69,8 @@ def strategy_file(strategy: Strategy) -> bytes:
         **{name: getattr(strategy.game.options, each) for name, each in _PLANNED.items()},
         _BY_LEG: ambusher.by_leg, _REASON: strategy.reason,
     }
+    arrays |= {name: np.diff(arrays[name], axis=0, prepend=0).astype(np.int32)
+               for name in _NUMBERED}
     if ambusher.circulation is not None:
         arrays |= {name: getattr(ambusher.circulation, name) for name in _CIRCULATION}
     return _npz({name: array for name, array in arrays.items() if array is not None})
@@ -81,6 +85,7 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     """
     content = arrays_in(BytesIO(data), (*_NETWORK, *_ON_ROADS, *_PROBABILITIES, *NUMBERS,
                                         *_PLANNED, *_CIRCULATION, _BY_LEG, _REASON))
+    content |= {name: content[name].cumsum(axis=0, dtype=np.int64) for name in _NUMBERED}
     ground_length = content.get('ground_length')
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
                       int(content['target']), content['places'], content['leg'],
@@ -181,5 +186,7 @@ def few_from_file(data: bytes) -> FewRoutes:
 
 def _npz(arrays: Mapping[str, Any]) -> bytes:
     stream = BytesIO()
-    np.savez_compressed(stream, **arrays)
+    # Column after column, points take half as much.
+    columns: dict[str, Any] = {name: np.asarray(each, order='F') for name, each in arrays.items()}
+    np.savez_compressed(stream, **columns)
     return stream.getvalue()

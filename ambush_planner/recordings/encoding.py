@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '10'
+FORMAT = '11'
 MAGIC = b'\x89MCAP0\r\n'  # begins and ends a file
 # Size of messages that have a chunk of their own [bytes].
 _LARGE = 2**14
+_LEVEL = 6  # of their compression: markers take a quarter less than at the usual 3
 # How messages, and the footer of a file, begin: operation code, length, and more. They are short,
 # and the library's classes take longer.
 _MESSAGE, _MESSAGE_CODE = struct.Struct('<BQHIQQ'), 5
@@ -169,7 +170,7 @@ def _packed(head: bytes, last: RecordedMessage, compression: str) -> bytes:
     if len(last.data) < _LARGE:
         return zstandard.compress(head + last.data)
     if not last.packed or last.packed[0] is not last.data:
-        whole = zstandard.compress(last.data)
+        whole = zstandard.compress(last.data, _LEVEL)
         last.packed[:] = last.data, whole[zstandard.frame_header_size(whole):]
     size, block = struct.pack('<Q', len(head) + len(last.data)), _BLOCK.pack(len(head) * 8)[:3]
     return b''.join((_FRAME, size, block, head, last.packed[1]))

@@ -23,8 +23,8 @@ DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray', '/diagnostics'
 class MessageDefinition(NamedTuple):
     """A message type, described so that a reader without ROS can decode it.
 
-    ``text`` is the type's definition and those of all types it uses, as ``ros2msg``;
-    ``type_hash`` is the REP 2011 hash, ``RIHS01_...``.
+    ``text`` is the type's definition and those of all types it uses, as ``ros2msg``, without
+    comments, which would be in each recording; ``type_hash`` is the REP 2011 hash, ``RIHS01_...``.
     """
 
     text: str

@@ -21,7 +21,7 @@ from ..recordings.cdr import LINE_LIST, SPHERE_LIST, marker_array
 _MIN_SHOWN = 1e-3
 # Accuracy of positions, as a share of the edge length, and of colours: finer digits cannot be seen,
 # and would double the size of a recording.
-_ACCURACY, _LEVELS = 1.0 / 64.0, 256.0
+_ACCURACY, _LEVELS = 1.0 / 64.0, 128.0
 # Height of a layer as a fraction of the network's extent, and its maximum [m]. In Foxglove, lines
 # must lie below the path, which is at 0, and discs above the map.
 _HEIGHT, _MAX_HEIGHT = 0.005, 50.0

@@ -47,7 +47,7 @@ class Recordings:
     def __init__(self, options: RecordingOptions, reporter: Reporter,
                  logger: RcutilsLogger) -> None:
         self._options, self._reporter, self._logger = options, reporter, logger
-        self._recorder = Recorder(Path(options.directory), options.compression, options.required)
+        self._recorder = Recorder(Path(options.directory), options.compression)
         self._plan_files: WeakKeyDictionary[Plan, dict[str, bytes]] = WeakKeyDictionary()
         self._unwritten: deque[_Queued] = deque()  # the first one is being written
         self._condition = Condition()
