@@ -41,13 +41,6 @@ class Drive(World):
     def away(self, goal):
         return math.dist(self.place, goal)
 
-    def remove_passed_goals(self, ports):
-        def work():
-            while len(self.goals) > 1 and self.away(self.goals[0]) <= float(ports['radius']):
-                self.goals.pop(0)
-            return SUCCESS
-        return work
-
     def is_path_valid(self, ports):
         def work():
             request = self.validity.srv_type.Request(path=self.path_message)
@@ -97,6 +90,7 @@ class Drive(World):
         """Navigate; ``then()`` may return new goals. Return the tree's status in the end."""
         self.goals = list(goals)
         tree, end = Tree(text, self.leaves, self.clock), time.monotonic() + 2.0 * TIMEOUT
+        self.numbers = tree.numbers
         while time.monotonic() < end:
             self.robot.is_at(*self.place)
             self.goals = list(then() or self.goals)
