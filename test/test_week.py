@@ -24,10 +24,11 @@ from ambush_planner.planning.concerns import concerns, plan_numbers
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.path_mixtures import PathMixtures
 from ambush_planner.recordings import read_departure, read_departures
+from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
-from ambush_planner.recordings.recording_file import encode, read_recording
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.route_files import Drawn
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from .options import holds_anywhere, start_tolerance
 from .plan import Plan
 from .refinement import LEAST_FALL
 
+_Said = TypeVar('_Said')
 # What a gap over the slack says about the search.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
@@ -35,6 +38,20 @@ MAX_SECURED = 0.5
 MAX_DETOUR = 5.0
 
 
+def _once_a_plan(say: Callable[[Plan], _Said]) -> Callable[[Plan], _Said]:
+    """Keep what is said of a plan as long as the plan: a node reports it with each departure."""
+    known: WeakKeyDictionary[Plan, _Said] = WeakKeyDictionary()
+
+    @wraps(say)
+    def said(plan: Plan) -> _Said:
+        if plan not in known:
+            known[plan] = say(plan)
+        return known[plan]
+
+    return said
+
+
+@_once_a_plan
 def concerns(plan: Plan) -> list[str]:
     """Return what should be known about the value of a plan, one sentence each."""
     found = wide_gap(plan), _secured_area(plan), _long_routes(plan)
@@ -205,4 +222,9 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
 
 def plan_numbers(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of a plan by stable keys, as text; empty ones without a plan."""
-    return {name: number(plan) if plan else '' for name, number in _NUMBERS.items()}
+    return _numbers(plan) if plan else dict.fromkeys(_NUMBERS, '')
+
+
+@_once_a_plan
+def _numbers(plan: Plan) -> dict[str, str]:
+    return {name: number(plan) for name, number in _NUMBERS.items()}

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
+from datetime import datetime
 from itertools import chain
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -15,6 +16,7 @@ import numpy as np
 from ..errors import AmbushPlannerError
 
 Position = tuple[float, float]
+_INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
 
 
 class InvalidEntry(AmbushPlannerError):
@@ -69,11 +71,20 @@ class MapSource:
 
 @dataclass(frozen=True)
 class RecordedSlots:
-    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts."""
+    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts.
+
+    Raises InvalidEntry if they are not.
+    """
 
     times: tuple[str, ...]
     shares: tuple[float, ...]
     window: int
+
+    def __post_init__(self) -> None:
+        if not (len(self.times) == len(self.shares) and min(self.shares, default=-1.0) >= 0.0
+                and math.isclose(sum(self.shares), 1.0) and self.window > 0):
+            raise InvalidEntry('slots: times and their shares do not fit together')
+        _check_dates('slots', '%H:%M', self.times)
 
     @classmethod
     def of(cls, times: Sequence[str], window: int) -> RecordedSlots:
@@ -128,6 +139,10 @@ class RecordedDay:
     slot_drawn: bool
     few_route: int | None
     replaces: str = ''
+
+    def __post_init__(self) -> None:
+        _check_dates('date', '%Y-%m-%d', (self.date,))
+        _check_dates('slot', '%H:%M', filter(None, (self.slot,)))
 
 
 @dataclass(frozen=True)
@@ -209,11 +224,21 @@ class Metadata:
         return asdict(self)
 
 
+def _check_dates(name: str, form: str, texts: Iterable[str]) -> None:
+    """Raise InvalidEntry if one of the texts does not have the form."""
+    for text in texts:
+        try:
+            datetime.strptime(text, form)
+        except ValueError as error:
+            raise InvalidEntry(f'{name} is not of the form {form}') from error
+
+
 def typed(value: Any, wanted: Any, name: str) -> Any:
     """Return a value read from JSON as the type that is ``wanted``.
 
     That may be bool, int, float (no NaN), str, a tuple, list or mapping of these, a dataclass of
-    these, or one of them or None. InvalidEntry names what is missing or has another type.
+    these, or one of them or None. Integers have 64 bits, random sources any number. InvalidEntry
+    names what is missing or has another type.
     """
     kind: Any = get_origin(wanted) or wanted
     inner = get_args(wanted)
@@ -237,5 +262,7 @@ def typed(value: Any, wanted: Any, name: str) -> Any:
     if kind is float and type(value) in (int, float) and not math.isnan(value):
         return float(value)
     if kind in (bool, int, str) and type(value) is kind:
+        if kind is int and not -_INTEGERS <= value < _INTEGERS and name != _SOURCE:
+            raise InvalidEntry(f'{name} is out of range')
         return value
     raise InvalidEntry(f'{name} is not of the type {getattr(kind, "__name__", kind)}')

@@ -20,11 +20,12 @@ from ..arrays import FloatArray
 from ..planning.departure import draw_route
 from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
+from .encoding import encode
 from .metadata import Metadata, RecordedCall, RecordedDay
 from .plain_messages import map_message, path_message, pose_message
 from .plan_file import SavedPlan, attachments_of, recorded_plan, recorded_trip
 from .recording_errors import part
-from .recording_file import encode, read_recording
+from .recording_file import read_recording
 from .versions import software_versions
 
 SUFFIX = '.departures'

@@ -36,14 +36,16 @@ from .attachments import (
     strategy_file,
     strategy_from_file,
 )
+from .encoding import encode
 from .metadata import MapSource, PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
-from .recording_file import RecordingFile, encode, read_recording
+from .recording_file import RecordingFile, read_recording
 from .versions import software_versions
 
 KIND = 'plan'
+_BLOCK = 2**20  # bytes that are hashed at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +75,12 @@ class SavedPlan:
 
 
 def digest_of(path: Path) -> str:
-    """The SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """The SHA-256 of a file, of any size."""
+    digest = hashlib.sha256()
+    with path.open('rb') as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,

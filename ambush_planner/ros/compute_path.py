@@ -81,7 +81,7 @@ class ComputePath:
         if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
             result.error_msg = done.remarks if done else str(error)
         if done:
-            result.path = done.path
+            result.path = done.path.message
             result.planning_time = Duration(nanoseconds=done.took_ns).to_msg()
             handle.succeed()
         else:

@@ -7,9 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from nav_msgs.msg import OccupancyGrid, Path
-from rclpy.serialization import serialize_message
-
 from ..arrays import IndexArray
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
@@ -18,6 +15,7 @@ from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
+from .conversions import SentPath
 from .plan_cache import CachedPlan
 from .topics import LATCHED, LATEST
 from .trip import Trip
@@ -27,7 +25,7 @@ from .trip import Trip
 class Answer:
     """The answer to a request for a path, and how long it took; the ``departure`` if it is one."""
 
-    path: Path
+    path: SentPath
     remarks: str
     took_ns: int
     departure: Departure | None = None

@@ -12,7 +12,6 @@ from uuid import uuid4
 from weakref import ref
 
 import numpy as np
-from nav_msgs.msg import Path
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..arrays import FloatArray, IndexArray
@@ -20,6 +19,7 @@ from ..planning.moved_start import other_rest, whole_route
 from ..planning.trip_under_way import TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall
 from ..routes.driven_path import Ends, tight_turns
+from .conversions import SentPath
 from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
@@ -94,7 +94,8 @@ class Departures:
         departure = Departure(
             id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
             markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
-        track = trip_on(fit.cached.plan, route, rows, fit.trip.destination)
+        track = (trip_on(fit.cached.plan, route, rows, fit.trip.destination)
+                 if fit.trip.moves else None)
         self._set_out(track, departure, path, route, pending)
         return True
 
@@ -126,7 +127,7 @@ class Departures:
         return True
 
     def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],
-                route: Route, rows: FloatArray, ends: Ends) -> tuple[Path, dict[str, Any]]:
+                route: Route, rows: FloatArray, ends: Ends) -> tuple[SentPath, dict[str, Any]]:
         """Return a path, and the fields of its departure that say what is driven, for whom."""
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
@@ -136,11 +137,11 @@ class Departures:
         return path, {
             'call': replace(pending.call, response_ns=leaving), 'trip': trip, 'ends': ends,
             'entropy_source': source, 'route': route,
-            'published': self._publishers.as_recorded('path', path, topic),
+            'published': self._publishers.as_recorded('path', path.data, topic),
             'tight_turns': tight_turns(rows, held.plan.options.drive.turning_radius),
         }
 
-    def _set_out(self, track: TripUnderWay, departure: Departure, path: Path, route: Route,
+    def _set_out(self, track: TripUnderWay, departure: Departure, path: SentPath, route: Route,
                  pending: Pending) -> None:
         """Publish a departure, at once or when it is recorded; it is under way from then on."""
         departure = self._reporter.departing(departure)

@@ -57,7 +57,7 @@ class Recordings:
         self._options, self._reporter, self._logger = options, reporter, logger
         self._full_name = full_name
         self.on_room: Callable[[], None] = lambda: None
-        self._recorder = Recorder(Path(options.directory), options.compression, options.required)
+        self._recorder = Recorder(Path(options.directory), options.compression)
         self._plan_files: WeakKeyDictionary[Plan, dict[str, bytes]] = WeakKeyDictionary()
         self._unwritten: deque[_Queued] = deque()  # the first one is being written
         self._condition = Condition()

@@ -45,7 +45,7 @@ class Requests:
         self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
                     planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
-                    lambda answer: GetPlan.Response(plan=answer.path), planning)
+                    lambda answer: GetPlan.Response(plan=answer.path.message), planning)
         self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(), _replan_response,
                     planning)
         self._serve(Trigger, '~/cancel', self._cancel, _cancel_response,

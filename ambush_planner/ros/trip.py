@@ -10,9 +10,6 @@ from functools import cached_property
 from typing import Any
 
 from geometry_msgs.msg import PoseArray, PoseStamped
-from nav_msgs.msg import Path
-from rclpy.time import Time
-from std_msgs.msg import Header
 
 from ..arrays import FloatArray
 from ..parameters.values import NodeParameters
@@ -20,7 +17,8 @@ from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import REGION
 from ..planning.options import strays
 from ..planning.trip_under_way import Destination, Position
-from .conversions import path_to_ros
+from ..recordings.cdr import poses_along
+from .conversions import SentPath, row_of
 from .current_map import CurrentMap
 
 
@@ -109,13 +107,16 @@ class Trip:
             return self
         return replace(self, start_xy=self.ground.way_out(self.start_xy))
 
-    def path(self, rows: FloatArray, stamp_ns: int) -> Path:
-        """Return the path along ``rows`` (L, 3) = (x, y, yaw) from the start's pose to the goal's.
+    def path(self, rows: FloatArray, stamp_ns: int) -> SentPath:
+        """Return the path along ``rows`` (L, 3) = (x, y, yaw) at a time [ns].
 
-        ``stamp_ns`` is its time [ns].
+        It begins with exactly the start's pose, and ends at the last position with the goal's
+        height and orientation: a blocked goal has been moved there.
         """
-        header = Header(frame_id=self.map.frame, stamp=Time(nanoseconds=stamp_ns).to_msg())
-        return path_to_ros(rows, self.start_pose.pose, self.goal_pose.pose, header)
+        poses, last = poses_along(rows), rows[-1, :2]
+        poses[0] = row_of(self.start_pose.pose)
+        poses[-1] = *last, *row_of(self.goal_pose.pose)[2:]
+        return SentPath(self.map.frame, stamp_ns, poses)
 
 
 def seconds(stamp: Any) -> float:
