@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from ambush_planner.game.trip_search import find_trip
 from games import drawn_routes, examples, is_acyclic, unbalanced
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -16,7 +17,6 @@ from ambush_planner.game.hits import hit_probabilities, worst_loss
 from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.search import Search, SearchProblem
 from ambush_planner.game.solver import solve
-from ambush_planner.game.trip_search import find_trip
 from ambush_planner.game.value.routes import Routes
 
 SLACK = 0.02

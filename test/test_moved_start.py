@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from ambush_planner.planning.joins import least_worst
 from games import drawn_routes, examples, hit_once, least_value, meets, plain_options
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -16,7 +17,6 @@ from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.clear_ground import ClearGround
-from ambush_planner.planning.joins import least_worst
 from ambush_planner.planning.moved_start import (
     REGION,
     joined_plan,

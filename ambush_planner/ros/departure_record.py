@@ -7,9 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..arrays import IndexArray
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
+
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
+from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
@@ -50,7 +53,7 @@ class Departure:
     joined: bool
     ends: Ends
     entropy_source: list[int]
-    route: IndexArray
+    route: Route
     published: RecordedMessage
     markers: tuple[RecordedMessage, ...]
     assessment: Assessment
@@ -58,6 +61,11 @@ class Departure:
     remarks: str = ''
     diversion: Diversion | None = None
     report: RecordedMessage | None = None
+
+
+def numbers_of(route: Route) -> tuple[tuple[int, ...], ...]:
+    """Return the nodes of a route, leg by leg."""
+    return tuple(tuple(nodes.tolist()) for nodes in route)
 
 
 def recorded_messages(departure: Departure,
@@ -89,9 +97,9 @@ def metadata_of(departure: Departure, previous: str, full_name: Callable[[str], 
          **{name: departure.held.task.parameters.values[name] for name in OF_PLAIN_NETWORK}},
         dict(software_versions()), topics,
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
-        departure.joined, departure.assessment.value, tuple(departure.route.tolist()),
-        tuple(departure.entropy_source),
-        replace(departure.call, remarks=departure.remarks), departure.diversion, previous,
+        departure.joined, numbers_of(departure.route), tuple(departure.entropy_source),
+        replace(departure.call, remarks=departure.remarks), departure.assessment.value,
+        departure.diversion, previous,
     )
 
 

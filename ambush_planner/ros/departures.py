@@ -14,13 +14,14 @@ from weakref import ref
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
 from ..planning.moved_start import other_rest, whole_route
+from ..planning.plan import Route
 from ..planning.trip_under_way import TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall
 from ..routes.driven_path import Ends, tight_turns
 from .conversions import SentPath
-from .departure_record import Answer, Departure
+from .departure_record import Answer, Departure, numbers_of
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
 from .gate import Gate
@@ -95,7 +96,7 @@ class Departures:
             id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
             markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
         track = (trip_on(fit.cached.plan, route, rows, fit.trip.destination)
-                 if fit.trip.moves else None)
+                 if fit.trip.robot else None)
         self._set_out(track, departure, path, route, pending)
         return True
 
@@ -118,7 +119,7 @@ class Departures:
         departure = Departure(
             id=under_way.id, number=under_way.number, held=held, joined=False, markers=(),
             assessment=under_way.assessment,
-            diversion=Diversion(number, tuple(under_way.route.tolist()), tuple(ahead.tolist())),
+            diversion=Diversion(number, numbers_of(under_way.route), tuple(ahead.tolist())),
             remarks=f'departure {under_way.number} diverted: its path is no longer clear, and '
                     'another route of its plan is', **driven)
         self._set_out(
@@ -141,29 +142,33 @@ class Departures:
             'tight_turns': tight_turns(rows, held.plan.options.drive.turning_radius),
         }
 
-    def _set_out(self, track: TripUnderWay, departure: Departure, path: SentPath, route: Route,
-                 pending: Pending) -> None:
-        """Publish a departure, at once or when it is recorded; it is under way from then on."""
+    def _set_out(self, track: TripUnderWay | None, departure: Departure, path: SentPath,
+                 route: Route, pending: Pending) -> None:
+        """Publish a departure, at once or when it is recorded; it is under way from then on.
+
+        Only a robot has a ``track``.
+        """
         departure = self._reporter.departing(departure)
         trip, answer = departure.trip, pending.answer
         diversions = departure.diversion.number if departure.diversion else 0
-        under_way = RobotTrip(track, replace(pending.trip_request, parameters=trip.parameters),
-                              departure.id, departure.number, diversions, departure.assessment,
-                              ref(departure.held), route, (self.trips.now(), trip.stamp))
+        under_way = None if track is None else RobotTrip(
+            track, replace(pending.trip_request, parameters=trip.parameters), departure.id,
+            departure.number, diversions, departure.assessment, ref(departure.held), route,
+            (self.trips.now(), trip.stamp))
 
         def leave() -> None:
             with self._gate.leaving:
                 self._gate.check()
-                self._check_clear(trip, track.path)
+                self._check_clear(trip, path.poses)
                 if trip.parameters.values['path.publish']:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
                 self._reporter.departed(departure)
             diverted = ' diverted' if departure.diversion else ''
             self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
-            if trip.robot and trip.parameters.recording.required:  # in the recordings' thread
+            if under_way and trip.parameters.recording.required:  # in the recordings' thread
                 self._thread.submit(lambda: self.trips.add(under_way))
-            elif trip.robot:
+            elif under_way:
                 self.trips.add(under_way)
             took_ns = departure.call.response_ns - departure.call.request_ns
             answer.set_result(Answer(path, departure.remarks, took_ns, departure))

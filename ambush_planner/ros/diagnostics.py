@@ -223,7 +223,7 @@ def _departure_warnings(last: Departure | None) -> list[str]:
     """Return what is worse about the last departure than about its plan."""
     if last is None:
         return []
-    planned, turns, found = last.held.plan.strategy.value, last.tight_turns, []
+    planned, turns, found = last.held.plan.value, last.tight_turns, []
     if last.assessment.value > planned * (1.0 + last.trip.parameters.planning.max_gap):
         found.append(f'the last departure has a value of {last.assessment.value:.4g}, its plan had '
                      f'{planned:.4g} when it was solved (strategy.max_gap)')

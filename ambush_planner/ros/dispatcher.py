@@ -93,7 +93,7 @@ class Dispatcher:
         inputs.start, inputs.goal, inputs.via = request.start, request.goal, request.via
         trip = inputs.locate(request)
         cached = self._plans.adopt(Task(trip), saved.plan)
-        self._logger.info(f'plan read from a file: value {saved.plan.strategy.value:.6g}, '
+        self._logger.info(f'plan read from a file: value {saved.plan.value:.6g}, '
                           f'{len(saved.plan.network.points)} nodes')
         self._thread.submit(lambda: self._displayed.show(cached.as_solved))
 

@@ -50,7 +50,7 @@ class DisplayedPlan:
         if plan is self.plan:
             return
         frame, now = cached.trip.map.frame, self._publishers.clock.now().nanoseconds
-        sent = {name: self._publishers.publish(f'~/{name}', drawn(plan.strategy, frame, now))
+        sent = {name: self._publishers.publish(f'~/{name}', drawn(plan.trip, frame, now))
                 for name, drawn in MARKERS.items()}
         self.markers = tuple(sent[name] for name in MARKER_NAMES)
         self.cached, self.plan = cached, plan
@@ -80,7 +80,7 @@ class DisplayedPlan:
             return
         assessment, stale = cached.ground.assess(newest), ''
         tolerance = self._settings.current.values['replan.tolerance']
-        if assessment.is_stale(cached.plan.strategy.value, tolerance):
+        if assessment.is_stale(cached.plan.value, tolerance):
             stale = 'the map has changed: ' + (
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..network.network import Network
 from ..recordings.cdr import LINE_LIST, SPHERE_LIST, marker_array
 
@@ -36,56 +36,62 @@ _PLAIN_COLOURS = {'stops': (0.0, 0.2, 1.0, 0.9), 'network': (0.5, 0.5, 0.5, 0.4)
 _ONE_COLOUR = np.empty((0, 4), dtype=np.float32)
 
 
-def edge_probabilities(strategy: Strategy, frame: str, stamp_ns: int) -> bytes:
+def edge_probabilities(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a line list of the edges in use, coloured by the square root of their probability.
 
-    The root keeps the many edges in the middle visible compared with the few at the ends.
+    The root keeps the many edges in the middle visible compared with the few at the ends. Of a trip
+    with stops, the uses by all legs.
     """
-    network, p = strategy.network, strategy.shown_probability
-    shown = np.flatnonzero(p >= _MIN_SHOWN)
-    colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
+    network, (edges, uses) = trip.game.network, trip.ground_uses
+    shown = np.flatnonzero(uses >= _MIN_SHOWN)
+    colours = _colours(_CONVOY, np.repeat(np.sqrt(np.minimum(uses[shown], 1.0)), 2))
     return _marker('edge_probabilities', frame, stamp_ns, network, 0.12,
-                   network.points[network.edges[shown].ravel()], colours)
+                   network.points[edges[shown].ravel()], colours)
 
 
-def mean_direction(strategy: Strategy, frame: str, stamp_ns: int) -> bytes:
+def mean_direction(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a line list with an arrow per node: the average direction of convoys from there.
 
-    The length shows how certain the direction is, the colour how often the node is visited.
+    The length shows how certain the direction is, the colour how often the node is visited. Each
+    leg has arrows of its own.
     """
-    network, x = strategy.network, strategy.game.visits(strategy.shown_probability)
-    direction = strategy.mean_direction()
-    shown = np.flatnonzero((x >= _MIN_SHOWN) & (np.hypot(*direction.T) > 1e-6))
-    arrows = _arrows(network.points[shown], 0.8 * _edge_length(network) * direction[shown])
-    return _marker('mean_direction', frame, stamp_ns, network, 0.06, arrows,
-                   _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
+    network, arrows, often = trip.game.network, [], []
+    for leg in trip.legs:
+        x, direction = leg.visit_probability, leg.mean_direction()
+        shown = np.flatnonzero((x >= _MIN_SHOWN) & (np.hypot(*direction.T) > 1e-6))
+        arrows.append(_arrows(network.points[shown],
+                              0.8 * _edge_length(network) * direction[shown]))
+        often.append(x[shown])
+    colours = _colours(_CONVOY, np.repeat(np.sqrt(np.concatenate(often)), 6))
+    return _marker('mean_direction', frame, stamp_ns, network, 0.06, np.concatenate(arrows),
+                   colours)
 
 
-def ambush_sites(strategy: Strategy, frame: str, stamp_ns: int) -> bytes:
+def ambush_sites(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a list of flat discs at the ambush sites, coloured by their probability.
 
     Discs have the ambush radius, if it is not 0. If no ambush causes a loss, the list is empty.
     """
-    network, q = strategy.network, strategy.ambush_at_places
+    network, q = trip.game.network, trip.ambusher.q
     often = float(q.max())
-    shown = np.flatnonzero((q >= _MIN_SHOWN * often) & (strategy.value > 0.0))
-    diameter = 2.0 * strategy.game.reach / _edge_length(network) or 0.6
-    return _marker('ambush_sites', frame, stamp_ns, network, diameter,
-                   network.points[network.representatives[shown]],
+    shown = np.flatnonzero((q >= _MIN_SHOWN * often) & (trip.value > 0.0))
+    diameter = 2.0 * trip.game.reach / _edge_length(network) or 0.6
+    return _marker('ambush_sites', frame, stamp_ns, network, diameter, network.points[shown],
                    _colours(_AMBUSHER, q[shown] / often))
 
 
-def stops(strategy: Strategy, frame: str, stamp_ns: int) -> bytes:
+def stops(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a list of flat discs at the stops."""
-    network = strategy.network
-    return _marker('stops', frame, stamp_ns, network, 1.0, network.points[network.stops])
+    network, begins = trip.game.network, [leg.network.source for leg in trip.legs[1:]]
+    return _marker('stops', frame, stamp_ns, network, 1.0,
+                   network.points[np.array(begins, dtype=np.int64)])
 
 
-def network_lines(strategy: Strategy, frame: str, stamp_ns: int) -> bytes:
+def network_lines(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a grey line list of all edges, with opposite edges drawn once."""
-    network = strategy.network
+    network, (edges, _) = trip.game.network, trip.ground_uses
     return _marker('network', frame, stamp_ns, network, 0.03,
-                   network.points[_pairs(network).ravel()])
+                   network.points[_pairs(edges, len(network.points)).ravel()])
 
 
 # What draws the marker of each topic, by its name below the node's.
@@ -114,14 +120,12 @@ def _edge_length(network: Network) -> float:
     return float(np.median(network.lengths))
 
 
-def _pairs(network: Network) -> IndexArray:
-    """Return the first nodes (K, 2) of connected places, each pair once."""
-    count = network.place_count
-    tails, heads = network.places[network.edges].T
+def _pairs(edges: IndexArray, count: int) -> IndexArray:
+    """Return the connected nodes (K, 2) of edges (M, 2) between ``count``, each pair once."""
+    tails, heads = edges.T
     # One number per pair: np.unique over rows takes 8 times as long.
     keys = np.unique(np.minimum(tails, heads) * count + np.maximum(tails, heads))
-    pairs = np.stack(np.divmod(keys, count), axis=1)
-    return np.asarray(network.representatives[pairs])
+    return np.stack(np.divmod(keys, count), axis=1)
 
 
 def _colours(ramp: FloatArray, shares: FloatArray) -> npt.NDArray[np.float32]:

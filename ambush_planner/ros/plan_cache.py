@@ -133,14 +133,14 @@ class CachedPlan:
             clear = trip.ground.segments(*way)[0]
             return Fit(self, replace(trip, start_xy=self.trip.start_xy)) if clear else None
         joined = joined_plan(self.ground, trip.map, self.ends(trip))
-        most = (1.0 + trip.parameters.planning.max_gap) * self.plan.strategy.value
+        most = (1.0 + trip.parameters.planning.max_gap) * self.plan.value
         good = joined and (at_any_value or joined.assessment.value <= most)
         return Fit(self, trip, joined) if good else None
 
     def _allows(self, trip: Trip) -> bool:
         """Whether one may depart on this plan on a trip's map and with its parameters."""
         return self.ground.assess(trip.map).allows_departure(
-            trip.parameters.planning.max_gap, self.plan.strategy.gap)
+            trip.parameters.planning.max_gap, self.plan.trip.gap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,15 +245,15 @@ class PlanCache:
     def _submit(self, task: Task, known: CachedPlan | None, background: bool,
                 low_priority: bool = False) -> Future[CachedPlan]:
         """Solve, starting from a ``known`` plan for nearly the same."""
-        warm = WarmStart.of(known.plan.strategy) if known else None
+        warm = WarmStart.of(known.plan.trip) if known else None
         return self.queue.submit(task, task.request(warm), partial(self._solved, task),
                                  task.parameters.values['queue.size'], background, low_priority)
 
     def _solved(self, task: Task, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
         cached = self.adopt(task, plan)
-        self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
-                          f'{plan.network.place_count} nodes')
+        self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.value:.6g}, '
+                          f'{len(plan.network.points)} nodes')
         return cached
 
     def _keep(self, cached: CachedPlan) -> None:

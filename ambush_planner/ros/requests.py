@@ -112,8 +112,8 @@ class Requests:
 
 
 def _replan_response(plan: Plan) -> Trigger.Response:
-    return _success(f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
-                    f'{plan.strategy.gap:.3g}, {plan.network.place_count} nodes')
+    return _success(f'solved in {plan.seconds:.3f} s: value {plan.value:.6g}, gap '
+                    f'{plan.trip.gap:.3g}, {len(plan.network.points)} nodes')
 
 
 def _cancel_response(counts: tuple[int, int]) -> Trigger.Response:

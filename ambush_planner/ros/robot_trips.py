@@ -8,10 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from weakref import ref
 
-from ..arrays import IndexArray
 from ..errors import AmbushPlannerError
 from ..maps.ros_messages import pose_from_ros
 from ..planning.changed_ground import Assessment
+from ..planning.plan import Route
 from ..planning.trip_under_way import Sighting, TripUnderWay
 from .inputs import Inputs
 from .plan_cache import CachedPlan
@@ -28,7 +28,7 @@ _RESTART = 1.0
 class RobotTrip:
     """A trip as a robot ``asked`` for it: its departure or the last of its ``diversions``.
 
-    It keeps no map: ``plan`` is that of the plan cache, and gone with it. The ``route`` (K,) is the
+    It keeps no map: ``plan`` is that of the plan cache, and gone with it. The ``route`` is the
     whole one. ``moment`` is when the robot has made progress, by the clock and by TF [s].
     """
 
@@ -39,7 +39,7 @@ class RobotTrip:
     diversions: int
     assessment: Assessment
     plan: ref[CachedPlan]
-    route: IndexArray
+    route: Route
     moment: tuple[float, float]
     _has_path: bool = field(default=False, init=False)
     _progress: float = field(default=0.0, init=False)
