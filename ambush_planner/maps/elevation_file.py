@@ -24,6 +24,7 @@ from ..arrays import FloatArray, arrays_in
 from ..errors import InvalidRiskMap, import_extra, warn
 from .coordinates import InvalidCoordinates, horizontal, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
+from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
 
 HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
@@ -57,6 +58,7 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
     it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
     opened.
     """
+    refuse_other_kinds(path, InvalidTerrain)
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'
     return (_read_npz if is_zip else _read_gdal)(path, name, crs)
