@@ -66,7 +66,8 @@ _TYPES = {f'{group}.{each.name}': next(kind for kind in _KINDS if kind.__name__ 
           if f'{group}.{each.name}' not in SET_BY_PLAN}
 # How options are typed, by their names without the group; and other texts in messages.
 _TYPED = {name.partition('.')[2]: f'--set {name}' for name in _TYPES} | {
-    name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()}
+    name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()} | {
+    'graph': '--roads'}
 _PHRASES = {' (node_crossings)': '', ' (road_column, all_lines_are_roads)': '', ' (two_way)': '',
             ' (all_lines_are_roads)': '', ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)':

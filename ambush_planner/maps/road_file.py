@@ -98,14 +98,11 @@ def read_roads(source: Any, node_crossings: bool = False, road_column: str = '',
 @lru_cache(4)
 def _read(source: str, path: Path, version: tuple[int, int], *options: Any) -> RoadGraph:
     """Read the file again only if it has changed."""
-    if path.suffix.lower() in ('.json', '.geojson'):
+    if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
         try:
-            features = json.loads(path.read_bytes())['features']
-            if any('startid' in (each.get('properties') or {}) for each in features):
-                return _nav2_graph(features)
+            return _nav2_graph(json.loads(path.read_bytes())['features'])
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise InvalidFeatures(
-                f'{path}: not a graph or FeatureCollection in GeoJSON: {error!r}') from error
+            raise InvalidFeatures(f'{path}: not a route graph: {error!r}') from error
     if path.suffix.lower() == '.graphml':
         raise InvalidFeatures(f'{path}: convert GraphML with osmnx.save_graph_geopackage('
                               'osmnx.load_graphml(FILE), directed=True)')

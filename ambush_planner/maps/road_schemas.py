@@ -7,41 +7,20 @@ Values are in small letters; the names of columns count as ``tables.plain`` read
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import NamedTuple
 
 # Kinds of OpenStreetMap that vehicles drive on.
 _CLASSES = ('motorway', 'trunk', 'primary', 'secondary', 'tertiary')
 _SMALL = ('unclassified', 'residential', 'living_street', 'service', 'track')
 _HIGHWAYS = frozenset((*_CLASSES, *(f'{each}_link' for each in _CLASSES), *_SMALL, 'road'))
-
-
-class Schema(NamedTuple):
-    """The columns of a kind of data, with the values of each that roads have.
-
-    ``two_way``: it has no directions.
-    """
-
-    name: str
-    roads: Mapping[str, frozenset[str]]
-    two_way: bool = False
-
-
-# Of lines that the caller says are all roads.
-ALL_ROADS = Schema('', {}, two_way=True)
-OPENSTREETMAP = Schema('OpenStreetMap', {'highway': _HIGHWAYS})
-OVERTURE = Schema('Overture', {'subtype': frozenset({'road'}), 'class': _HIGHWAYS})
-SCHEMAS = (
-    OPENSTREETMAP,
-    Schema('Geofabrik', {'fclass': _HIGHWAYS | {f'track_grade{k}' for k in range(1, 6)}}),
-    OVERTURE,
-    # Primary, secondary, local, four-wheel drive; ramp, service drive, alley, car park.
-    Schema('TIGER', {'mtfcc': frozenset('s1100 s1200 s1400 s1500 s1630 s1640 s1730 s1780'.split())},
-           two_way=True),
-    Schema('Natural Earth', {'featurecla': frozenset({'road'}), 'type': frozenset({
-        'major highway', 'secondary highway', 'beltway', 'bypass', 'road', 'track', 'unknown'})},
-        two_way=True),
-)
+# The columns of each kind of data, with the values of each that roads have.
+OPENSTREETMAP = {'highway': _HIGHWAYS}
+GEOFABRIK = {'fclass': _HIGHWAYS | {f'track_grade{k}' for k in range(1, 6)}}
+OVERTURE = {'subtype': frozenset({'road'}), 'class': _HIGHWAYS}
+# Primary, secondary, local, four-wheel drive; ramp, service drive, alley, car park.
+TIGER = {'mtfcc': frozenset('s1100 s1200 s1400 s1500 s1630 s1640 s1730 s1780'.split())}
+NATURAL_EARTH = {'featurecla': frozenset({'road'}), 'type': frozenset({
+    'major highway', 'secondary highway', 'beltway', 'bypass', 'road', 'track', 'unknown'})}
+SCHEMAS = (OPENSTREETMAP, GEOFABRIK, OVERTURE, TIGER, NATURAL_EARTH)
 # Values of ``type`` in maps of lanelet2, whose lines are borders of lanes.
 LANE_BORDERS = frozenset({'line_thin', 'line_thick', 'curbstone', 'road_border', 'virtual'})
 
@@ -67,7 +46,7 @@ UNITS = {'km/h': 1 / 3.6, 'kmh': 1 / 3.6, 'kph': 1 / 3.6, 'mph': 0.44704, 'm/s':
 # Levels of the first and the last vertex in navigation data.
 FIRST_LEVEL, LAST_LEVEL = ('f_zlev', 'f_elev', 'from_zlev'), ('t_zlev', 't_elev', 'to_zlev')
 KEYS = tuple(dict.fromkeys((
-    *(key for each in SCHEMAS for key in each.roads), *OTHER_WAYS, *UNFINISHED, *UNUSABLE, *ACCESS,
+    *(key for each in SCHEMAS for key in each), *OTHER_WAYS, *UNFINISHED, *UNUSABLE, *ACCESS,
     *DIRECTIONS, RESTRICTIONS, *SPEEDS, *FIRST_LEVEL, *LAST_LEVEL, 'junction', 'bridge', 'tunnel',
     'layer')))
 
@@ -78,7 +57,7 @@ DIRECTION_NAMES = re.compile(
     r'backward|circul|направл|односторон|方向|单行|一方通行')
 DIRECTION_VALUES = re.compile(
     r'.*(one.?way|two.?way|(bi|uni)-?direc|forward|backward|digiti[sz]|einbahn|double sens|'
-    r'opposite|sens (direct|inverse|unique)|senso unico|sentido|both direc|heading).*|both|ft|tf')
+    r'opposite|sens (direct|inverse|unique)|senso unico|sentido|both direc|heading).*|ft|tf')
 # Codes that say directions if a column has those on the left, and no others than on the right.
 DIRECTION_CODES = (('bf', 'bftn'), ('bt', 'bfthn'), ('+-', '+-='))
 SPEED_NAMES = re.compile(r'maxsp\w*|speed\w*|spd\w*')

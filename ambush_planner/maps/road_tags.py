@@ -18,22 +18,20 @@ import numpy as np
 
 from ..errors import warn
 from . import road_schemas as known
-from .road_schemas import Schema
 from .tables import InvalidFeatures, column_among, plain
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
-    from pandas import DataFrame, Series
+    from pandas import DataFrame
 
 _NOT = ('', 'no', 'false', 'f', '0', 'minor', 'widening')
 _MISSING = ('none', 'nan', '<na>', 'nat')
+_WHOLE = re.compile(r'[-+]?\d+')
 # A pair of hstore, and a text of pairs; the longest text of a shapefile [bytes], less a character.
 _PAIR = r'"((?:[^"\\]|\\.)*)"\s*=>\s*(?:"((?:[^"\\]|\\.)*)"|NULL)'
-_HSTORE = re.compile(rf'({_PAIR}(\s*,\s*{_PAIR})*)?')
+_HSTORE = re.compile(rf'{_PAIR}(\s*,\s*{_PAIR})*')
 _CUT = 251
-_WHOLE = re.compile(r'[-+]?\d+')
-_FLAGS = ('use --road-column COLUMN=VALUE,... or --all-lines-are-roads (road_column, '
-          'all_lines_are_roads)')
+_Schema = Mapping[str, frozenset[str]]
 
 
 class Road(NamedTuple):
@@ -66,69 +64,71 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
         texts = _texts(lines, path.lower().endswith('.shp'))
         columns = {key: name for key in known.KEYS if (name := _column(texts, key))}
         schema = _schema(texts, columns, road_column, all_lines_are_roads)
+        others = texts.drop(columns=columns.values())
+        problems = [] if schema is not None else [
+            f'{len(lines)} lines, and no column says which are roads: '
+            f'{_kinds(texts)}; use --road-column COLUMN=VALUE,... or --all-lines-are-roads '
+            '(road_column, all_lines_are_roads)']
+        directed = (two_way or schema is known.OVERTURE
+                    or not columns.keys().isdisjoint(known.DIRECTIONS))
+        names = [name for name in others if _says_directions(others, name, schema)]
+        if names and not directed:
+            problems.append(
+                f'a column that is not known may say directions: {_kinds(others[names])}; name it '
+                'oneway, with yes, no and -1, or use --two-way (two_way)')
+        if schema is None or problems:
+            raise InvalidFeatures('; '.join(problems))
+        _warn_of_columns(path, others, columns, schema, directed)
+        columns = {**columns, **{key: key for key in schema if key in texts}}
+        tags = texts[[*dict.fromkeys(columns.values())]].apply(lambda each: each.str.lower())
+        tags[''] = ''  # if there is no column
+        # Thousands of lines share a few combinations.
+        judged = [_judged(defaultdict(str, {key: each[name] for key, name in columns.items()}),
+                          schema) for each in tags.drop_duplicates().to_dict('records')]
+        roads = [judged[k] for k in tags.groupby([*tags], sort=False).ngroup()]
+        _warn_of_others(path, roads)
     except InvalidFeatures as error:
         raise InvalidFeatures(f'{path}: {error}') from error
-    columns |= {name: name for name in schema.roads if name in texts} if schema else {}
-    directed = two_way or not columns.keys().isdisjoint((*known.DIRECTIONS, known.RESTRICTIONS))
-    problems = [] if schema else [
-        f'{len(lines)} lines, and no column says which are roads: {_kinds(texts)}; {_FLAGS}']
-    problems += [] if directed else _unknown_directions(texts.drop(columns=columns.values()))
-    if problems or not schema:
-        raise InvalidFeatures(f'{path}: {"; ".join(problems)}')
-    _warn_of_columns(path, texts, columns)
-    if schema.two_way and not directed:
-        warn(f'{path}: no column says directions, so that all its roads are two-way')
-    tags = texts[[*dict.fromkeys(columns.values())]].apply(lambda each: each.str.lower())
-    tags[''] = ''  # if there is no column
-    # Thousands of lines share a few combinations.
-    judged = [_judged(path, defaultdict(str, {key: each[name] for key, name in columns.items()}),
-                      schema) for each in tags.drop_duplicates().to_dict('records')]
-    roads = [judged[k] for k in tags.groupby([*tags], sort=False).ngroup()]
-    _warn_of_others(path, roads)
     keep = np.array([not road.problem for road in roads])
     return lines[keep], [road for road in roads if not road.problem]
 
 
 def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
     """The columns that say something as texts, '' if missing, and tags in one column as columns."""
-    from pandas import DataFrame, factorize
-
-    texts = {}
-    for name in lines.columns.drop(lines.geometry.name):
-        values = lines[name]
-        if values.dtype == object:
-            values = values.map(lambda each: json.dumps(each, default=list) if isinstance(
-                each, list | dict | np.ndarray) else each)
-        codes, kinds = factorize(values)
-        words = [str(kind).strip().removesuffix('.0') for kind in kinds]
-        words = ['' if word.lower() in _MISSING else word for word in words]
-        if any(words) and plain(name) not in known.NUMBER_NAMES:
-            texts[str(name)] = np.array([*words, ''], dtype=object)[codes]
+    texts = lines.drop(columns=lines.geometry.name).map(_text).reset_index(drop=True)
+    texts.columns = texts.columns.astype(str)
+    texts = texts[[name for name in texts if plain(name) not in known.NUMBER_NAMES
+                   and (texts[name] != '').any()]].copy()
     for name in [*texts]:
-        given = set(texts[name])
+        words = texts[name].unique()
         if any('"highway"' in word or plain(name).endswith('tags') and word[:1] in ('{', '"')
-               for word in given):
-            pairs = {word: _pairs(name, word, of_shapefile) for word in given}
-            for key in {*known.KEYS}.intersection(*[set().union(*pairs.values())]):
-                own = texts.get(key, [''] * len(lines))
-                texts[key] = np.array([one or str(pairs[word].get(key) or '') for one, word in
-                                       zip(own, texts[name], strict=True)], dtype=object)
-            del texts[name]
-    return DataFrame(texts, index=range(len(lines)), dtype=object)
+               for word in words):
+            pairs = texts.pop(name).map({each: _pairs(name, each, of_shapefile) for each in words})
+            for key in {*known.KEYS}.intersection(*[set().union(*pairs)]):
+                found = pairs.map(lambda each, key=key: str(each.get(key) or ''))
+                texts[key] = texts[key].where(texts[key] != '', found) if key in texts else found
+    return texts
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list | dict | np.ndarray):
+        return json.dumps(value, default=list)
+    text = str(value).strip().removesuffix('.0')
+    return '' if text.lower() in _MISSING else text
 
 
 def _pairs(name: str, text: str, of_shapefile: bool) -> dict[str, Any]:
     """The tags in a text, of JSON or hstore."""
-    whole = not (of_shapefile and len(text.encode()) >= _CUT)
     try:
-        if whole and text.startswith('{') and isinstance(found := json.loads(text), dict):
-            return found
+        found = json.loads(text) if text.startswith('{') else None
     except ValueError:
-        whole = False
-    if whole and _HSTORE.fullmatch(text):
-        return dict(re.findall(_PAIR, text))
-    raise InvalidFeatures(f'its column {name!r} is cut, or neither JSON nor hstore: '
-                          f'{text[:60]!r}; export it as GeoPackage')
+        found = None
+    if _HSTORE.fullmatch(text) or not text:
+        found = dict(re.findall(_PAIR, text))
+    if found is None or of_shapefile and len(text.encode()) >= _CUT:
+        raise InvalidFeatures(f'its column {name!r} is cut, or neither JSON nor hstore: '
+                              f'{text[:60]!r}; export it as GeoPackage')
+    return dict(found)
 
 
 def _column(texts: DataFrame, key: str) -> Any:
@@ -138,30 +138,29 @@ def _column(texts: DataFrame, key: str) -> Any:
 
 
 def _schema(texts: DataFrame, columns: Mapping[str, str], road_column: str,
-            all_lines_are_roads: bool) -> Schema | None:
+            all_lines_are_roads: bool) -> _Schema | None:
     """The schema that the caller names, or that the columns have."""
-    found = next((each for each in known.SCHEMAS if columns.keys() >= each.roads.keys()), None)
     if road_column:
         name, _, values = road_column.partition('=')
         column = column_among(texts, name.strip())
         roads = frozenset(each.strip().lower() for each in values.split(','))
-        if column is None or not roads <= set(texts[column].str.lower()):
+        if column is None or not roads <= {*texts[column].str.lower()}:
             raise InvalidFeatures(f'road_column must be COLUMN=VALUE,... of {_kinds(texts)}; got '
                                   f'{road_column!r}')
-        return Schema('', {column: roads}, two_way=True)
+        return {column: roads}
+    found = next((each for each in known.SCHEMAS if columns.keys() >= each.keys()), None)
     if found and all_lines_are_roads:
-        raise InvalidFeatures(f'{", ".join(found.roads)} says which lines are roads; leave out '
+        raise InvalidFeatures(f'{", ".join(found)} says which lines are roads; leave out '
                               '--all-lines-are-roads (all_lines_are_roads)')
-    if found:
-        return found
-    if 'type' in columns and not known.LANE_BORDERS.isdisjoint(texts[columns['type']]):
+    if not found and 'type' in columns and not known.LANE_BORDERS.isdisjoint(
+            texts[columns['type']]):
         raise InvalidFeatures('its lines are borders of lanes (lanelet2), not roads; use roads of '
                               'OpenStreetMap, or draw centre lines')
-    return known.ALL_ROADS if all_lines_are_roads or texts.empty else None
+    return found or ({} if all_lines_are_roads or texts.empty else None)
 
 
 def _kinds(texts: DataFrame) -> str:
-    """The columns that may say kinds, with their most frequent values."""
+    """Columns that may say kinds, with their most frequent values."""
     names = sorted(texts, key=lambda name: (not known.KIND_NAMES.search(plain(name)),
                                             texts[name].nunique()))
     return ', '.join(f'{name} has ' + ', '.join(
@@ -169,28 +168,29 @@ def _kinds(texts: DataFrame) -> str:
         Counter(texts[name]).most_common(4)) for name in names[:3])
 
 
-def _unknown_directions(texts: DataFrame) -> list[str]:
-    """A sentence if columns may say directions."""
-    found = [name for name in texts if ':' not in name and (
-        known.DIRECTION_NAMES.search(plain(name)) or _says_directions(texts[name]))]
-    return [f'directions may be in {_kinds(texts[found])}, which is not known; name it oneway, '
-            'with yes, no and -1, or use --two-way (two_way)'] if found else []
+def _says_directions(texts: DataFrame, name: str, schema: _Schema | None) -> bool:
+    """Whether a column may say directions, by its name or, but for OpenStreetMap, its values."""
+    words = {*texts[name].str.lower()} - {''}
+    return ':' not in name and bool(
+        known.DIRECTION_NAMES.search(plain(name)) or schema is not known.OPENSTREETMAP and (
+            any(map(known.DIRECTION_VALUES.fullmatch, words))
+            or any(words.issuperset(some) and words <= {*every}
+                   for some, every in known.DIRECTION_CODES)))
 
 
-def _says_directions(texts: Series) -> bool:
-    words = {*texts.str.lower()} - {''}
-    return any(map(known.DIRECTION_VALUES.fullmatch, words)) or any(
-        words.issuperset(some) and words <= {*every} for some, every in known.DIRECTION_CODES)
-
-
-def _warn_of_columns(path: str, texts: DataFrame, columns: Mapping[str, str]) -> None:
+def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], schema: _Schema,
+                     directed: bool) -> None:
     for key, name in columns.items():
         if len(plain(name)) < len(plain(key)) or (
                 key in (*known.DIRECTIONS, *known.SPEEDS) and name.lower() != key):
             warn(f'{path}: its attribute {name!r} is read as {key}')
-    for name in texts.columns.difference(columns.values()):
+    for name in others:
         if known.SPEED_NAMES.fullmatch(plain(name)):
             warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
+    if not schema and others.empty:
+        warn(f'{path}: its lines have no attributes, so that all are read as roads')
+    if not directed and schema not in (known.OPENSTREETMAP, known.GEOFABRIK):
+        warn(f'{path}: no column says directions, so that all roads are two-way')
 
 
 def _warn_of_others(path: str, roads: list[Road]) -> None:
@@ -199,22 +199,22 @@ def _warn_of_others(path: str, roads: list[Road]) -> None:
     if not reasons:
         return
     why = ', '.join(f'{what} {count}' for what, count in reasons.most_common(8))
-    text = (f'{path}: {sum(reasons.values())} of {len(roads)} lines are no roads for vehicles: '
-            f'{why}{", ..." if len(reasons) > 8 else ""}')
+    text = (f'{sum(reasons.values())} of {len(roads)} lines are no roads for vehicles: {why}'
+            f'{", ..." if len(reasons) > 8 else ""}')
     if 'oneway' in why:
         text += f'; known values of oneway are {", ".join(known.ONE_WAY)}'
     if sum(reasons.values()) == len(roads):
         raise InvalidFeatures(text)
-    warn(f'{text}; they are left out')
+    warn(f'{path}: {text}; they are left out')
 
 
-def _judged(path: str, tags: Mapping[str, str], schema: Schema) -> Road:
+def _judged(tags: Mapping[str, str], schema: _Schema) -> Road:
     """What the tags of a line say."""
-    if of_osm := 'highway' in schema.roads:
+    if of_osm := 'highway' in schema:
         for key in known.OTHER_WAYS:
             if not tags['highway'] and tags[key] not in _NOT:
                 return Road(f'{key}={tags[key]}')
-    for key, roads in schema.roads.items():
+    for key, roads in schema.items():
         if roads.isdisjoint(_parts(tags[key])):
             return Road(tags[key] or f'without {key}')
     for key in known.UNFINISHED:
@@ -229,11 +229,11 @@ def _judged(path: str, tags: Mapping[str, str], schema: Schema) -> Road:
     given = next((tags[key] for key in known.DIRECTIONS if tags[key]), '')
     if given and given not in known.ONE_WAY:
         return Road(f'oneway={given}')
-    implied = (not tags['fclass'] and 'motorway' in (tags['highway'] + tags['fclass'])
+    implied = (tags['highway'] in ('motorway', 'motorway_link')
                or tags['junction'] in ('roundabout', 'circular'))
     way = known.ONE_WAY[given] if given else int(implied)
     if schema is known.OVERTURE and tags[known.RESTRICTIONS]:
-        ways = _allowed_ways(path, tags[known.RESTRICTIONS])
+        ways = _allowed_ways(tags[known.RESTRICTIONS])
         if not ways:
             return Road('access_restrictions')
         way = sum(ways)
@@ -242,7 +242,7 @@ def _judged(path: str, tags: Mapping[str, str], schema: Schema) -> Road:
     first, last = (next((float(tags[key]) for key in keys if _WHOLE.fullmatch(tags[key])), math.nan)
                    for keys in (known.FIRST_LEVEL, known.LAST_LEVEL))
     inner = level if math.isnan(first + last) else first if first == last else math.nan
-    return Road('', way, level, (first, inner, last), _speed(path, tags))
+    return Road('', way, level, (first, inner, last), _speed(tags))
 
 
 def _parts(text: str) -> list[str]:
@@ -250,12 +250,12 @@ def _parts(text: str) -> list[str]:
     return [each.strip(' \'"') for each in re.split(r'[;|,]', text.strip('[]'))]
 
 
-def _allowed_ways(path: str, text: str) -> set[int]:
+def _allowed_ways(text: str) -> set[int]:
     """The directions, 1 and -1, in which rules of Overture allow motor vehicles."""
     try:
         rules = [(rule['access_type'], rule.get('when') or {}) for rule in json.loads(text)]
     except (ValueError, TypeError, KeyError) as error:
-        raise InvalidFeatures(f'{path}: {known.RESTRICTIONS} must be a list of rules in JSON, got '
+        raise InvalidFeatures(f'{known.RESTRICTIONS} must be a list of rules in JSON, got '
                               f'{text[:60]!r}') from error
     ways = {1, -1}
     for kind, when in rules:
@@ -268,11 +268,11 @@ def _allowed_ways(path: str, text: str) -> set[int]:
     return ways
 
 
-def _speed(path: str, tags: Mapping[str, str]) -> float:
+def _speed(tags: Mapping[str, str]) -> float:
     for key, factor in known.SPEEDS.items():
         if tags[key]:
             found = re.fullmatch(r'([\d.]+(?:e[-+]?\d+)?)\s*(\D*)', tags[key])
             if not found or found[2] not in ('', *known.UNITS):
-                raise InvalidFeatures(f'{path}: {key} must be numbers, got {tags[key]!r}')
+                raise InvalidFeatures(f'{key} must be numbers, got {tags[key]!r}')
             return float(found[1]) * known.UNITS.get(found[2], factor)
     return math.nan

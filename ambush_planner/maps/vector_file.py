@@ -20,7 +20,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import WGS84, Coordinates, InvalidCoordinates, in_metres
+from .coordinates import WGS84, Coordinates, InvalidCoordinates, horizontal, in_metres
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap, to_map_axes
 from .tables import InvalidFeatures, column_among, numbers_of, read_table
@@ -115,8 +115,7 @@ def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
             geometry in ('Unknown', 'GeometryCollection') or any(
                 kind in geometry for kind in kinds))]
         if not fit or not layers[fit[0]]:
-            has = ', '.join(f'{each} ({geometry or "a table"})'
-                            for each, geometry in layers.items())
+            has = ', '.join(f'{each} ({layers[each] or "a table"})' for each in fit or layers)
             raise InvalidFeatures(f'{path}: no layer with {" or ".join(kinds)} in it, but {has}')
         if (driver := pyogrio.read_info(path, layer=fit[0])['driver']) not in _DRIVERS:
             raise InvalidFeatures(f'{path}: files of the kind {driver} are not read; convert it to '
@@ -245,12 +244,12 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
 
 
 def misplaced(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
-    """Say how positions (K, 2) in a system (None: unknown) are meant if none lies on the map."""
+    """Say how positions (K, 2) in a system (none: unknown) are meant if none lies on the map."""
     swapped = points[:, ::-1]
-    order = 'latitude and longitude' if crs is not None and crs.is_geographic else 'x and y'
+    order = 'latitude and longitude' if crs and horizontal(crs).is_geographic else 'x and y'
     meant: list[tuple[FloatArray, Any, str]] = [(points, crs, ''),
                                                 (swapped, crs, f'{order} are swapped')]
-    if crs is None:
+    if not crs:
         meant += [(each, WGS84, 'they are degrees; name the coordinate system, or in a table the '
                    'columns lat and lon') for each in (points, swapped)]
     for each, system, text in meant:
