@@ -43,7 +43,8 @@ def roads(name='roads.gpkg', frame=None, text=None, **options):
         if isinstance(text, str | bytes):
             (folder / name).write_bytes(text.encode() if isinstance(text, str) else text)
         elif frame is not None:
-            with warnings.catch_warnings(action='ignore'):  # of what a shapefile cuts
+            with warnings.catch_warnings():
+                warnings.simplefilter('ignore')  # of what a shapefile cuts
                 frame.to_file(folder / name)
         given, said = heard(read_roads, str(folder / name), **options)
         roads_on_map(given, GROUND)

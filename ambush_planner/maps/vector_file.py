@@ -111,15 +111,16 @@ def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
         layers = dict(pyogrio.list_layers(path).tolist())
         if layer not in ('', *layers):
             raise InvalidFeatures(f'{path}: no layer {layer!r}; there is {", ".join(layers)}')
+        driver = pyogrio.read_info(path, layer=next(iter(layers), None))['driver']
+        if driver not in _DRIVERS:
+            raise InvalidFeatures(f'{path}: files of the kind {driver} are not read; convert it to '
+                                  'GeoPackage')
         fit = [layer] if layer else [each for each, geometry in layers.items() if geometry and (
             geometry in ('Unknown', 'GeometryCollection') or any(
                 kind in geometry for kind in kinds))]
         if not fit or not layers[fit[0]]:
             has = ', '.join(f'{each} ({layers[each] or "a table"})' for each in fit or layers)
             raise InvalidFeatures(f'{path}: no layer with {" or ".join(kinds)} in it, but {has}')
-        if (driver := pyogrio.read_info(path, layer=fit[0])['driver']) not in _DRIVERS:
-            raise InvalidFeatures(f'{path}: files of the kind {driver} are not read; convert it to '
-                                  'GeoPackage')
         if len(fit) > 1 and driver in ('OSM', 'GPX'):
             fit = [each for each in fit if each in _USUAL][:1]
         if len(fit) > 1:
