@@ -297,8 +297,8 @@ def test_files_of_other_drivers_and_damaged_ones_are_refused(tmp_path):
     data = (tmp_path / 'b.gpkg').read_bytes()
     (tmp_path / 'c.gpkg').write_bytes(data[:3000])
     (tmp_path / 'd.graphml').write_text('<graphml>')
-    for name, words in (('a.geojson', 'the kind OGR_VRT are not read'), ('c.gpkg', 'damaged, or end early'),
-                        ('d.graphml', r'save_graph_geopackage\(')):
+    for name, words in (('a.geojson', 'give the file that it names'),
+                        ('c.gpkg', 'damaged, or end early'), ('d.graphml', r'save_graph_geopackage\(')):
         with pytest.raises(InvalidOption, match=words) as refused:
             read_roads(tmp_path / name)
         assert '\n' not in str(refused.value)

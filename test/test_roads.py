@@ -53,8 +53,9 @@ def town():
                         .reshape(-1, 2).tolist() + [each[-1].tolist()]) for each in streets]
     lines.append(LineString([place[0, 0], (560.0, 610.0), place[11, 11]]))
     speeds = [30.0] * 24 + [90.0]
-    return geopandas.GeoDataFrame({'oneway': [*one_way, None], 'speed_kph': speeds},
-                                  geometry=lines, crs=CRS)
+    return geopandas.GeoDataFrame({
+        'highway': 'tertiary', 'oneway': [*one_way, None], 'speed_kph': speeds}, geometry=lines,
+        crs=CRS)
 
 
 @pytest.fixture(scope='module')
@@ -197,8 +198,8 @@ def test_a_graph_of_nav2_route(tmp_path):
 
 
 def lines(*coordinates, crs=CRS, **attributes):
-    return geopandas.GeoDataFrame(attributes or None, geometry=list(map(LineString, coordinates)),
-                                  crs=crs)
+    return geopandas.GeoDataFrame({'highway': ['road'] * len(coordinates), **attributes},
+                                  geometry=list(map(LineString, coordinates)), crs=crs)
 
 
 STREET = [(10.0, 10.0), (90.0, 10.0)]

@@ -50,7 +50,7 @@ def read_table(path: Path) -> DataFrame:
         raise InvalidFeatures(f'{path}: it is not in UTF-8; save it as CSV in UTF-8') from error
     except csv.Error as error:
         raise InvalidFeatures(f'{path}: not a CSV file: {error}') from error
-    (_, header), *rows = [row for row in rows if any(row[1])] or [(0, [])]
+    (_, header), *rows = [each for each in rows if each[1] not in ([], [''])] or [(0, [])]
     while header and not header[-1]:
         header.pop()
     for separator, name in _SEPARATORS.items():
