@@ -214,7 +214,7 @@ def test_times_are_read(tmp_path):
     ('a.gpx', None, 'No such file'), ('a.geojson', None, 'no such file'),
     ('a.csv', '', 'an empty file'), ('a.csv', 'x,y\n', 'there is no track in it'),
     ('a.csv', 'x,z\n1,2\n', 'the columns x and y .* there are x, z'),
-    ('a.csv', 'x,y\n1,\n2,b\n', 'there is no track in it'),
+    ('a.csv', 'x,y\n1,\n2,b\n', "no row has numbers of a position, .* y has ''"),
     ('a.csv', 'lat,lon\n1,2\n', 'coordinate system of the map is unknown'),
 ])
 def test_unusable_files_are_refused(name, text, reason, tmp_path):

@@ -215,6 +215,7 @@ TABLES = {
     'a date in 3025': incidents(dated('2025-03-31', '3025-03-31')),
     '`until: 1/4/2026`': incidents(dated('2025-03-31'), until='1/4/2026'),
     'dates of ISO 8601 in basic form': incidents(dated('20250301', '20250331', '20250302')),
+    'degrees and minutes in `lat`': tracks('lat,lon\n48 50.5,14 23.1\n'),
     'a row with one field less': incidents(dated('2025-03-31') + '455100,5410100\n'),
     'a comma at the end of each row, and of none in the header': incidents(
         dated('2025-03-31,', '2025-03-30,')),

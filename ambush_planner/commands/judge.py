@@ -20,6 +20,7 @@ from ..map_figures import as_png
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
+from ..maps.tables import InvalidFeatures
 from ..maps.track_file import Track, read_tracks
 from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.habits import NEAR, Habits, find_trips, judge
@@ -106,7 +107,9 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
     files = sorted(each for each in path.rglob('*') if each.suffix.lower() in ('.gpx', '.csv'))
     for file in files:
         yield from read_tracks(str(file), risk_map)
-    if files and not any(path.rglob('*.mcap')):
+    if path.is_dir() and not any(path.rglob('*.mcap')):
+        if not files:
+            raise InvalidFeatures(f'{path}: no .gpx, .csv or .mcap file in this folder')
         return
     departures, unreadable, _ = readers.read_all(path, console)
     if unreadable:

@@ -52,7 +52,7 @@ def weighted_incidents(features: GeoDataFrame,
         raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
     days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
     return (places[counts], (weights * 0.5 ** (days / half_life))[counts],
-            f'{counts.sum()} incidents, {span_of(dates[counts])}')
+            f'{counts.sum()} of {len(dates)} incidents count, {span_of(dates[counts])}')
 
 
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,

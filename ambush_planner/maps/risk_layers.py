@@ -148,7 +148,8 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
             add(path.name, features, values)
         except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
-            raise InvalidLayers(f'layer {number} ({kind}): {error}') from error
+            where = '' if path.name in str(error) else f'{path.name}: '
+            raise InvalidLayers(f'layer {number} ({kind}): {where}{error}') from error
     assert joined is not None  # there is a line
     return joined.result()
 

@@ -99,6 +99,9 @@ def read_roads(source: Any, node_crossings: bool = False, road_column: str = '',
 def _read(source: str, path: Path, version: tuple[int, int], *options: Any) -> RoadGraph:
     """Read the file again only if it has changed."""
     if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
+        if any(options):
+            raise InvalidFeatures(f'{path}: a route graph says itself where it leads; leave out '
+                                  f'{", ".join(ROAD_OPTIONS)}')
         try:
             return _nav2_graph(json.loads(path.read_bytes())['features'])
         except (ValueError, KeyError, TypeError, IndexError) as error:

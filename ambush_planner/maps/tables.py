@@ -44,6 +44,11 @@ def read_table(path: Path) -> DataFrame:
 
     try:
         text = path.read_bytes().decode('utf-8-sig')
+        names = text.partition('\n')[0]
+        for separator, name in _SEPARATORS.items():
+            if separator in names and ',' not in names:
+                raise InvalidFeatures(f'{path}: its fields are separated by {name}; save it with '
+                                      'commas between fields and points in decimal numbers')
         reader = csv.reader(io.StringIO(text, newline=''), skipinitialspace=True, strict=True)
         rows = [(reader.line_num, [each.strip() for each in row]) for row in reader]
     except UnicodeDecodeError as error:
@@ -53,10 +58,6 @@ def read_table(path: Path) -> DataFrame:
     (_, header), *rows = [each for each in rows if each[1] not in ([], [''])] or [(0, [])]
     while header and not header[-1]:
         header.pop()
-    for separator, name in _SEPARATORS.items():
-        if len(header) <= 1 and separator in ''.join(header):
-            raise InvalidFeatures(f'{path}: its fields are separated by {name}; save it with '
-                                  'commas between fields and points in decimal numbers')
     for line, row in rows:
         while len(row) > len(header) and not row[-1]:
             row.pop()
@@ -104,7 +105,7 @@ def dates_of(values: Series, name: str) -> Series:
     """
     from pandas import Timestamp, to_datetime
 
-    texts = values.astype(str).str.strip().where(values.notna(), '')
+    texts = values.astype(str).str.strip().str.removesuffix('.0').where(values.notna(), '')
     given = texts != ''
     known = texts.where(texts.map(_ISO_8601.fullmatch).notna())
     dates = to_datetime(known.str.replace(',', '.'), utc=True, format='ISO8601', errors='coerce')

@@ -169,7 +169,8 @@ def _gpx(path: Path) -> GeoDataFrame:
         warn(f'{damage}; it is read up to there, {len(rows)} positions')
     rows = rows if rows['time'].notna().any() else rows.drop(columns='time')
     degrees = [to_numeric(rows[name], errors='coerce') for name in ('lon', 'lat')]
-    return with_positions(rows, np.stack(degrees, axis=1), in_degrees=True)
+    return with_positions(rows.drop(columns=['lat', 'lon']), np.stack(degrees, axis=1),
+                          in_degrees=True)
 
 
 def _of_lines(source: str) -> tuple[FloatArray, Any, Any, Any]:

@@ -157,7 +157,7 @@ def _gdal(path: Path) -> Iterator[None]:
 
 def _check_parts(path: Path) -> None:
     """Raise InvalidFeatures if parts of a shapefile are missing or disagree."""
-    parts = {each.suffix.lower(): each for each in path.parent.glob(f'{path.stem}.*')}
+    parts = {each.suffix.lower(): each for each in path.parent.iterdir() if each.stem == path.stem}
     if missing := {'.dbf', '.shx'}.difference(parts):
         raise InvalidFeatures(f'{path}: {", ".join(sorted(missing))} is missing; copy all files of '
                               f'the shapefile: {path.stem}.shp, .shx, .dbf and .prj')
@@ -197,7 +197,10 @@ def read_positions(path: Path) -> GeoDataFrame:
             columns = [column_among(rows, *names) for names in reversed(pair)]
             if None not in columns:
                 xy = np.stack([numbers_of(rows[name], name) for name in columns], axis=1)
-                return with_positions(rows, xy, in_degrees)
+                if len(xy) and not np.isfinite(xy).all(axis=1).any():
+                    raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
+                                          f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
+                return with_positions(rows.drop(columns=columns), xy, in_degrees)
     except InvalidFeatures as error:
         raise InvalidFeatures(f'{path}: {error}') from error
     raise InvalidFeatures(f'{path}: the columns x and y [m], or lat and lon [degrees], are needed; '
@@ -250,9 +253,9 @@ def misplaced(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
     order = 'latitude and longitude' if crs and horizontal(crs).is_geographic else 'x and y'
     meant: list[tuple[FloatArray, Any, str]] = [(points, crs, ''),
                                                 (swapped, crs, f'{order} are swapped')]
-    if not crs:
-        meant += [(each, WGS84, 'they are degrees; name the coordinate system, or in a table the '
-                   'columns lat and lon') for each in (points, swapped)]
+    if not (crs and horizontal(crs).is_geographic):
+        meant += [(each, WGS84, 'they are degrees; name their coordinate system, or in a table '
+                   'the columns lat and lon') for each in (points, swapped)]
     for each, system, text in meant:
         try:
             xy = from_system(each, system, risk_map.crs) if system else each
