@@ -217,6 +217,11 @@ def test_openstreetmap_files(tags, drivable, tmp_path):
     ([(400.0, -50.0), (420.0, 50.0)], {'layer': '0', 'bridge': 'no'}, 1),
     ([(400.0, -50.0), (400.0, 0.0), (400.0, 50.0)], {}, 0),  # a junction
     ([(900.0, -50.0), (900.0, 50.0)], {}, 0), ([(0.0, 0.0), (0.0, -90.0)], {}, 0),
+    ([(300.3, 80.0), (300.0, 0.03)], {}, 1), ([(300.3, 80.0), (300.0, 0.3)], {}, 0),
+    ([(300.3, 80.0), (300.0, -0.02)], {}, 1), ([(800.03, 0.0), (900.0, 0.0)], {}, 1),
+    ([(300.3, 80.0), (300.0, 0.03)], {'layer': '1'}, 0),
+    ([(800.0, 0.0), (800.02, 0.0), (800.04, 0.0), (900.0, 50.0)], {}, 0),  # short pieces
+    ([(100.0, 90.0), (200.0, 90.0), (200.0, 150.0), (150.0, 90.03)], {}, 1),  # its own end
 ])
 @pytest.mark.parametrize('crs', [CRS, 'EPSG:4326'])
 def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, count, crs):
@@ -229,11 +234,52 @@ def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, c
     assert (f'at {count} places' in said) == (count > 0)
     roads = read_roads(lines, node_crossings=True)
     graph = networkx.Graph(map(tuple, roads.pairs.tolist()))
-    meets = count > 0 or (400.0, 0.0) in second or (0.0, 0.0) in second
+    own = (100.0, 90.0) in second
+    meets = count > 0 and not own or {(400.0, 0.0), (0.0, 0.0), (800.0, 0.0)}.intersection(second)
     assert networkx.number_connected_components(graph) == (1 if meets else 2)
+    assert networkx.cycle_basis(graph) == [] or count == 2 or own
     length = np.hypot(*np.diff(roads.points[roads.pairs], axis=1)[:, 0].T).sum()
-    assert length == pytest.approx(lines.length.sum() if crs == CRS else length)
+    assert length == pytest.approx(lines.length.sum(), rel=1e-3 if crs == CRS else np.inf)
     assert read(lines, node_crossings=True)[2] == ''
+
+
+@pytest.mark.parametrize(('heights', 'more', 'parts', 'words'), [
+    ((300.0, 308.0), {}, 2, 'at different heights or levels do not meet, at 1 places'),
+    ((300.0, 301.5), {}, 1, ''), ((0.0, -8.0), {}, 2, 'do not meet'),
+    ((None, 308.0), {}, 1, ''),  # one of them has no heights
+    ((None, None), {'bridge': ['yes', 'no']}, 2, 'do not meet'),
+    ((None, None), {'F_ELEV': [0, 1], 'T_ELEV': [0, 1]}, 2, 'do not meet'),
+    ((None, None), {'F_ELEV': [0, 1], 'T_ELEV': [0, 0], 'layer': [0, 0]}, 1, ''),
+])
+@pytest.mark.parametrize('vertex', [True, False])
+def test_roads_at_different_heights_do_not_meet(heights, more, parts, words, vertex):
+    shapes = []
+    for z, line in zip(heights, (STRAIGHT, [(400.0, -50.0), (400.0, 0.0), (400.0, 50.0)]),
+                       strict=True):
+        line = line if vertex else [line[0], line[2]]
+        shapes.append(LineString(line if z is None else [(*at, z) for at in line]))
+    lines = geopandas.GeoDataFrame({'highway': ['road', 'road'], **more}, geometry=shapes, crs=CRS)
+    roads, said = heard(read_roads, lines, node_crossings=True)
+    graph = networkx.Graph(map(tuple, roads.pairs.tolist()))
+    # Between its ends, a road that climbs meets others at their vertices only.
+    assert networkx.number_connected_components(graph) == parts + (
+        not vertex and 'layer' in more)
+    assert (words in said) or not vertex
+
+
+def test_side_roads_that_end_on_a_road_to_rounding_meet_it():
+    rng = np.random.default_rng(0)
+    shapes = []
+    for k, share in enumerate(rng.uniform(0.1, 0.9, 100)):
+        begin, end = np.array([(0.0, 60.0 * k), (1000.0, 60.0 * k + 13.0)]) + 455000.123
+        at = begin + share * (end - begin) + rng.normal(0.0, 1e-9, 2)
+        shapes += [LineString((begin, end)), LineString((at, at + rng.uniform(5.0, 20.0, 2)))]
+    for crs in (CRS, 'EPSG:4326'):
+        lines = geopandas.GeoDataFrame({'highway': ['road'] * 200}, geometry=shapes, crs=CRS)
+        lines = lines.to_crs(crs)
+        assert 'cross or touch at 100 places' in heard(read_roads, lines)[1]
+        joined = networkx.Graph(map(tuple, read_roads(lines, True).pairs.tolist()))
+        assert networkx.number_connected_components(joined) == 100
 
 
 def graph_of(**attributes):
@@ -298,7 +344,8 @@ def test_files_of_other_drivers_and_damaged_ones_are_refused(tmp_path):
     (tmp_path / 'c.gpkg').write_bytes(data[:3000])
     (tmp_path / 'd.graphml').write_text('<graphml>')
     for name, words in (('a.geojson', 'give the file that it names'),
-                        ('c.gpkg', 'damaged, or end early'), ('d.graphml', r'save_graph_geopackage\(')):
+                        ('c.gpkg', 'damaged, or end early'),
+                        ('d.graphml', r'save_graph_geopackage\(')):
         with pytest.raises(InvalidOption, match=words) as refused:
             read_roads(tmp_path / name)
         assert '\n' not in str(refused.value)

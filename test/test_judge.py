@@ -170,7 +170,7 @@ def gpx_text(lines):
 
 def write_tracks(path, lines):
     """Write lines in the coordinates of a map in ``CRS`` as the suffix says."""
-    if path.suffix == '.gpx':
+    if path.suffix.lower() == '.gpx':
         path.write_text(gpx_text(lines))
     elif path.suffix == '.csv':
         degrees = [Coordinates(CRS).to_lat_lon(line) for line in lines]
@@ -274,6 +274,29 @@ def test_recordings_are_judged(tmp_path):
                'network.refine=0')
     assert done.code == 0, done.err
     assert done.out.startswith('3 trips within')
+
+
+def test_a_folder_is_judged_and_each_reason_is_one_line(tmp_path):
+    write_ground(tmp_path, origin=(*ORIGIN, 0.0), crs=CRS)
+    folder = tmp_path / 'old tracks'
+    (folder / 'may').mkdir(parents=True)
+    there, back = [line + ORIGIN for line in habit(1)], [LINE[::-1] + ORIGIN + k for k in range(3)]
+    write_tracks(folder / 'a.GPX', there[:4])
+    write_tracks(folder / 'may' / 'b.gpx', [*there[4:], *back])
+    write_tracks(folder / 'c.csv', [LINE[[0, -1]] + ORIGIN])
+    (folder / 'notes.txt').write_text('left alone')
+    places = '--start', *(ORIGIN + START), '--goal', *(ORIGIN + GOAL)
+    done = run(tmp_path, folder, *places, *QUICK)
+    assert done.code == 0, done.err
+    said = [' '.join(each.split()) for each in done.out.replace('\n  ', ' ').splitlines()]
+    assert said[:3] == [
+        '9 trips within 2.6 m of start and goal',
+        'left out: track 1 of c.csv has a jump of 52.17 m, more than 13 m',
+        'left out: 2 tracks, such as track 6 of b.gpx, which leads from the goal to the start: the '
+        'return trip is planned separately']
+    (tmp_path / 'empty').mkdir()
+    done = run(tmp_path, tmp_path / 'empty', *places, *QUICK)
+    assert done.code == 3 and 'no .gpx, .csv or .mcap file in this folder' in done.err
 
 
 def test_tracks_without_a_trip_are_named(tmp_path):

@@ -31,7 +31,8 @@ _WHOLE = re.compile(r'[-+]?\d+')
 _PAIR = r'"((?:[^"\\]|\\.)*)"\s*=>\s*(?:"((?:[^"\\]|\\.)*)"|NULL)'
 _HSTORE = re.compile(rf'{_PAIR}(\s*,\s*{_PAIR})*')
 _CUT = 251
-_NESTED = re.compile(f'["\'](highway|{"|".join((*known.ACCESS, *known.DIRECTIONS))})["\']')
+_NESTED = re.compile('(?=[{"]).*["\'](highway|' + '|'.join((*known.ACCESS, *known.DIRECTIONS))
+                     + ')["\']\\s*(:|=>)', re.DOTALL)
 _Schema = Mapping[str, frozenset[str]]
 
 
@@ -102,7 +103,7 @@ def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
                    and (texts[name] != '').any()]].copy()
     for name in [*texts]:
         words = texts[name].unique()
-        if any(_NESTED.search(word) or plain(name).endswith('tags') and re.search('[=:[{]', word)
+        if any(_NESTED.match(word) or plain(name).endswith('tags') and re.search('[=:[{]', word)
                for word in words):
             pairs = texts.pop(name).map({each: _pairs(name, each, of_shapefile) for each in words})
             for key in {*known.KEYS}.intersection(*[set().union(*pairs)]):
