@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from ..arrays import FloatArray
 from ..option_checks import check_at_least
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, dates_of, span_of
+from .tables import InvalidFeatures, dates_of
 from .vector_file import attribute, attribute_values
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ def weighted_incidents(features: GeoDataFrame,
         raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
     days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
     return (places[counts], (weights * 0.5 ** (days / half_life))[counts],
-            f'{counts.sum()} of {len(dates)} incidents count, {span_of(dates[counts])}')
+            f'{counts.sum()} of {len(dates)} incidents count, {dates.min():%Y-%m-%d} to '
+            f'{dates[counts].max():%Y-%m-%d}')
 
 
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import warn
 from . import road_schemas as known
-from .tables import InvalidFeatures, column_among, plain
+from .tables import InvalidFeatures, column_among, naming, plain
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -62,7 +62,7 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
     Warns how many lines are left out and why; raises InvalidFeatures if all are, if a column is not
     known for certain, or if a speed is no number. Both name ``path``.
     """
-    try:
+    with naming(path):
         texts = _texts(lines, path.lower().endswith('.shp'))
         columns = {key: name for key in known.KEYS if (name := _column(texts, key))}
         schema = _schema(texts, columns, road_column, all_lines_are_roads)
@@ -89,8 +89,6 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
                           schema) for each in tags.drop_duplicates().to_dict('records')]
         roads = [judged[k] for k in tags.groupby([*tags], sort=False).ngroup()]
         _warn_of_others(path, roads)
-    except InvalidFeatures as error:
-        raise InvalidFeatures(f'{path}: {error}') from error
     keep = np.array([not road.problem for road in roads])
     return lines[keep], [road for road in roads if not road.problem]
 

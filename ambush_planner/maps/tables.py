@@ -6,7 +6,8 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
+from .coordinates import InvalidCoordinates
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -34,6 +36,16 @@ class InvalidFeatures(AmbushPlannerError, ValueError):
     """A file of features or positions is unreadable, or lacks features or attributes."""
 
 
+@contextmanager
+def naming(path: Path | str) -> Iterator[None]:
+    """Name a file in the errors about what is in it."""
+    try:
+        yield
+    except (InvalidFeatures, InvalidCoordinates) as error:
+        known = str(error).startswith(f'{path}: ')
+        raise InvalidFeatures(str(error) if known else f'{path}: {error}') from error
+
+
 def read_table(path: Path) -> DataFrame:
     """Read the rows of a CSV file, all as texts; the first row has the names of the columns.
 
@@ -47,14 +59,14 @@ def read_table(path: Path) -> DataFrame:
         names = text.partition('\n')[0]
         for separator, name in _SEPARATORS.items():
             if separator in names and ',' not in names:
-                raise InvalidFeatures(f'{path}: its fields are separated by {name}; save it with '
-                                      'commas between fields and points in decimal numbers')
+                raise InvalidFeatures(f'its fields are separated by {name}; save it with commas '
+                                      'between fields and points in decimal numbers')
         reader = csv.reader(io.StringIO(text, newline=''), skipinitialspace=True, strict=True)
         rows = [(reader.line_num, [each.strip() for each in row]) for row in reader]
     except UnicodeDecodeError as error:
-        raise InvalidFeatures(f'{path}: it is not in UTF-8; save it as CSV in UTF-8') from error
+        raise InvalidFeatures('it is not in UTF-8; save it as CSV in UTF-8') from error
     except csv.Error as error:
-        raise InvalidFeatures(f'{path}: not a CSV file: {error}') from error
+        raise InvalidFeatures(f'not a CSV file: {error}') from error
     (_, header), *rows = [each for each in rows if each[1] not in ([], [''])] or [(0, [])]
     while header and not header[-1]:
         header.pop()
@@ -62,7 +74,7 @@ def read_table(path: Path) -> DataFrame:
         while len(row) > len(header) and not row[-1]:
             row.pop()
         if len(row) != len(header):
-            raise InvalidFeatures(f'{path}: line {line} has {len(row)} fields, but the header has '
+            raise InvalidFeatures(f'line {line} has {len(row)} fields, but the header has '
                                   f'{len(header)} columns: {", ".join(header)}')
     return DataFrame([row for _, row in rows], columns=header, dtype=str)
 
@@ -117,9 +129,3 @@ def dates_of(values: Series, name: str) -> Series:
         raise InvalidFeatures(f'{name} has {texts[bad].iloc[0]!r}, which is before {_FIRST_YEAR} '
                               'or over a year ahead')
     return dates
-
-
-def span_of(dates: Series) -> str:
-    """The days of the first and the last date."""
-    first, last = (f'{each:%Y-%m-%d}' for each in (dates.min(), dates.max()))
-    return first if first == last else f'{first} to {last}'

@@ -13,10 +13,9 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import shown, warn
-from .coordinates import InvalidCoordinates
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, column_among, dates_of, plain
+from .tables import InvalidFeatures, column_among, dates_of, naming, plain
 from .vector_file import (
     file_and_layer,
     from_system,
@@ -67,16 +66,14 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
     """
     path, _ = file_and_layer(source)
     read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
-    try:
+    with naming(path):
         points, crs, names, times = read(source)
         if hint := misplaced(points, crs, risk_map):
             raise InvalidFeatures(f'nothing in it lies on the map: {hint}')
-        xy = from_system(points, crs, risk_map.crs) if crs is not None else points
-    except (InvalidFeatures, InvalidCoordinates) as error:
-        raise InvalidFeatures(f'{path}: {str(error).removeprefix(f"{path}: ")}') from error
-    if not np.isfinite(xy).all():
-        raise InvalidFeatures(f'{path}: positions too far from the map for its coordinate system, '
-                              f'such as {points[~np.isfinite(xy).all(axis=1)][0].tolist()}')
+        xy = points if crs is None else from_system(points, crs, risk_map.crs)
+        if (far := ~np.isfinite(xy).all(axis=1)).any():
+            raise InvalidFeatures('positions are too far from the map for its coordinate system, '
+                                  f'such as {points[far][0].tolist()}')
     tracks, ignored = [], 0
     for name in dict.fromkeys(names.tolist()):
         own = names == name

@@ -23,7 +23,7 @@ from ..option_checks import check_at_least
 from .coordinates import WGS84, Coordinates, InvalidCoordinates, horizontal, in_metres
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap, to_map_axes
-from .tables import InvalidFeatures, column_among, numbers_of, read_table
+from .tables import InvalidFeatures, column_among, naming, numbers_of, read_table
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # GDAL's drivers of vector files.
 _DRIVERS = ('ESRI Shapefile', 'DXF', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSON', 'GeoJSONSeq',
             'KML', 'LIBKML', 'MapInfo File', 'OSM', 'OpenFileGDB', 'SQLite', 'TopoJSON')
+_CONVERT = 'convert it to GeoPackage or GeoJSON'
 # Layers of OSM and GPX files that are meant if none is named.
 _USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
 # Columns of positions, north and east: in degrees, or in metres.
@@ -52,12 +53,13 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
     if there are none, or if several layers have some.
     """
     path, layer = file_and_layer(source)
-    if not path.exists():
-        raise InvalidFeatures(f'{path}: no such file')
-    refuse_other_kinds(path, InvalidFeatures)
-    import_extra('geopandas', f'{path}: vector files', 'gis', InvalidFeatures)
-    frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
-    return single_parts(str(path), frame, kinds, refused)
+    with naming(path):
+        if not path.exists():
+            raise InvalidFeatures('no such file')
+        refuse_other_kinds(path, InvalidFeatures)
+        import_extra('geopandas', f'{path}: vector files', 'gis', InvalidFeatures)
+        frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
+        return single_parts(str(path), frame, kinds, refused)
 
 
 def file_and_layer(source: str) -> tuple[Path, str]:
@@ -110,29 +112,28 @@ def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
     with _gdal(path):
         layers = dict(pyogrio.list_layers(path).tolist())
         if layer not in ('', *layers):
-            raise InvalidFeatures(f'{path}: no layer {layer!r}; there is {", ".join(layers)}')
+            raise InvalidFeatures(f'no layer {layer!r}; there is {", ".join(layers)}')
         driver = pyogrio.read_info(path, layer=next(iter(layers), None))['driver']
         if driver not in _DRIVERS:
-            raise InvalidFeatures(f'{path}: files of the kind {driver} are not read; convert it to '
-                                  'GeoPackage')
+            raise InvalidFeatures(f'files of the kind {driver} are not read; {_CONVERT}')
         fit = [layer] if layer else [each for each, geometry in layers.items() if geometry and (
             geometry in ('Unknown', 'GeometryCollection') or any(
                 kind in geometry for kind in kinds))]
         if not fit or not layers[fit[0]]:
             has = ', '.join(f'{each} ({layers[each] or "a table"})' for each in fit or layers)
-            raise InvalidFeatures(f'{path}: no layer with {" or ".join(kinds)} in it, but {has}')
+            raise InvalidFeatures(f'no layer with {" or ".join(kinds)} in it, but {has}')
         if len(fit) > 1 and driver in ('OSM', 'GPX'):
             fit = [each for each in fit if each in _USUAL][:1]
         if len(fit) > 1:
-            raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with '
-                                  f'NAME one of {", ".join(fit)}')
+            raise InvalidFeatures(f'which layer? Write {path.name}|layername=NAME, with NAME one '
+                                  f'of {", ".join(fit)}')
         frame = pyogrio.read_dataframe(path, layer=fit[0])
     return _without_deleted(path, fit[0], frame) if driver == 'OSM' else frame
 
 
 @contextmanager
 def _gdal(path: Path) -> Iterator[None]:
-    """Read with GDAL: its errors in a sentence, and its warnings without names of its options."""
+    """Read with GDAL: its errors and warnings in sentences, without names of its options."""
     import pyogrio
 
     # Otherwise GDAL refuses OpenStreetMap files with negative, large or unsorted numbers.
@@ -144,11 +145,10 @@ def _gdal(path: Path) -> Iterator[None]:
             yield
     except RuntimeError as error:  # pyogrio's are RuntimeErrors
         reason = str(error).split('; ')[0].removesuffix('.')
-        if 'not recognized' in reason:
-            raise InvalidFeatures(f'{path}: not a vector file of a kind that is read; convert it '
-                                  'to GeoPackage or GeoJSON') from error
-        raise InvalidFeatures(f'{path}: not a vector file that can be read ({reason}); it may be '
-                              'damaged, or end early') from error
+        raise InvalidFeatures(
+            f'not a vector file of a kind that is read; {_CONVERT}' if 'not recognized' in reason
+            else f'not a vector file that can be read ({reason}); it may be damaged, or end early'
+        ) from error
     finally:
         pyogrio.set_gdal_config_options({'OSM_USE_CUSTOM_INDEXING': None})
     for text in dict.fromkeys(str(each.message) for each in said):
@@ -159,13 +159,13 @@ def _check_parts(path: Path) -> None:
     """Raise InvalidFeatures if parts of a shapefile are missing or disagree."""
     parts = {each.suffix.lower(): each for each in path.parent.iterdir() if each.stem == path.stem}
     if missing := {'.dbf', '.shx'}.difference(parts):
-        raise InvalidFeatures(f'{path}: {", ".join(sorted(missing))} is missing; copy all files of '
-                              f'the shapefile: {path.stem}.shp, .shx, .dbf and .prj')
+        raise InvalidFeatures(f'{", ".join(sorted(missing))} is missing; copy all files of the '
+                              f'shapefile: {path.stem}.shp, .shx, .dbf and .prj')
     rows = int.from_bytes(parts['.dbf'].read_bytes()[4:8], 'little')
     shapes = (parts['.shx'].stat().st_size - 100) // 8
     if rows != shapes:
-        raise InvalidFeatures(f'{path}: it has {shapes} shapes, but {parts[".dbf"].name} has '
-                              f'{rows} rows; copy all files of the shapefile together')
+        raise InvalidFeatures(f'it has {shapes} shapes, but {parts[".dbf"].name} has {rows} rows; '
+                              'copy all files of the shapefile together')
 
 
 def _without_deleted(path: Path, layer: str, frame: GeoDataFrame) -> GeoDataFrame:
@@ -192,19 +192,16 @@ def read_positions(path: Path) -> GeoDataFrame:
     number, or in degrees (0, 0) or not on the Earth, has no geometry.
     """
     rows = read_table(path)
-    try:
-        for pair, in_degrees in ((_DEGREES, True), (_METRES, False)):
-            columns = [column_among(rows, *names) for names in reversed(pair)]
-            if None not in columns:
-                xy = np.stack([numbers_of(rows[name], name) for name in columns], axis=1)
-                if len(xy) and not np.isfinite(xy).all(axis=1).any():
-                    raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
-                                          f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
-                return with_positions(rows.drop(columns=columns), xy, in_degrees)
-    except InvalidFeatures as error:
-        raise InvalidFeatures(f'{path}: {error}') from error
-    raise InvalidFeatures(f'{path}: the columns x and y [m], or lat and lon [degrees], are needed; '
-                          f'there are {", ".join(rows) or "none"}')
+    for north, east in (_DEGREES, _METRES):
+        columns = [column_among(rows, *names) for names in (east, north)]
+        if None not in columns:
+            xy = np.stack([numbers_of(rows[name], name) for name in columns], axis=1)
+            if len(xy) and not np.isfinite(xy).all(axis=1).any():
+                raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
+                                      f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
+            return with_positions(rows.drop(columns=columns), xy, in_degrees=north is _DEGREES[0])
+    raise InvalidFeatures('the columns x and y [m], or lat and lon [degrees], are needed; there '
+                          f'are {", ".join(rows) or "none"}')
 
 
 def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
@@ -277,23 +274,20 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
 
     features = given = read_features(source, *kinds, refused=refused)
     own = features.crs if features.crs is not None else crs
-    if risk_map.crs and not own:
-        raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
-                              f'{risk_map.crs}; name it in the file, or with crs for all files')
-    if own and own != risk_map.crs:
-        try:
-            shapes = shapely.transform(
-                features.geometry, lambda xy: from_system(xy, own, risk_map.crs))
-        except InvalidCoordinates as error:
-            raise InvalidFeatures(f'{source}: {error}') from error
-        features = features.set_geometry(shapes)
-    features = features.set_crs(None, allow_override=True)
-    if not features.intersects(shapely.box(*np.ravel(risk_map.bounds))).any():
-        (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
-        hint = misplaced(shapely.get_coordinates(given.geometry), given.crs, risk_map)
-        raise InvalidFeatures(
-            f'{source}: nothing in it lies on the map, which reaches from ({left:.0f}, '
-            f'{bottom:.0f}) to ({right:.0f}, {top:.0f}){": " * bool(hint)}{hint}')
+    with naming(source):
+        if risk_map.crs and not own:
+            raise InvalidFeatures('its coordinate system is unknown, that of the map is '
+                                  f'{risk_map.crs}; name it in the file, or with crs for all files')
+        if own and own != risk_map.crs:
+            features = features.set_geometry(shapely.transform(
+                features.geometry, lambda xy: from_system(xy, own, risk_map.crs)))
+        features = features.set_crs(None, allow_override=True)
+        if not features.intersects(shapely.box(*np.ravel(risk_map.bounds))).any():
+            (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
+            hint = misplaced(shapely.get_coordinates(given.geometry), given.crs, risk_map)
+            raise InvalidFeatures(
+                f'nothing in it lies on the map, which reaches from ({left:.0f}, {bottom:.0f}) to '
+                f'({right:.0f}, {top:.0f}){": " * bool(hint)}{hint}')
     return features
 
 
