@@ -291,7 +291,7 @@ def test_a_folder_is_judged_and_each_reason_is_one_line(tmp_path):
     said = [' '.join(each.split()) for each in done.out.replace('\n  ', ' ').splitlines()]
     assert said[:3] == [
         '9 trips within 2.6 m of start and goal',
-        'left out: track 1 of c.csv has a jump of 52.17 m, more than 13 m',
+        'left out: track 1 of c.csv has a jump of 52.17 m, more than 31.2 m',
         'left out: 2 tracks, such as track 6 of b.gpx, which leads from the goal to the start: the '
         'return trip is planned separately']
     (tmp_path / 'empty').mkdir()

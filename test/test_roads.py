@@ -250,11 +250,18 @@ def test_a_node_logs_what_its_road_file_leaves_open(tmp_path):
     """Roads that cross without a shared vertex, once for each time that the file is read."""
     ros, waiting = map(pytest.importorskip, ('ros_harness', 'waiting'))
     file = tmp_path / 'roads.gpkg'
-    lines([(1.0, 5.0), (9.0, 5.0)], [(5.0, 1.0), (5.0, 9.0)], crs=None).to_file(file)
-    parameters = {'network.method': 'graph', 'network.graph': str(file)}
+    rows = lines([(1.0, 5.0), (9.0, 5.0)], [(5.0, 1.0), (5.0, 9.0)], crs=None)
+    rows.rename(columns={'highway': 'klasse'}).to_file(file)
+    parameters = {'network.method': 'graph', 'network.graph': str(file),
+                  'network.road_column': 'klasse=road', 'network.two_way': True}
     with waiting.stderr_in(tmp_path / 'log') as said, ros.stage(parameters=parameters) as running:
         assert said().count('[WARN]') == 1 and 'roads cross' in said()
         running.use({'network.node_crossings': True})
+        # What is possible with other parameters is, whatever the present ones are.
+        running.use({'network.graph': f'{file}|layername=roads'})
+        changed = [ros.Parameter(f'network.{name}', value=value)
+                   for name, value in (('road_column', ''), ('all_lines_are_roads', True))]
+        assert running.planner.set_parameters_atomically(changed).successful
 
 
 def test_a_robot_on_roads_departs_on_a_plan_although_tf_is_noisy(tmp_path, submitted):

@@ -67,7 +67,7 @@ _TYPES = {f'{group}.{each.name}': next(kind for kind in _KINDS if kind.__name__ 
 # How options are typed, by their names without the group; and other texts in messages.
 _TYPED = {name.partition('.')[2]: f'--set {name}' for name in _TYPES} | {
     name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()} | {
-    'graph': '--roads'}
+    'graph': '--roads'} | {name: f'--{name.replace("_", "-")}' for name in ROAD_OPTIONS}
 _PHRASES = {' (node_crossings)': '', ' (road_column, all_lines_are_roads)': '', ' (two_way)': '',
             ' (all_lines_are_roads)': '', ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)':
@@ -148,7 +148,8 @@ def options_of(assignments: Iterable[str]) -> tuple[OccupancyOptions, PlanningOp
     network = changes['network']
     for option in ('graph', *ROAD_OPTIONS, 'join_distance'):
         if option in network and network.get('method') != 'graph':
-            raise InvalidOption(f'network.{option} has no effect without network.method=graph')
+            raise InvalidOption(f'network.{option} has no effect without roads '
+                                '(network.method=graph)')
     of_map, network, game, strategy, route = (_changed(group, changes[group]) for group in DEFAULTS)
     return of_map, PlanningOptions(network=network, game=game, strategy=strategy, drive=route,
                                    max_gap=math.inf)

@@ -17,7 +17,7 @@ from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
 from .road_joints import joints_of, noded, segments_of
 from .road_tags import roads_among
-from .tables import InvalidFeatures
+from .tables import InvalidFeatures, naming
 from .vector_file import file_and_layer, read_features, single_parts
 
 if TYPE_CHECKING:
@@ -98,18 +98,21 @@ def read_roads(source: Any, node_crossings: bool = False, road_column: str = '',
 @lru_cache(4)
 def _read(source: str, path: Path, version: tuple[int, int], *options: Any) -> RoadGraph:
     """Read the file again only if it has changed."""
-    if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
-        if any(options):
-            raise InvalidFeatures(f'{path}: a route graph says itself where it leads; leave out '
-                                  f'{", ".join(ROAD_OPTIONS)}')
-        try:
-            return _nav2_graph(json.loads(path.read_bytes())['features'])
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise InvalidFeatures(f'{path}: not a route graph: {error!r}') from error
-    if path.suffix.lower() == '.graphml':
-        raise InvalidFeatures(f'{path}: convert GraphML with osmnx.save_graph_geopackage('
-                              'osmnx.load_graphml(FILE), directed=True)')
-    return roads_from_lines(str(path), read_features(source, 'LineString'), *options)
+    with naming(path):
+        if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
+            if any(options):
+                raise InvalidFeatures('a route graph says itself where it leads; leave out '
+                                      f'{", ".join(ROAD_OPTIONS)}')
+            try:
+                return _nav2_graph(json.loads(path.read_bytes())['features'])
+            except (ValueError, KeyError, TypeError, IndexError) as error:
+                if isinstance(error, InvalidFeatures):
+                    raise
+                raise InvalidFeatures(f'not a route graph: {error!r}') from error
+        if path.suffix.lower() == '.graphml':
+            raise InvalidFeatures('convert GraphML with osmnx.save_graph_geopackage('
+                                  'osmnx.load_graphml(FILE), directed=True)')
+        return roads_from_lines(str(path), read_features(source, 'LineString'), *options)
 
 
 def lines_of_graph(graph: Any) -> GeoDataFrame:

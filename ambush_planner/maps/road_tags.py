@@ -80,6 +80,8 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
                 'oneway, with yes, no and -1, or use --two-way (two_way)')
         if schema is None or problems:
             raise InvalidFeatures('; '.join(problems))
+        if texts.empty and not all_lines_are_roads:
+            warn(f'{path}: its lines have no attributes, so that all are read as roads')
         _warn_of_columns(path, others, columns, schema, directed)
         columns = {**columns, **{key: key for key in schema if key in texts}}
         tags = texts[[*dict.fromkeys(columns.values())]].apply(lambda each: each.str.lower())
@@ -187,8 +189,6 @@ def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], s
     for name in others:
         if known.SPEED_NAMES.fullmatch(plain(name)):
             warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
-    if not schema and others.empty:
-        warn(f'{path}: its lines have no attributes, so that all are read as roads')
     if not directed and schema not in (known.OPENSTREETMAP, known.GEOFABRIK):
         warn(f'{path}: no column says directions, so that all roads are two-way')
 

@@ -130,7 +130,8 @@ def _refuse_unknown(others: Any, xy: FloatArray, apart: bool, timed: bool) -> No
         return np.asarray(np.hypot(*np.diff(xy[order], axis=0).T))
 
     for name in others:
-        if not timed and others[name].astype(str).map(_ISO_TIME.match).notna().all():
+        given = others[name].astype(str)[others[name] != '']
+        if not timed and len(given) and given.map(_ISO_TIME.match).notna().all():
             raise InvalidFeatures(f'times may be in {name!r}; name it time, or remove it')
         code, kinds = factorize(others[name])
         if apart or len(kinds) * _FEW > len(code) or (np.diff(code) >= 0).all():

@@ -143,7 +143,9 @@ def _gdal(path: Path) -> Iterator[None]:
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter('always')
             yield
-    except RuntimeError as error:  # pyogrio's are RuntimeErrors
+    except InvalidFeatures:
+        raise
+    except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
         reason = str(error).split('; ')[0].removesuffix('.')
         raise InvalidFeatures(
             f'not a vector file of a kind that is read; {_CONVERT}' if 'not recognized' in reason

@@ -39,7 +39,7 @@ MAX_SPIKE, MIN_SPIKE = 3, 5.0
 MAX_STEP = 5.0
 # Maximum step that does not break a track, as a share of the distance from start to goal: of one
 # with short steps, and of any.
-MAX_BRIDGED, MAX_USUAL = 0.1, 0.25
+MAX_BRIDGED, MAX_USUAL = 0.1, 0.6
 # Minimum overlap in time of two tracks of one trip, as a share of the shorter one.
 MIN_OVERLAP = 0.5
 # Minimum length budget of the optimum, as a multiple of the shortest route.
