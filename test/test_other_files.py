@@ -118,7 +118,8 @@ ROADS = {
     'a value that `--road-column` does not find': roads(frame=KLASSE, road_column='klasse=road'),
     'footways of TIGER': roads('a.shp', lines(MTFCC=['S1710', 'S1400'])),
     'a drawing, its layers are `Layer`': roads(frame=lines(Layer=['POWER', 'ROADS'])),
-    'a map of lanelet2': roads(frame=lines(type=['line_thin', 'road_border'])),
+    'a map of lanelet2': roads('a.osm', text=OSM.replace('highway', 'type').replace(
+        'TAGS', '<tag k="type" v="line_thin"/>')),
     '`--all-lines-are-roads` for data that are known': roads(
         frame=lines(**NAMES), all_lines_are_roads=True),
     'direction by `FAHRTRICHT`': roads('a.shp', lines(**NAMES, FAHRTRICHT=['G', None])),

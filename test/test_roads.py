@@ -255,7 +255,8 @@ def test_a_node_logs_what_its_road_file_leaves_open(tmp_path):
     parameters = {'network.method': 'graph', 'network.graph': str(file),
                   'network.road_column': 'klasse=road', 'network.two_way': True}
     with waiting.stderr_in(tmp_path / 'log') as said, ros.stage(parameters=parameters) as running:
-        assert said().count('[WARN]') == 1 and 'roads cross' in said()
+        assert said().count('[WARN]') == 2 and 'roads cross' in said()
+        assert 'its coordinate system is unknown' in said()
         running.use({'network.node_crossings': True})
         # What is possible with other parameters is, whatever the present ones are.
         running.use({'network.graph': f'{file}|layername=roads'})

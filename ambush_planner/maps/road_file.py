@@ -187,6 +187,9 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
         split = segments_of(lines).split
         also = f'; also, {apart.format(split)}' if split else ''
         raise InvalidFeatures(f'{error}{also}') from error
+    if lines.crs is None:
+        warn(f'{path}: its coordinate system is unknown; its coordinates are taken as those of the '
+             'map')
     segments = segments_of(lines, np.array([road.levels for road in tags]))
     if segments.split:
         warn(f'{path}: {apart.format(segments.split)}')

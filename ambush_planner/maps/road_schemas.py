@@ -52,9 +52,9 @@ KEYS = tuple(dict.fromkeys((
 
 # Plain names, and values, of columns that may say a direction or a speed.
 DIRECTION_NAMES = re.compile(
-    r'(?<!pre)(?<!suf)(?<!post)(?<!fe)dir(?!t)|sens(?!i|ors?$)|richt|rikt|retning|oneway|einbahn|'
-    r'ensret|enkelr|sentid|kierun|smer|suunt|travel(?!time)|flow|revers|bothways|heading|forward|'
-    r'backward|circul|направл|односторон|方向|单行|一方通行')
+    r'(?<!pre)(?<!suf)(?<!post)(?<!fe)dir(?!t)|sens(?!i|ors?$)|richt|rikt|retn|(one|two|both)ways?|'
+    r'einbahn|ensret|enkelr|sentid|doble|kierun|jednok|smer|suunt|travel(?!time)|flow|revers|'
+    r'heading|forward|backward|circul|accessres|arah|^(tek|cift)?yon|напр|односторон|اتجاه|طرفه|方向|单行|方通|방')
 DIRECTION_VALUES = re.compile(
     r'.*(one.?way|two.?way|(bi|uni)-?direc|forward|backward|digiti[sz]|einbahn|double sens|'
     r'opposite|sens (direct|inverse|unique)|senso unico|sentido|both direc|heading).*|ft|tf')

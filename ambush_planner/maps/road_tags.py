@@ -66,7 +66,8 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
         texts = _texts(lines, path.lower().endswith('.shp'))
         columns = {key: name for key in known.KEYS if (name := _column(texts, key))}
         schema = _schema(texts, columns, road_column, all_lines_are_roads)
-        others = texts.drop(columns=columns.values())
+        others = texts.drop(columns=[name for key, name in columns.items()
+                                     if key != known.RESTRICTIONS])
         problems = [] if schema is not None else [
             f'{len(lines)} lines, and no column says which are roads: '
             f'{_kinds(texts)}; use --road-column COLUMN=VALUE,... or --all-lines-are-roads '
