@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
-from .road_joints import joints_of, noded, segments_of
+from .road_joints import noded, segments_of
 from .road_tags import roads_among
 from .tables import InvalidFeatures, naming
 from .vector_file import file_and_layer, read_features, single_parts
@@ -194,10 +194,10 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
     if segments.split:
         warn(f'{path}: {apart.format(segments.split)}')
     level = np.array([road.level for road in tags])
-    joints = joints_of(segments, level)
+    joined, count = noded(segments, level)
     if node_crossings:
-        segments = noded(segments, joints)
-    elif count := joints.count():
+        segments = joined
+    elif count:
         warn(f'{path}: roads cross or touch at {count} places without a shared vertex, bridges and '
              'tunnels apart; these are no junctions unless --node-crossings (node_crossings) joins '
              'them')

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -44,23 +44,6 @@ class Segments:
     line: IndexArray
     scale: FloatArray
     split: int
-
-
-@dataclass(frozen=True, eq=False)
-class Joints:
-    """Where segments meet others: ``segment`` (K,), ``place`` (K,) of all ``points`` (P + N, 2)."""
-
-    segment: IndexArray
-    place: IndexArray
-    points: FloatArray
-    scale: FloatArray
-
-    def count(self) -> int:
-        """The number of places, those within twice ``NEAR_END`` counted once."""
-        spots = self.points[np.unique(self.place)] * self.scale
-        near = cKDTree(spots).query_pairs(2.0 * NEAR_END, output_type='ndarray')
-        joined = coo_matrix((np.ones(len(near)), tuple(near.T)), [len(spots)] * 2)
-        return int(connected_components(joined, directed=False)[0]) if len(spots) else 0
 
 
 def segments_of(lines: GeoDataFrame, levels: FloatArray | None = None) -> Segments:
@@ -97,8 +80,29 @@ def segments_of(lines: GeoDataFrame, levels: FloatArray | None = None) -> Segmen
                     len(np.unique(spot.ravel()[order][higher])))
 
 
-def joints_of(given: Segments, level: IndexArray) -> Joints:
-    """Find where segments cross or touch others of the same ``level`` (L,) of their lines.
+def noded(given: Segments, level: IndexArray) -> tuple[Segments, int]:
+    """Cut segments where they cross or touch others of the same ``level`` (L,) of their lines.
+
+    Returns how many places these are, too; those within twice ``NEAR_END`` count once.
+    """
+    cut, place, at = _meetings(given, level)
+    spots = at[np.unique(place)]
+    count, _ = _parts(cKDTree(spots).query_pairs(2.0 * NEAR_END, output_type='ndarray'), len(spots))
+    # The places of each segment, in their order.
+    number = np.arange(len(given.pairs))
+    segment = np.concatenate((number, cut, number))
+    place = np.concatenate((given.pairs[:, 0], place, given.pairs[:, 1]))
+    along = np.hypot(*(at[place] - at[given.pairs[segment, 0]]).T)
+    along[len(along) - len(number):] = np.inf
+    order = np.lexsort((along, segment))
+    segment, place = segment[order], place[order]
+    inner = segment[1:] == segment[:-1]
+    return replace(given, points=at / given.scale, line=given.line[segment[1:][inner]],
+                   pairs=np.stack((place[:-1], place[1:]), axis=1)[inner]), count
+
+
+def _meetings(given: Segments, level: IndexArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Segments (K,) that others cross or touch, the places (K,) where, all places (P + N, 2) [m].
 
     An open end touches what is within ``NEAR_END``, another vertex what is within ``NEAR_VERTEX``.
     """
@@ -113,39 +117,37 @@ def joints_of(given: Segments, level: IndexArray) -> Joints:
     apart = (pairs[one][:, :, None] != pairs[other][:, None, :]).all(axis=(1, 2))
     kept = apart & (level[line[one]] == level[line[other]]) & (
         (line[one] != line[other]) | (between > LOOP))
-    one, other, late, early = one[kept], other[kept], late[kept], early[kept]
+    one, other, pair = one[kept], other[kept], (early * len(pairs) + late)[kept]
     ends = pairs[one]
     reach = np.where(np.bincount(pairs.ravel())[ends] == 1, NEAR_END, NEAR_VERTEX)
     touches = shapely.distance(shapely.points(at[ends]), shapes[other][:, None]) <= reach
-    pair = early * len(pairs) + late
-    crosses = (one < other) & ~np.isin(pair, pair[touches.any(axis=1)])
-    found = shapely.intersection(shapes[one[crosses]], shapes[other[crosses]])
-    met = shapely.get_coordinates(found[shapely.get_type_id(found) == 0]) / given.scale
-    crosses[crosses] = shapely.get_type_id(found) == 0
-    new = len(at) + np.arange(len(met))
     row, which = np.nonzero(touches)
-    place = ends[row, which]
-    fits = _level(given.heights[place], _heights_at(given, other[row], given.points[place]))
-    level_cross = _level(*(_heights_at(given, each[crosses], met) for each in (one, other)))
-    return Joints(np.concatenate((other[row][fits], one[crosses][level_cross],
-                                  other[crosses][level_cross])),
-                  np.concatenate((place[fits], new[level_cross], new[level_cross])),
-                  np.concatenate((given.points, met)), given.scale)
+    cut, place = other[row], ends[row, which]
+    fits = ~(np.abs(given.heights[place] - _heights_at(given, cut, at[place])) > CLEARANCE)
+    crosses = (one < other) & ~np.isin(pair, pair[touches.any(axis=1)])
+    one, other = one[crosses], other[crosses]
+    met = shapely.intersection(shapes[one], shapes[other])
+    single = shapely.get_type_id(met) == shapely.GeometryType.POINT
+    one, other, met = one[single], other[single], shapely.get_coordinates(met[single])
+    level_met = ~(np.abs(_heights_at(given, one, met) - _heights_at(given, other, met)) > CLEARANCE)
+    one, other, met = one[level_met], other[level_met], met[level_met]
+    new = len(at) + np.arange(len(met))
+    return (np.concatenate((cut[fits], one, other)), np.concatenate((place[fits], new, new)),
+            np.concatenate((at, met)))
 
 
-def noded(given: Segments, joints: Joints) -> Segments:
-    """Cut segments at their joints."""
-    number = np.arange(len(given.pairs))
-    segment = np.concatenate((number, joints.segment, number))
-    place = np.concatenate((given.pairs[:, 0], joints.place, given.pairs[:, 1]))
-    along = np.hypot(*((joints.points[place] - given.points[given.pairs[segment, 0]])
-                       * given.scale).T)
-    along[len(along) - len(number):] = np.inf
-    order = np.lexsort((along, segment))
-    segment, place = segment[order], place[order]
-    inner = segment[1:] == segment[:-1]
-    return replace(given, points=joints.points, line=given.line[segment[1:][inner]],
-                   pairs=np.stack((place[:-1], place[1:]), axis=1)[inner])
+def _heights_at(given: Segments, segment: IndexArray, at: FloatArray) -> FloatArray:
+    """Heights (K,) of segments (K,) at the places (K, 2) [m] next to them, NaN if unknown."""
+    a, b = np.moveaxis(given.points[given.pairs[segment]] * given.scale, 1, 0)
+    share = ((at - a) * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1)
+    low, high = given.heights[given.pairs[segment]].T
+    return np.asarray(low + np.clip(share, 0.0, 1.0) * (high - low))
+
+
+def _parts(pairs: IndexArray, count: int) -> tuple[int, IndexArray]:
+    """The number of connected parts of ``count`` places that are joined in pairs, and theirs."""
+    joined = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), [count] * 2)
+    return connected_components(joined, directed=False) if count else (0, np.zeros(0, np.int64))
 
 
 def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
@@ -154,24 +156,9 @@ def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
     import shapely
 
     given = segments_of(lines)
-    joined = coo_matrix((np.ones(len(given.pairs)), tuple(given.pairs.T)), [len(given.points)] * 2)
-    part = connected_components(joined, directed=False)[1][given.pairs[:, 0]]
+    part = _parts(given.pairs, len(given.points))[1][given.pairs[:, 0]]
     pieces = shapely.linestrings(given.points[given.pairs])
     km = np.bincount(part, shapely.length(pieces)) / 1000.0
     least = np.sort(km)[-MAX_NAMED:][0]
     names = [f'{each:.4g} km' if each >= least else 'shorter' for each in km]
     return geopandas.GeoDataFrame({'part': [names[k] for k in part]}, geometry=pieces)
-
-
-def _heights_at(given: Segments, segment: IndexArray, points: FloatArray) -> FloatArray:
-    """Heights (K,) of segments (K,) at the points (K, 2) next to them, NaN if unknown."""
-    a, b = np.moveaxis(given.points[given.pairs[segment]] * given.scale, 1, 0)
-    share = np.einsum('kd,kd->k', points * given.scale - a, b - a) / np.einsum(
-        'kd,kd->k', b - a, b - a)
-    low, high = given.heights[given.pairs[segment]].T
-    return np.asarray(low + np.clip(share, 0.0, 1.0) * (high - low))
-
-
-def _level(one: FloatArray, other: FloatArray) -> BoolArray:
-    """Whether heights (K,) are those of roads that meet, or unknown."""
-    return ~(np.abs(one - other) > CLEARANCE)
