@@ -12,11 +12,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import shown, warn
-from .coordinates import Coordinates
+from .coordinates import Coordinates, from_system
 from .vector_file import (
     InvalidFeatures,
     file_and_layer,
-    from_system,
     read_features,
     read_positions,
     with_positions,

@@ -16,8 +16,8 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import WGS84, Coordinates, InvalidCoordinates, in_metres
-from .risk_map import RiskMap, to_map_axes
+from .coordinates import WGS84, InvalidCoordinates, from_system, known_system, longest_edge
+from .risk_map import RiskMap
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -79,7 +79,15 @@ def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
         if refused:
             raise InvalidFeatures(f'{text}; {refused}')
         warn(text)
-    return kept
+    return _with_known_system(path, kept)
+
+
+def _with_known_system(path: str, features: GeoDataFrame) -> GeoDataFrame:
+    """Drop a system that says nothing; raises InvalidFeatures if it cannot be applied."""
+    try:
+        return features.set_crs(known_system(features.crs), allow_override=True)
+    except InvalidCoordinates as error:
+        raise InvalidFeatures(f'{path}: {error}') from error
 
 
 def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
@@ -140,26 +148,6 @@ def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
     return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
-def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
-    """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
-
-    If the map's system is unknown, positions in metres are assumed to be in the map's. Raises
-    InvalidCoordinates if they are in another unit.
-    """
-    from pyproj import CRS, Transformer
-
-    own = CRS.from_user_input(crs)
-    if not map_crs:
-        if not in_metres(own):
-            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the '
-                                     'coordinate system of the map is unknown; name it with crs '
-                                     '(map.crs)')
-        return points
-    system = Coordinates(map_crs)
-    to_map = Transformer.from_crs(own, system.crs, always_xy=True)
-    return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))
-
-
 def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = None,
                 refused: str = '') -> GeoDataFrame:
     """Read features (``read_features``) in the coordinates of a map.
@@ -176,10 +164,12 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
                               f'{risk_map.crs}; name it in the file, or with crs for all files')
     if own and own != risk_map.crs:
         try:
+            shapes = shapely.segmentize(features.geometry.to_numpy(), longest_edge(own))
             features = features.set_geometry(shapely.transform(
-                features.geometry, lambda xy: from_system(xy, own, risk_map.crs)), crs=None)
+                shapes, lambda xy: from_system(xy, own, risk_map.crs)))
         except InvalidCoordinates as error:
             raise InvalidFeatures(f'{source}: {error}') from error
+    features = features.set_crs(None, allow_override=True)
     low, high = risk_map.bounds
     if not features.intersects(shapely.box(*low, *high)).any():
         raise InvalidFeatures(f'{source}: nothing in it lies on the map, which reaches from '
