@@ -29,7 +29,7 @@ COMMON = ('-o', '--start', '--goal', '--via', '--reach', '--held', '--detour', '
           '--set')
 HELP = """\
 MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
-A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
+A POSITION is X Y in its metres, LAT,LON in degrees, an MGRS reference, or as a card prints it.
 """
 DETAILS = """
 A GeoTIFF has the values of map_server, -1..100; an npz file has alpha and obstacles (H, W), row 0
@@ -191,5 +191,6 @@ def _value(name: str, text: str) -> Any:
     except (yaml.YAMLError, TypeError, ValueError):
         value = None
     if type(value) is not kind:
-        raise InvalidOption(f'{name} must be {_KINDS[kind]}, got {text!r}')
+        comma = ' with a decimal point' * bool(re.match(r'[-+]?\d+,\d', text))
+        raise InvalidOption(f'{name} must be {_KINDS[kind]}{comma}, got {text!r}')
     return value
