@@ -13,17 +13,11 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import shown, warn
+from .coordinates import from_system
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
 from .tables import InvalidFeatures, column_among, dates_of, naming, plain
-from .vector_file import (
-    file_and_layer,
-    from_system,
-    misplaced,
-    read_features,
-    read_positions,
-    with_positions,
-)
+from .vector_file import file_and_layer, misplaced, read_features, read_positions, with_positions
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -71,9 +65,6 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
         if hint := misplaced(points, crs, risk_map):
             raise InvalidFeatures(f'nothing in it lies on the map: {hint}')
         xy = points if crs is None else from_system(points, crs, risk_map.crs)
-        if (far := ~np.isfinite(xy).all(axis=1)).any():
-            raise InvalidFeatures('positions are too far from the map for its coordinate system, '
-                                  f'such as {points[far][0].tolist()}')
     tracks, ignored = [], 0
     for name in dict.fromkeys(names.tolist()):
         own = names == name

@@ -20,9 +20,16 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import WGS84, Coordinates, InvalidCoordinates, horizontal, in_metres
+from .coordinates import (
+    WGS84,
+    InvalidCoordinates,
+    from_system,
+    horizontal,
+    known_system,
+    longest_edge,
+)
 from .file_kinds import refuse_other_kinds
-from .risk_map import RiskMap, to_map_axes
+from .risk_map import RiskMap
 from .tables import InvalidFeatures, column_among, naming, numbers_of, read_table
 
 if TYPE_CHECKING:
@@ -90,17 +97,17 @@ def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
 
 
 def _with_known_system(path: str, features: GeoDataFrame) -> GeoDataFrame:
-    """Drop a system that says nothing; raises InvalidFeatures if coordinates contradict it."""
-    crs = features.crs
-    if crs is None or crs.is_engineering or crs.name.lower().startswith(('undefined', 'unknown')):
-        return features.set_crs(None, allow_override=True)
-    most = np.abs(features.total_bounds)
-    if crs.is_geographic and not (most <= (360.0, 90.0, 360.0, 90.0)).all():
-        x, y = features.total_bounds[:2]
-        raise InvalidFeatures(f'{path}: coordinates such as ({x:.10g}, {y:.10g}) are no degrees of '
-                              f'longitude and latitude, although its coordinate system is '
-                              f'{crs.name}; export it with the system that it is in')
-    return features
+    """Drop a system that says nothing; raises InvalidFeatures if it cannot be applied."""
+    with naming(path):
+        features = features.set_crs(known_system(features.crs), allow_override=True)
+        most = np.abs(features.total_bounds)
+        if features.crs is not None and features.crs.is_geographic and not (
+                most <= (360.0, 90.0, 360.0, 90.0)).all():
+            x, y = features.total_bounds[:2]
+            raise InvalidFeatures(f'coordinates such as ({x:.10g}, {y:.10g}) are no degrees of '
+                                  'longitude and latitude, although its coordinate system is '
+                                  f'{features.crs.name}; export it with the system that it is in')
+        return features
 
 
 def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
@@ -225,27 +232,6 @@ def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
     return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
-def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
-    """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
-
-    If the map's system is unknown, positions in metres are assumed to be in the map's. Raises
-    InvalidCoordinates if they are in another unit.
-    """
-    from pyproj import CRS, Transformer
-
-    own = CRS.from_user_input(crs)
-    if not map_crs:
-        if not in_metres(own):
-            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the '
-                                     'coordinate system of the map is unknown; name it with crs '
-                                     '(map.crs)')
-        return points
-    system = Coordinates(map_crs)
-    to_map = Transformer.from_crs(own, system.crs, always_xy=True)
-    xy = np.stack(to_map.transform(*points.T), axis=-1)
-    return to_map_axes(system.origin, np.where(np.isfinite(xy), xy, np.nan))
-
-
 def misplaced(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
     """Say how positions (K, 2) in a system (none: unknown) are meant if none lies on the map."""
     swapped = points[:, ::-1]
@@ -281,8 +267,9 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
             raise InvalidFeatures('its coordinate system is unknown, that of the map is '
                                   f'{risk_map.crs}; name it in the file, or with crs for all files')
         if own and own != risk_map.crs:
+            shapes = shapely.segmentize(features.geometry.to_numpy(), longest_edge(own))
             features = features.set_geometry(shapely.transform(
-                features.geometry, lambda xy: from_system(xy, own, risk_map.crs)))
+                shapes, lambda xy: from_system(xy, own, risk_map.crs)))
         features = features.set_crs(None, allow_override=True)
         if not features.intersects(shapely.box(*np.ravel(risk_map.bounds))).any():
             (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
