@@ -20,7 +20,7 @@ import numpy as np
 from .arrays import FloatArray
 from .errors import InvalidOption
 from .game.strategy import TripStrategy
-from .maps.coordinates import WGS84, InvalidCoordinates
+from .maps.coordinates import WGS84, InvalidCoordinates, longest_edge
 from .maps.risk_map import RiskMap
 from .planning.plan import Plan
 from .planning.route_layers import line_table, lines_in_system, route_columns, strategy_tables
@@ -46,8 +46,9 @@ _STRAIGHT = 0.5
 class Drawn:
     """Paths (L, 2 or 3) [m] drawn from the strategies of a trip at ``times``, perhaps each for a slot.
 
-    Without ``labels``, they are named by their numbers and slots. ``covered`` is the share of
-    departures that an ambush at one of the times covers, if these are drawn.
+    With ``routes_only``, files tell nothing of other routes. Without ``labels``, routes are named
+    by their numbers and slots. ``covered`` is the share of departures that an ambush at one of the
+    times covers, if these are drawn.
     """
 
     trip: TripStrategy
@@ -57,6 +58,7 @@ class Drawn:
     slots: Sequence[str] = field(default=(), kw_only=True)
     labels: Sequence[str] = field(default=(), kw_only=True)
     covered: float = field(default=1.0, kw_only=True)
+    routes_only: bool = field(default=False, kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -78,18 +80,23 @@ class Drawn:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
-        return {'routes': self.routes, **strategy_tables(self.trip, self.risk_map)}
+        others = {} if self.routes_only else strategy_tables(self.trip, self.risk_map)
+        return {'routes': self.routes, **others}
 
     def picture(self) -> Figure:
         """Draw map, strategy and routes."""
         from matplotlib.figure import Figure
 
-        from .figures import draw_strategy
-        from .map_figures import WIDTH
+        from .figures import draw_routes, draw_strategy
+        from .map_figures import WIDTH, draw_map
 
         figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
-        draw_strategy(figure.subplots(), self.trip, self.risk_map,
-                      [path[:, :2] for path in self.paths], self.covered)
+        axes, lines = figure.subplots(), [path[:, :2] for path in self.paths]
+        if self.routes_only:
+            draw_map(axes, self.risk_map, ', '.join(self.names))
+            draw_routes(axes, lines)
+        else:
+            draw_strategy(axes, self.trip, self.risk_map, lines, self.covered)
         return figure
 
 
@@ -164,6 +171,7 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
     for name, table in tables.items():
         shown = table.assign(layer=name)
         if shown.crs:
+            shown.geometry = shown.segmentize(longest_edge(shown.crs))
             shown = shown.to_crs(WGS84)
             shown.geometry = [_cut_at_180(shape) for shape in shown.geometry]
         features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']

@@ -14,7 +14,7 @@ from ..route_files import PLAN
 from ..words import distance
 from . import cli
 from .card_page import Card, add_speed, card_of, card_page
-from .positions import add_crs, crs_text
+from .positions import add_crs, in_named_system
 
 EPILOG = """\
 FILE is a recorded departure (.mcap), of the node or of ambush draw, or with --route a plan of few
@@ -53,8 +53,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             if of_plan else
             f'{file} is a departure, which has one route: leave out --route')
     card = _chosen(arguments) if of_plan else _recorded(arguments)
-    if crs := crs_text(arguments):
-        card = replace(card, risk_map=replace(card.risk_map, crs=crs))
+    card = replace(card, risk_map=in_named_system(card.risk_map, arguments, console))
     file, length = arguments.output, float(card.distances[-1])
     write_all_durably({file: card_page(card, console).encode()})
     legs = len(card.points) - 1

@@ -148,7 +148,7 @@ def _columns(card: Card, console: Console) -> dict[str, list[str]]:
         columns['latitude, longitude'] = [f'{lat:.5f}, {lon:.5f}' for lat, lon in lat_lon]
     else:
         turns = bearings(points)
-        columns['x, y [m]'] = [f'{x:.1f}, {y:.1f}' for x, y in points]
+        columns['x y [m]'] = [f'{x:.1f} {y:.1f}' for x, y in points]
     return columns | {
         'bearing to next': [*(f'{round(turn) % 360:03d}°' for turn in turns), ''],
         f'to next [{unit}]': [*(f'{leg:.{digits}f}' for leg in np.diff(total)), ''],

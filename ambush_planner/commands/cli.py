@@ -62,7 +62,7 @@ _EXTRAS = {
     'gis': ('geopandas', 'gpxpy', 'mgrs', 'pyogrio', 'pyproj', 'rasterio', 'shapely'),
     'recordings': ('lz4', 'mcap', 'mcap_ros2', 'zstandard'),
 }
-_SOUTHERN = re.compile(r'-[\d.]+,-?[\d.]*$')  # LAT,LON
+_SOUTHERN = re.compile('-[0-9.]+[,°]')  # LAT,LON
 _TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 _BROKEN_PIPE, _INTERRUPTED = 141, 130  # exit codes of a shell after SIGPIPE and SIGINT
 
@@ -173,8 +173,9 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
     if 'reach' in options:  # messages name what can be typed
         from .inputs import as_typed
+        from .positions import as_typed_places
 
-        console.words = as_typed
+        console.words = lambda text: as_typed(as_typed_places(options, text))
     try:
         with telling_warnings(console.warn):
             code = work(options, console)

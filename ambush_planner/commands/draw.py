@@ -15,14 +15,14 @@ from ..recordings import plan_departures
 from ..recordings.durable_files import write_all_durably
 from ..recordings.metadata import Metadata, RecordedDay
 from ..recordings.plan_file import SavedPlan, read_plan
-from ..route_files import Drawn, content_of
+from ..route_files import SUFFIXES, Drawn, content_of
 from ..words import distance
 from . import cli
 from .card_page import add_speed, card_of, card_page
 from .console import when
 from .geo_files import require_for
 
-SUFFIXES = ('.html', '.gpx')
+CARD = '.html'
 DESCRIPTION = """\
 Draw a departure from a plan, and record it. The operating system's entropy draws.
 
@@ -31,8 +31,9 @@ Draw a departure from a plan, and record it. The operating system's entropy draw
 EPILOG = """\
 PLAN is a file of ambush plan -o PLAN. The recording is in the folder PLAN.departures next to it,
 which verify, audit, report, judge, export and card read. FILE is the driver's card (.html) or the
-route for his receiver (.gpx); nothing in it tells of other routes. With --days, the day is in
-the name of each file, as in card_2026-11-30.html, and the console does not tell the routes.
+route in a format of ambush export (.gpx for his receiver, .gpkg, .geojson, .csv, .png); nothing in
+it tells of other routes. With --days, the day is in the name of each file, as in
+card_2026-11-30.html, and the console does not tell the routes.
 If a departure for the same day and slot was drawn before, say with --earlier whether it was driven;
 on a terminal, the command asks. One that was not driven does not count in audit and report.
 If a file cannot be written, nothing is, and nothing has been drawn. If the plan's gap is wide, it
@@ -46,8 +47,8 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('draw', DESCRIPTION, EPILOG)
     made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
-    made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
-                      metavar='FILE', help='card.html or route.gpx')
+    made.add_argument('-o', '--output', type=cli.file_of(CARD, *SUFFIXES), nargs='+', default=[],
+                      metavar='FILE', help=f'card{CARD}, or a route: {", ".join(SUFFIXES)}')
     made.add_argument('--date', type=_date, metavar='YYYY-MM-DD',
                       help='day of the departure, or of the first one (default: today)')
     made.add_argument('--days', type=cli.number(1, 366, int), metavar='COUNT',
@@ -174,14 +175,15 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
     plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
-        if path.suffix.lower() == '.html':
+        if path.suffix.lower() == CARD:
             card = card_of(drawn.poses, plan.own_map, plan.trip, (plan.trip, drawn.route),
                            arguments.speed, drawn.slot, day)
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
-            yield path, content_of(path, Drawn(plan.drawn_from, plan.own_map, [drawn.poses], times,
-                                               labels=[name]))
+            route = Drawn(plan.drawn_from, plan.own_map, [drawn.poses], times, slots=[name],
+                          labels=[name], routes_only=True)
+            yield path, content_of(path, route)
 
 
 main = cli.command(parser, _work)

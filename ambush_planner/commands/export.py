@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from datetime import datetime, timezone
 
 from ..route_files import Drawn, write_routes
 from . import cli, readers
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .positions import add_crs, crs_text
+from .positions import add_crs, in_named_system
 from .report_words import leaving
 
 EPILOG = f"""\
@@ -40,7 +39,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.error('no recording could be read, so nothing was exported')
         return cli.Exit.UNREADABLE
     last = departures[-1]
-    risk_map = replace(last.newest_risk_map, crs=crs_text(options) or last.risk_map.crs)
+    risk_map = in_named_system(last.newest_risk_map, options, console)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
     slots = [leaving(each) for each in departures] if any(
         each.metadata.day for each in departures) else ()

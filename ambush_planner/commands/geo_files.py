@@ -73,6 +73,6 @@ def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
     what = ', '.join([*['plan'] * bool(plans), *routes])
     files = console.secret(paths, f'{what}; ')
     if plans:
-        gpx = ' route.gpx' * bool(drawn.risk_map.crs)
-        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html{gpx}')
+        suffix = '.gpx' if drawn.risk_map.crs else '.csv'
+        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html route{suffix}')
     console.result |= {'files': files, 'departures': len(drawn.paths)}

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ..arrays import BoolArray
 from ..errors import InvalidOption, InvalidRiskMap
 from ..option_checks import allowed, check_options
+from .coordinates import agree
 from .risk_map import LOSSES, MAX_LOSS, MIN_LOSS, RiskMap, check_place
 
 # Values of an obstacle's cells and of unknown ones.
@@ -55,7 +56,7 @@ def agreed_crs(known: str | None, given: str | None) -> str | None:
 
     Raises InvalidRiskMap if both are known and differ.
     """
-    if known and given and known != given:
+    if known and given and not agree(known, given):
         raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
     return known or given or None
 

@@ -73,8 +73,10 @@ def _read_raster(path: Path) -> OccupancyMap:
         given, raster = raster, square_cells(raster)
         warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
              f'to {raster.row_step:.7g} m, by the nearest')
-    return OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
-                        (*raster.corner, 0.0), raster.crs, raster.heights, raster.losses)
+    origin = (*(raster.corner or (0.0, 0.0)), 0.0)
+    values: Any = np.nan_to_num(raster.values.astype(np.float64), nan=-1.0)
+    return OccupancyMap(values, raster.column_step, origin, raster.crs, raster.heights,
+                        raster.losses)
 
 
 def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:

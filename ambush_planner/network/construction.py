@@ -16,7 +16,7 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.risk_map import RiskMap
-from ..maps.road_file import RoadGraph, read_roads
+from ..maps.road_file import ROAD_OPTIONS, RoadGraph, read_roads
 from ..option_checks import allowed, check_options, length
 from .grading import Grading
 from .layout import FreeSpace, connect_nodes
@@ -57,6 +57,9 @@ class NetworkOptions:
         graph of networkx or osmnx), or a ``RoadGraph``.
     node_crossings
         Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
+    road_column, all_lines_are_roads, two_way
+        Which lines are roads (COLUMN=VALUE,VALUE or all), and that columns which may say directions
+        do not, if the columns of a file are not known (``roads_among``).
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
     refine
@@ -78,6 +81,9 @@ class NetworkOptions:
     clear_of_edge: bool = allowed(True)
     graph: str | RoadGraph | Any = allowed(None, str, automatic='')
     node_crossings: bool = allowed(False)
+    road_column: str = allowed('')
+    all_lines_are_roads: bool = allowed(False)
+    two_way: bool = allowed(False)
     join_distance: float = length(50.0)
     refine: int | None = allowed(None, int, high=20, automatic=-1)
 
@@ -85,7 +91,8 @@ class NetworkOptions:
         check_options(self)
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
             given = '' if self.graph is None else self.graph
-            object.__setattr__(self, 'graph', read_roads(given, self.node_crossings))
+            object.__setattr__(self, 'graph', read_roads(
+                given, *(getattr(self, name) for name in ROAD_OPTIONS)))
 
     @property
     def roads(self) -> RoadGraph | None:

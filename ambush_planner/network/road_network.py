@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, members
 from ..errors import InvalidOption, NoRoute
-from ..maps.coordinates import InvalidCoordinates
+from ..maps.coordinates import InvalidCoordinates, agree, from_system, longest_edge
 from ..maps.obstacles import ObstacleField, nearest_on_segments
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
-from ..maps.vector_file import from_system
+from ..maps.vector_file import misplaced
 from .shortest_paths import edge_matrix, reachable_from
 from .trip_graph import Position, TripGraph, named, position_errors
 
@@ -29,10 +29,15 @@ ON_ROAD = 1e-3
 
 
 def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
-    """The roads in the map's coordinates, without the pieces beyond its bounds."""
-    roads = in_map_frame(roads, risk_map.crs)
+    """The roads in the map's coordinates, without the pieces beyond its bounds.
+
+    Raises InvalidOption if there is none, and it is known why.
+    """
+    given, roads = roads, in_map_frame(roads, risk_map.crs)
     uv = risk_map.to_map_axes(roads.points)[roads.pairs]
     inside = ((uv.max(axis=1) >= 0.0) & (uv.min(axis=1) <= risk_map.size)).all(axis=1)
+    if not inside.any() and (hint := misplaced(given.points, given.crs, risk_map)):
+        raise InvalidOption(f'graph: none of its roads lies on the map: {hint}')
     return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside])
 
 
@@ -46,7 +51,10 @@ def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
     if not roads.crs:
         return roads
     try:
-        return replace(roads, points=from_system(roads.points, roads.crs, crs), crs='')
+        spacing = longest_edge(roads.crs) if crs and not agree(roads.crs, crs) else np.inf
+        pieces = _cut(roads, spacing)
+        return replace(roads, points=from_system(pieces.points, roads.crs, crs),
+                       pairs=pieces.pairs, speeds=pieces.speeds, crs='')
     except InvalidCoordinates as error:
         raise InvalidOption(f'graph: {error}') from error
 
@@ -150,7 +158,8 @@ def _joined(pieces: _Pieces, name: str, position: Position, join_distance: float
     if len(pieces.pairs):
         far, piece, foot = pieces.nearest(np.array(position))
     if far > join_distance:
-        nearest = f'{far:.1f} m from the nearest road' if far < np.inf else 'on a map without roads'
+        nearest = (f'{far:.1f} m from the nearest road, at ({foot[0]:.1f}, {foot[1]:.1f})'
+                   if far < np.inf else 'on a map without roads')
         raise position_errors(name)[1](
             f'{named(name, position)} is {nearest}; move it, or raise join_distance '
             f'({join_distance:g} m)')

@@ -106,6 +106,13 @@ _DESCRIBED: dict[str, str | Declaration] = {
     'network.node_crossings':
         'Whether roads also meet where they cross without a shared vertex, except on bridges and '
         'in tunnels.',
+    'network.road_column':
+        'Column of network.graph that says which lines are roads, and its values for roads: '
+        'class=road,track; for files whose columns are not known.',
+    'network.all_lines_are_roads':
+        'Whether all lines of network.graph are roads, if no column says which.',
+    'network.two_way':
+        'Whether roads are two-way although a column that is not known may say directions.',
     'network.join_distance':
         'Maximum distance of start, stops and goal from the nearest road [m].',
     'game.ambush_radius':

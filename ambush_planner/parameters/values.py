@@ -21,7 +21,7 @@ from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import MAX_LOSS
-from ..maps.road_file import RoadGraph
+from ..maps.road_file import ROAD_OPTIONS, RoadGraph
 from ..maps.vector_file import file_and_layer
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
@@ -115,10 +115,10 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
     )
 
 
-def roads_named(values: Mapping[str, Any]) -> tuple[str, bool] | None:
+def roads_named(values: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """Return what ``read_roads`` takes if values name a file with roads to plan on, else None."""
     graph = values['network.graph'] if values['network.method'] == 'graph' else ''
-    return (graph, values['network.node_crossings']) if graph else None
+    return (graph, *(values[f'network.{name}'] for name in ROAD_OPTIONS)) if graph else None
 
 
 def check_possible(changes: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 
 from ..errors import InvalidOption, telling_warnings
 from ..gone import check_none_gone
-from ..maps.road_file import read_roads
+from ..maps.road_file import ROAD_OPTIONS, read_roads
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import (
     NodeParameters,
@@ -36,7 +36,7 @@ from .plan_from_file import planned_parameters, read_plan_for_node
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
 # Parameters whose change has the roads read again.
-_OF_ROADS = ('network.method', 'network.graph', 'network.node_crossings')
+_OF_ROADS = ('network.method', 'network.graph', *(f'network.{name}' for name in ROAD_OPTIONS))
 
 
 class NodeSettings:
