@@ -191,6 +191,6 @@ def _value(name: str, text: str) -> Any:
     except (yaml.YAMLError, TypeError, ValueError):
         value = None
     if type(value) is not kind:
-        comma = ' with a decimal point' * bool(re.match(r'[-+]?\d+,\d', text))
-        raise InvalidOption(f'{name} must be {_KINDS[kind]}{comma}, got {text!r}')
+        point = ', with a decimal point' if re.fullmatch(r'-?\d+,\d+\D*', text) else ''
+        raise InvalidOption(f'{name} must be {_KINDS[kind]}{point}, got {text!r}')
     return value
