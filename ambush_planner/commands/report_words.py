@@ -76,9 +76,9 @@ def _place(section: Section) -> str:
     """Where the best ambush is: latitude and longitude, or x and y."""
     assert section.best
     try:
-        return Position((0.0, 0.0), True).like(section.best.xy, section.risk_map)
+        return Position((0.0, 0.0), 'degrees', '').like(section.best.xy, section.risk_map)
     except InvalidCoordinates:
-        return Position((0.0, 0.0), False).like(section.best.xy, section.risk_map)
+        return Position((0.0, 0.0), 'metres', '').like(section.best.xy, section.risk_map)
 
 
 def _optimality(section: Section) -> str:
