@@ -19,26 +19,30 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, SolverFailed
-from ambush_planner.game.ambusher import Ambusher, at_nodes
-from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate.best_response import SEARCHES, TripNetworks
-from ambush_planner.game.certificate.certificate import lower_bound
-from ambush_planner.game.certificate.curves import Circulation
-from ambush_planner.game.faces import make_faces
+from ambush_planner.game.ambusher import Ambusher
+from ambush_planner.game.budget import length_budget
+from ambush_planner.game.certificate.best_response import SEARCHES, Subnetwork
+from ambush_planner.game.certificate.certificate import lower_bounds
+from ambush_planner.game.certificate.curves import curve_bound
+from ambush_planner.game.faces import Circulation, make_faces
 from ambush_planner.game.game import make_game
+from ambush_planner.game.legs import Legs
 from ambush_planner.game.value.potential import Potential
 
 
 def proof(game, detour):
     """The ambusher whom the LP in potentials finds, the budget, and the LP's bound."""
-    budget = Budget.length(game, detour)
-    lp = Potential(make_faces(game), budget, 1e-3, math.inf)
-    lp.solve()
-    curves = lp.circulation
-    if curves is not None:
-        curves = replace(curves, site=game.sites[curves.site])
-    ambusher = Ambusher(at_nodes(game, lp.q), lp.price, circulation=curves)
+    budget = length_budget(game, detour)
+    lp = Potential(Legs((game,), (budget,)), [make_faces(game)], 1e-3)
+    lp.solve(math.inf)
+    ambusher = lp.ambush.ambusher(game, np.ones(len(game.sites), dtype=bool))
     return ambusher, budget, lp.bound
+
+
+def lower_bound(game, ambusher, budget) -> float:
+    """What the curves of a leg's ambusher prove, at least 0."""
+    (curves,), (price,) = ambusher.circulations, ambusher.prices
+    return max(curve_bound(make_faces(game), curves, game.loss * ambusher.q, budget, price), 0.0)
 
 
 class Case:
@@ -60,7 +64,7 @@ class Case:
 
     def least_cost(self, ambusher: Ambusher) -> float:
         """The best response among all routes, less what the budget is worth."""
-        price, limit = ambusher.price, self.budget.limit
+        (price,), limit = ambusher.prices, self.budget.limit
         costs = self.met @ (ambusher.q * self.game.network.alpha) + price * self.length
         return float(costs.min()) - (price * limit if price > 0.0 else 0.0)
 
@@ -79,7 +83,7 @@ cases = st.builds(Case, st.integers(0, 10**6), st.floats(0.2, 1.5),
 @examples(20)
 @given(cases)
 def test_a_circulation_proves_what_its_program_says_and_never_more_than_the_optimum(case):
-    assume(case.ambusher is not None and case.ambusher.circulation is not None)
+    assume(case.ambusher is not None and case.ambusher.circulations)
     bound, least = case.bound_of(case.ambusher), case.least_cost(case.ambusher)
     assert bound <= min(case.once, least, case.bound) * (1.0 + 1e-9)
     assert bound == pytest.approx(min(least, case.bound), rel=1e-6)
@@ -87,7 +91,7 @@ def test_a_circulation_proves_what_its_program_says_and_never_more_than_the_opti
 
 def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
     """The ambusher with something changed: his q, his price, or his circulation."""
-    q, price, curves = ambusher.q.copy(), ambusher.price, ambusher.circulation
+    q, (price,), (curves,) = ambusher.q.copy(), ambusher.prices, ambusher.circulations
     kind = rng.integers(0, 8)
     sites = game.sites
     if kind == 0:
@@ -111,18 +115,22 @@ def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
         count, faces = 60, make_faces(game)
         curves = Circulation(rng.normal(size=len(curves.through)), rng.choice(sites, count),
                              rng.integers(0, faces.count, count), rng.normal(size=count))
-    return Ambusher(q, price, circulation=curves)
+    return Ambusher(q, (price,), (curves,))
 
 
 @examples(20)
 @given(cases, st.integers(0, 10**6))
 def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, seed):
     """Neither for this ambusher, nor for any."""
-    assume(case.ambusher is not None and case.ambusher.circulation is not None)
+    assume(case.ambusher is not None and case.ambusher.circulations)
     assume(len(case.game.sites) > 1)
     rng, ambusher = np.random.default_rng(seed), case.ambusher
     for _ in range(12):
-        ambusher = perturbed(ambusher if rng.random() < 0.5 else case.ambusher, case.game, rng)
+        before = ambusher if rng.random() < 0.5 else case.ambusher
+        try:
+            ambusher = perturbed(before, case.game, rng)
+        except SolverFailed:  # q is none of an ambusher's
+            continue
         bound = case.bound_of(ambusher)
         assert bound <= max(case.least_cost(ambusher), 0.0) + 1e-9
         assert bound <= case.once * (1.0 + 1e-9)
@@ -131,16 +139,17 @@ def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, se
 def test_the_circulation_of_another_network_is_refused():
     game = make_game(terrain_network(3, cells=14), GameOptions(ambush_radius=2.0))
     ambusher, budget, _ = proof(game, 1.2)
-    curves = ambusher.circulation
+    (curves,) = ambusher.circulations
     for wrong in (replace(curves, through=curves.through[:-1]),
                   replace(curves, site=curves.site + len(game.loss))):
         with pytest.raises(SolverFailed, match='another network'):
-            lower_bound(game, replace(ambusher, circulation=wrong), budget)
+            lower_bound(game, replace(ambusher, circulations=(wrong,)), budget)
     crossing = make_game(terrain_network(5, 'uniform_grid8', 14), GameOptions(ambush_radius=2.0))
     q = np.zeros(crossing.node_count)
     q[crossing.sites[0]] = 1.0
     with pytest.raises(SolverFailed, match='links cross'):
-        lower_bound(crossing, Ambusher(q, circulation=curves), Budget.length(crossing, 1.2))
+        lower_bounds(Legs((crossing,), (length_budget(crossing, 1.2),)),
+                     Ambusher(q, (0.0,), (curves,)))
 
 
 def nearly_two_secured_radii_apart(seed):
@@ -170,11 +179,11 @@ def test_a_curve_does_not_lead_through_a_secured_area_that_cuts_a_disc_in_two():
     discs = faces.discs(game.entering)
     assert len(np.unique(discs.part)) > len(np.unique(discs.disc))
     ambusher, budget, bound = proof(game, detour)
-    dual_weights = (game.loss * ambusher.q)[None, game.sites]
-    base = ambusher.price * budget.reduced_cost
-    _, route = TripNetworks(game, game.entering).least_cost(base, dual_weights, SEARCHES)
+    site_prices, (price,) = (game.loss * ambusher.q)[game.sites], ambusher.prices
+    base = price * budget.reduced_cost
+    _, route = Subnetwork(game, game.entering).least_cost(base, site_prices, SEARCHES)
     met = game.entering[:, route].getnnz(axis=1) > 0
     cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
-    cost += ambusher.price * (budget.cost[route].sum() - budget.limit)
-    assert ambusher.circulation is not None
+    cost += price * (budget.cost[route].sum() - budget.limit)
+    assert ambusher.circulations
     assert bound * (1.0 - 1e-6) <= lower_bound(game, ambusher, budget) <= max(cost, 0.0) + 1e-9

@@ -56,6 +56,8 @@ class Stages(NamedTuple):
     # Optimality gaps of a program in potentials, and of one over routes [tolerances].
     potential_gap: float = 0.1
     routes_gap: float = 0.3
+    # The gap of one in potentials that only says where a network is to be refined [tolerances].
+    rough_gap: float = 0.5
     # Share of the tolerance that a program's strategies may use; a distribution may use the rest.
     flow_tolerance: float = 0.5
     # How often sites join before the distribution is sought; more often while the value is 0. In
@@ -229,15 +231,25 @@ def _tolerance(problem: SearchProblem) -> float:
     return max(problem.tolerance, MIN_TOLERANCE)
 
 
-def find_value(problem: SearchProblem) -> Search:
-    """Find the least value within the budgets, and an ambusher who nearly proves it."""
+def find_value(problem: SearchProblem, rough: bool = False) -> Search:
+    """Find the least value within the budgets, and an ambusher who nearly proves it.
+
+    A ``rough`` search is less precise, until it is finished (``tighten``).
+    """
     tolerance, legs = _tolerance(problem), problem.legs
-    faces = planar_faces(legs)
-    program = (Potential(legs, faces, STAGES.potential_gap * tolerance, problem.first_value)
+    faces, gap = planar_faces(legs), STAGES.rough_gap if rough else STAGES.potential_gap
+    program = (Potential(legs, faces, gap * tolerance, problem.first_value)
                if faces else Routes(legs, STAGES.routes_gap * tolerance))
     search = Search(problem, program, tolerance)
     find_sites(search)
     return search
+
+
+def tighten(search: Search) -> None:
+    """Find the value of a rough search precisely."""
+    if isinstance(search.program, Potential):
+        search.program.tighten(STAGES.potential_gap * search.tolerance)
+        search.solve_program()
 
 
 def planar_faces(legs: Legs) -> list[Faces]:

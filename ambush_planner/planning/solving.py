@@ -13,7 +13,14 @@ from scipy.spatial import cKDTree
 from ..arrays import FloatArray
 from ..game.game import Game, GameOptions, make_games
 from ..game.search import Search
-from ..game.solver import find_value, finish, make_problem, search_ends, solve_legs
+from ..game.solver import (
+    find_value,
+    finish,
+    make_problem,
+    search_ends,
+    solve_legs,
+    tighten,
+)
 from ..game.strategy import TripStrategy
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import hiding_places, with_places
@@ -84,15 +91,16 @@ class Ground:
 
     def find_value(self, networks: Sequence[Network], end: float,
                    warm: WarmStart | None = None) -> Search:
-        """The first half of ``solve``: the value, and where the ambusher waits."""
+        """The first half of ``solve``, roughly: the value, and where the ambusher waits."""
         options = replace(self.options.strategy, time_limit=time_left(end))
         games, site_search = self._played(networks, warm)
         return find_value(make_problem(games, options, site_search,
-                                       warm.value if warm else np.inf))
+                                       warm.value if warm else np.inf), rough=True)
 
     def finish(self, search: Search, end: float) -> TripStrategy:
         """The second half of ``solve``."""
         search.go_on_until(*search_ends(end, time_left(end)))
+        tighten(search)
         return finish(search)
 
     def _played(self, networks: Sequence[Network], warm: WarmStart | None

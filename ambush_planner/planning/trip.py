@@ -19,6 +19,7 @@ from ..arrays import FloatArray, single_thread
 from ..errors import AmbushPlannerError, InvalidOption, InvalidRiskMap, TimeLimit, warn
 from ..game.revaluation import open_gap
 from ..game.search import Progress, Search, no_progress
+from ..game.strategy import TripStrategy
 from ..maps.obstacles import nearest_free_cell
 from ..maps.risk_map import RiskMap
 from ..network.construction import build_trip_graph
@@ -186,7 +187,7 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
         progress('drawing the routes of the refined network', best.value)
         with contextlib.suppress(AmbushPlannerError):  # then the best plan is the first one
             refined = ground.finish(search, end - reserve)
-            if refined.value < best.value:
+            if refined.value < best.value and not _gap_is_open(refined, options):
                 best = make_plan(trip.risk_map, refined, options, begin)
                 finished(best)
     return _within_max_gap(replace(best, refinement=rounds))
@@ -194,13 +195,19 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
 
 def _within_max_gap(plan: Plan) -> Plan:
     """The plan; raises TimeLimit if the time limit left a gap over ``max_gap``."""
-    gap = open_gap(plan.trip, plan.options.strategy)
-    if gap <= plan.options.max_gap * plan.trip.value or plan.trip.reason != 'time':
+    if not _gap_is_open(plan.trip, plan.options):
         return plan
+    gap = open_gap(plan.trip, plan.options.strategy)
     raise TimeLimit(f'after {plan.options.strategy.time_limit:.3g} s the strategy may be '
                     f'{gap / plan.trip.value:.2g} of its value from the best, more than max_gap '
                     f'{plan.options.max_gap:g}; allow more time, or choose a larger spacing',
                     plan.legs[0])
+
+
+def _gap_is_open(trip: TripStrategy, options: PlanningOptions) -> bool:
+    """Whether the time limit left a gap over ``max_gap`` beyond the risk slack."""
+    return trip.reason == 'time' and (
+        open_gap(trip, options.strategy) > options.max_gap * trip.value)
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ class EntropySearch(NamedTuple):
 
     evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
     newton_limits: int = 500  # that Newton's method moves at once
+    newton_steps: int = 8  # most steps in these limits before the others are looked at again
     damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
     floor: float = 1e-3  # share of its mean that is added to the diagonal for that
     max_weight: float = 1.0 / np.finfo(float).eps  # of an edge: sums along a route lose all digits
@@ -158,7 +159,7 @@ class _DualSearch:
         """
         v, damping, rise = self.found.multipliers, ENTROPY.damping, 2.0
         value, gradient = self(v)
-        while True:
+        for _ in range(ENTROPY.newton_steps):
             weight = np.maximum(v, -gradient * self.unit**2)
             counts = np.argsort(-weight)[:ENTROPY.newton_limits]
             counts = counts[weight[counts] > 0.0]

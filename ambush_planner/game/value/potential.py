@@ -40,14 +40,14 @@ from .face_flows import FaceFlows
 class PotentialSearch(NamedTuple):
     """The constants of the search for z."""
 
-    precision: float = 1e-3  # largest, relative: of z, and of the share at which faces join
-    step: float = 0.92  # factor by which z falls at most at once, until a budget is exceeded
+    precision: float = 5e-3  # largest, relative: of z, and of the share at which faces join
+    step: float = 0.9  # factor by which z falls at most at once, until a budget is exceeded
     # While the budgets are kept, z stays if more than this share of the discs' columns is new: at a
     # lower z, most of the columns that join would not be needed in the end.
     many: float = 0.03
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
-    points: int = 24  # most potentials of which mixtures are made
-    near: float = 0.2  # share of the value below which a site's largest loss is left out of these
+    points: int = 16  # most potentials of which mixtures are made
+    near: float = 0.5  # share of the value below which a site's largest loss is left out of these
     stalls: int = 8  # rounds without a better value or bound after which a search ends
 
 
@@ -80,8 +80,7 @@ class Potential:
                  first: float = np.inf) -> None:
         """The search for z begins at ``first``, or at half the largest loss a leg if less."""
         self.legs, count = legs, len(faces)
-        least = 2.0 / POTENTIAL.endless  # an endless flow proves no more
-        self._precision = min(max(gap, least), POTENTIAL.precision)
+        self.tighten(gap)
         self._z, self.bound, self.value = first, 0.0, np.inf
         self.q, self.prices = np.zeros(0), np.zeros(count)
         self._circulations: tuple[Circulation, ...] = ()
@@ -144,6 +143,11 @@ class Potential:
         if self._points:
             self._mix()
 
+    def tighten(self, gap: float) -> None:
+        """Let the next ``solve`` find z to another relative gap."""
+        least = 2.0 / POTENTIAL.endless  # an endless flow proves no more
+        self._precision = min(max(gap, least), POTENTIAL.precision)
+
     def solve(self, deadline: float) -> None:
         """Find z: from above in steps, from below by the bounds that ambushers prove.
 
@@ -163,7 +167,10 @@ class Potential:
             new = self._join(z)
             if keeps_budgets and new > POTENTIAL.many * len(self._joined):
                 continue
-            self._mix()
+            if keeps_budgets and len(self._legs) == 1:
+                self._use_last()  # a mixture with others costs more
+            else:
+                self._mix()
             self._z = z
             if within(self.value, self.bound, self._precision):
                 return
@@ -363,6 +370,12 @@ class Potential:
                 through / total, self._part_site[part[own]],
                 self._face[self._joined[own]] - leg.first_face, flow[own]))
         return tuple(found)
+
+    def _use_last(self) -> None:
+        """Take the last potential, which keeps the budget."""
+        self._points = self._points[-POTENTIAL.points :]
+        self._blend = np.eye(1, len(self._points), len(self._points) - 1)
+        self.value = float((self._loss * self._points[-1].hits[0]).max(initial=0.0))
 
     def _mix(self) -> None:
         """Find the mixture of potentials of least value within the budgets, and the next weights.
