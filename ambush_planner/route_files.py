@@ -44,7 +44,7 @@ _STRAIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) [m] drawn from the strategies of a trip at ``times``, perhaps each for a slot.
+    """Paths (L, 2 or 3) [m] drawn from a trip's strategies at ``times``, perhaps for slots.
 
     Without ``labels``, they are named by their numbers and slots. ``covered`` is the share of
     departures that an ambush at one of the times covers, if these are drawn.

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import pytest
 from games import paper_example, terrain_network
 from scipy.stats import binom
 
-from ambush_planner import GameOptions, Network, Strategy, StrategyOptions, solve
+from ambush_planner import GameOptions, Network, StrategyOptions, solve
 from ambush_planner.game.game import make_games
 from ambush_planner.game.route_sampler import RouteSampler
 from ambush_planner.game.solver import solve_legs
@@ -38,14 +37,9 @@ class Departure:
         return self.drawn_from.value * self.covered
 
 
-@cache
-def trip_of(strategy: Strategy) -> TripStrategy:
-    return TripStrategy((strategy,), strategy.certificate)
-
-
 def departed(strategy, route, slot=None):
     """A departure on a single leg."""
-    return Departure(trip_of(strategy), (np.asarray(route),), slot)
+    return Departure(strategy.alone, (np.asarray(route),), slot)
 
 
 @pytest.fixture(scope='module')

@@ -22,7 +22,6 @@ from ambush_planner import (
     PlanningOptions,
     Problem,
     SolverFailed,
-    Strategy,
     StrategyOptions,
     arrays,
     evaluate,
@@ -34,7 +33,6 @@ from ambush_planner import (
 )
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.game.revaluation import revalue
-from ambush_planner.game.strategy import TripStrategy
 from ambush_planner.game.tolerance import Reason
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
@@ -52,10 +50,6 @@ OPTIONS = StrategyOptions(max_detour=1.3)
 def check(record) -> None:
     """The bound is at most the value."""
     assert 0.0 <= record.lower_bound <= record.value, record
-
-
-def trip_of(strategy: Strategy) -> TripStrategy:
-    return TripStrategy((strategy,), strategy.certificate, reason=strategy.reason)
 
 
 def check_strategy(trip, options=OPTIONS) -> None:
@@ -90,11 +84,11 @@ def test_records_of_any_network(data, reach, timed):
             network.lengths)))
     game = GameOptions(ambush_radius=reach)
     strategy = solve(network, game, OPTIONS)
-    check_strategy(trip_of(strategy))
+    check_strategy(strategy.alone)
     for row in frontier(network, game, (1.0, 1.3), (0.1,)):
         check(row)
         assert row.shortest_length == strategy.shortest_length
-    other = revalue(trip_of(strategy), strategy.network.alpha * rng.uniform(0.5, 2.0, len(
+    other = revalue(strategy.alone, strategy.network.alpha * rng.uniform(0.5, 2.0, len(
         strategy.network.alpha)))
     assert 0.0 <= other.bound <= other.value
 
@@ -164,7 +158,7 @@ def test_a_file_that_would_fill_the_memory_is_refused_and_no_other_arrays_are_re
 def test_a_strategy_comes_back_whole(solver, radius):
     network = terrain_network(3)
     theirs = solve(network, GameOptions(ambush_radius=radius), StrategyOptions(solver=solver))
-    trip, stated = strategy_from_file(strategy_file(trip_of(theirs)),
+    trip, stated = strategy_from_file(strategy_file(theirs.alone),
                                       GameOptions(ambush_radius=radius))
     (ours,) = trip.legs
     for name in ('points', 'alpha', 'edges', 'source', 'target'):

@@ -28,7 +28,6 @@ from ambush_planner import (
 )
 from ambush_planner.commands import plan
 from ambush_planner.commands.inputs import as_typed
-from ambush_planner.game.strategy import TripStrategy
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.planning.concerns import concerns, wide_gap
 from ambush_planner.planning.options import DriveOptions
@@ -115,7 +114,7 @@ def test_a_wide_slack_does_not_make_an_ambush_certain():
     options, found = PlanningOptions(network=plain_options(spacing=1.0), strategy=wide), solve(
         network, options=wide)
     made = replace(plan_trip(ground(), START, GOAL, PlanningOptions(
-        network=plain_options(spacing=20.0))), trip=TripStrategy((found,), found.certificate),
+        network=plain_options(spacing=20.0))), trip=found.alone,
         options=options, spacing=1.0)
     assert made.value == pytest.approx(1.0, abs=0.04)
     assert not any('every' in text for text in concerns(made))
