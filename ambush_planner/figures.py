@@ -254,7 +254,7 @@ def marks_of(trip: TripStrategy) -> FloatArray:
 
 def draw_strategy(axes: Axes | None, trip: TripStrategy, risk_map: RiskMap | None = None,
                   routes: Sequence[FloatArray] = (), covered: float = 1.0) -> Axes:
-    """Draw the strategies of a trip on their map, or alone, with ambush sites; on new axes of pyplot if None.
+    """Draw a trip's strategies on their map, or alone, with ambush sites; None: on new axes.
 
     ``covered`` is the share of departures that an ambush at one of the times covers.
     """

@@ -44,7 +44,7 @@ _STRAIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) [m] drawn from the strategies of a trip at ``times``, perhaps each for a slot.
+    """Paths (L, 2 or 3) [m] drawn from a trip's strategies at ``times``, perhaps for slots.
 
     With ``routes_only``, files tell nothing of other routes. Without ``labels``, routes are named
     by their numbers and slots. ``covered`` is the share of departures that an ambush at one of the

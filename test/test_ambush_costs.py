@@ -31,7 +31,7 @@ def planned(seed, reach, held=()):
 def test_costs_are_loss_times_hits_at_each_cell(seed):
     plan = planned(seed, 1.4)
     strategy, network, risk_map = plan.strategy, plan.network, plan.risk_map
-    found = cost_raster(strategy, risk_map, 14)
+    found = cost_raster(plan.trip, risk_map, 14)
     at = np.argwhere(~np.isnan(found.cost))
     centres = risk_map.to_world(at[:, ::-1] + 0.5)
     options = strategy.game.options
@@ -49,8 +49,8 @@ def test_costs_are_loss_times_hits_at_each_cell(seed):
 @given(st.integers(0, 10**6), st.sampled_from((0.0, 1.4)))
 def test_no_place_costs_more_than_the_value_and_the_best_ambush_costs_that(seed, reach):
     plan = planned(seed, reach, (HELD,))
-    found, best = cost_raster(plan.strategy, plan.risk_map, 14), best_ambush(
-        plan.strategy, plan.risk_map)
+    found, best = cost_raster(plan.trip, plan.risk_map, 14), best_ambush(
+        plan.trip, plan.risk_map)
     assert 0.3 * plan.value < np.nanmax(found.cost) <= plan.value * (1.0 + 1e-9)
     cell = plan.risk_map.cells(plan.risk_map.to_map_axes(best.xy))
     assert plan.value == pytest.approx(best.hit * plan.risk_map.alpha[cell], rel=1e-6)
@@ -60,7 +60,7 @@ def test_no_place_costs_more_than_the_value_and_the_best_ambush_costs_that(seed,
 
 def test_a_block_has_the_cost_of_its_dearest_cell():
     plan = planned(3, 1.4)
-    fine, coarse = (cost_raster(plan.strategy, plan.risk_map, most) for most in (14, 5))
+    fine, coarse = (cost_raster(plan.trip, plan.risk_map, most) for most in (14, 5))
     assert coarse.block == 3 and coarse.cost.shape == (5, 5)
     for row, column in np.argwhere(~np.isnan(coarse.cost)):
         block = np.s_[3 * row:3 * row + 3, 3 * column:3 * column + 3]

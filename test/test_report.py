@@ -96,7 +96,8 @@ def test_the_page_needs_nothing_else_and_its_policy_names_the_only_script(made):
 
 def test_the_numbers_are_those_of_the_strategy(made):
     page, section = made
-    strategy, rows = section.strategy, evaluate(section.strategy)
+    (strategy,) = section.trip.legs
+    rows = evaluate(strategy)
     numbers = [number for number, _ in report_words.tiles(section)]
     assert [float(numbers[k].split()[0]) for k in (0, 2, 3)] == pytest.approx(
         [strategy.value, 12, np.mean(path_lengths([each.path_poses for each in
@@ -132,7 +133,7 @@ def test_departures_link_their_recordings_and_hold_neither_routes_nor_seeds(made
     for each in section.departures:
         assert f'departure {each.metadata.departure_id}' in page.values('title')
         assert str(each.metadata.route_entropy_source[0]) not in page.html
-        assert ', '.join(map(str, each.route[:4].tolist())) not in page.text
+        assert ', '.join(map(str, each.route[0][:4].tolist())) not in page.text
 
 
 def test_settings_that_differ_from_the_defaults_come_first(made):

@@ -218,7 +218,7 @@ def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, rea
                                            'game.held_places': held})}
     a_plan = sample_plan(reach=reach, held=tuple(held))
     opened(browser, written(tmp_path, 1, a_plan, entries=entries))
-    costs = cost_raster(a_plan.strategy, a_plan.risk_map, 160).cost
+    costs = cost_raster(a_plan.trip, a_plan.risk_map, 160).cost
     rows, columns = np.nonzero(costs > 0.01 * a_plan.value)
     at = (5.0 * np.column_stack((columns, rows)) + (1.0, 4.0)).tolist()  # in these cells
     said = browser.evaluate(f'{at}.map(([x, y]) => map.words(x, y))')

@@ -22,6 +22,7 @@ from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
+from ambush_planner.recordings.attachments import misstated, strategy_file, strategy_from_file
 from ambush_planner.recordings.audit import audit
 from ambush_planner.recordings.metadata import RecordedTrip
 from ambush_planner.recordings.report_data import sections_of
@@ -57,15 +58,16 @@ def shift_path(message):
 
 def other_route(forger):
     """A route that the strategy draws from another source."""
-    strategy = read_departure(forger.path).strategy
-    routes = (strategy.sample_route(np.random.default_rng(k)).tolist() for k in itertools.count())
+    (strategy,) = read_departure(forger.path).trip.legs
+    routes = ([strategy.sample_route(np.random.default_rng(k)).tolist()]
+              for k in itertools.count())
     forger.entries['route'] = next(each for each in routes if each != forger.entries['route'])
 
 
 def other_probabilities(forger):
     """A strategy of one sure route: a flow, but of a larger value than the optimal one."""
-    strategy = read_departure(forger.path).strategy
-    pairs = set(itertools.pairwise(forger.entries['route']))
+    (strategy,) = read_departure(forger.path).trip.legs
+    pairs = set(itertools.pairwise(forger.entries['route'][0]))
     used = [tuple(edge) in pairs for edge in strategy.network.edges.tolist()]
     forger.set_arrays(edge_probability=np.array(used, dtype=float))
 
@@ -178,10 +180,10 @@ def test_damaged_files_are_named_and_do_not_hide_others(files, tmp_path, capsys)
 
 def test_another_value_is_found_by_solving_again(files):
     departure = read_departure(files[NEW_ROUTE])
-    strategy, planning = departure.strategy, departure.parameters.planning
-    assert replan_problems(strategy, planning) == []
-    lower = Certificate(0.95 * strategy.value, 0.95 * strategy.lower_bound)
-    (problem,) = replan_problems(replace(strategy, certificate=lower), planning)
+    trip, planning = departure.trip, departure.parameters.planning
+    assert replan_problems(trip, planning) == []
+    lower = Certificate(0.95 * trip.value, 0.95 * trip.lower_bound)
+    (problem,) = replan_problems(replace(trip, certificate=lower), planning)
     assert 'solved again' in problem
 
 
@@ -257,8 +259,9 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
     assert [each.newest is each.planned_on for each in departures] == [True] + 5 * [False]
     for each in departures[1:]:
         assert np.array_equal(each.newest.values, values)
-        lost = each.drawn_from.edge_probability < each.strategy.edge_probability
-        assert lost.any() and each.value > 1.05 * each.strategy.value
+        lost = (each.drawn_from.legs[0].edge_probability
+                < each.trip.legs[0].edge_probability)
+        assert lost.any() and each.value > 1.05 * each.trip.value
     lines = [line for line in holds(tmp_path, capsys).splitlines() if 'value' in line]
     for path, each, line in zip(files, departures, lines, strict=True):
         published = published_value(path)
@@ -275,7 +278,7 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
     assert code == 1 and 'route: the recorded entropy draws another' in out
 
 
-def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
+def test_networks_of_whole_routes_are_rebuilt_with_the_sites_of_a_warm_start():
     """Two pairs of gates with one pass between them: routes remember by which gate they came."""
     alpha, obstacles = np.full((40, 60), 0.5), np.zeros((40, 60), bool)
     alpha[:, 26:34] = 0.05
@@ -288,14 +291,18 @@ def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
         game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
         strategy=StrategyOptions(max_detour=1.5))
     warm = WarmStart(np.array([(25.3, 31.1)]), np.zeros((0, 3)))
-    bounds: list[float] = []
+    values: list[float] = []
     plan = plan_trip(risk_map, start, goal, options, warm=warm,
-                     progress=lambda value, bound: bounds.append(bound))
-    assert min(bounds) > 0.0, 'what is proved stays proved'
+                     progress=lambda _, value: values.append(value))
+    assert values == sorted(values, reverse=True), 'a finished plan stays in hand'
     assert plan.strategy.reason == 'complete' and plan.value < 2.1
-    assert len(plan.network.points) > plan.network.place_count
-    trip = RecordedTrip(start, goal)
-    assert network_problems(plan.strategy, risk_map, options, trip) == []
+    assert plan.strategy.mixture
+    said = RecordedTrip(start, goal)
+    assert network_problems(plan.trip, risk_map, options, said) == []
+    again, stated = strategy_from_file(strategy_file(plan.trip), options.game)
+    assert not [*misstated(again, stated)] and again.value == plan.value
+    assert network_problems(again, risk_map, options, said) == []
+    assert np.array_equal(*(each.sample_route(3) for each in (*again.legs, *plan.legs)))
     moved = replace(plan.network, alpha=plan.network.alpha * 2.0)
-    other = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
-    assert network_problems(other, risk_map, options, trip)
+    leg = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
+    assert network_problems(replace(plan.trip, legs=(leg,)), risk_map, options, said)

@@ -18,6 +18,7 @@ from test_path_mixtures import GOAL, START, ground
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
+from ambush_planner.game.strategy import with_certificate
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.concerns import concerns, plan_numbers
@@ -147,14 +148,14 @@ def test_other_readers_take_the_recordings(plans, tmp_path):
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):
     plan, _ = plans['few']
-    mixture, few = plan.few.strategy, plan.few
+    (mixture,), few = plan.few.trip.legs, plan.few
     judged = PathMixtures(plan.own_map, plan, few.paths).judged(few.shares)
     assert (mixture.value, *few.worst_xy) == pytest.approx((judged.value, *judged.worst_xy))
     drawn = mixture.sample_routes(4000, np.random.default_rng(1))
     for k, (path, share) in enumerate(zip(few.paths, few.shares, strict=True)):
-        count = sum(np.array_equal(each, few.nodes(k)) for each in drawn)
+        count = sum(np.array_equal(each, *few.nodes(k)) for each in drawn)
         assert abs(count / 4000 - share) < 0.04
-        assert np.isin(mixture.network.points[few.nodes(k)], path[:, :2]).all()
+        assert np.isin(mixture.network.points[few.nodes(k)[0]], path[:, :2]).all()
 
 
 def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
@@ -165,7 +166,7 @@ def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
     assert float(numbers['value']) == pytest.approx(plan.few.value)
     assert float(numbers['expected_length']) == pytest.approx(plan.driven_length)
     assert (row.v_repeated, row.expected_length) == pytest.approx((plan.value, plan.driven_length))
-    best = plan.drawn_from.network.points[plan.bottleneck.sites]
+    best = plan.drawn_from.game.network.points[plan.bottleneck.sites]
     np.testing.assert_allclose(best, [plan.few.worst_xy])
     one = replace(plan, few=plan_trip(ground(), START, GOAL, OPTIONS, routes=1, rng=1).few)
     assert 'every route' in ' '.join(concerns(one)) and 'every' not in ' '.join(concerns(plan))
@@ -338,11 +339,11 @@ def test_a_map_that_changed_and_a_clock_that_went_back_are_named(plans, tmp_path
 def test_a_bound_whose_proof_had_no_time_may_be_low(plans, tmp_path):
     """When the time is up, the bound is stated that was proved by then."""
     plan, _ = plans['routes']
-    certificate = plan.strategy.certificate
+    certificate = plan.trip.certificate
     for factor, words in ((0.9, ''), (1.001, 'it was edited: its lower_bound is stated as')):
         bound = replace(certificate, bound=factor * certificate.bound)
         file = tmp_path / 'w.plan'
-        file.write_bytes(plan_bytes(saved_plan(replace(plan, strategy=replace(
-            plan.strategy, certificate=bound)))))
+        file.write_bytes(plan_bytes(saved_plan(replace(
+            plan, trip=with_certificate(plan.trip, bound)))))
         done = run_here(draw, file, '--dry-run')
         assert done.code == (3 if words else 0) and words in done.err

@@ -98,9 +98,11 @@ def card_of(path: FloatArray, risk_map: RiskMap, trip: TripStrategy,
 
 def _mean_speed(trip: TripStrategy, route: Route, length: float) -> float | None:
     """The mean speed [km/h] over a route, None if the networks have no speeds."""
-    times = [leg.network.seconds[route_edges(leg.network, nodes)].sum()
-             for leg, nodes in zip(trip.legs, route, strict=True) if leg.network.seconds is not None]
-    return 3.6 * length / float(sum(times)) if times else None
+    if trip.game.network.seconds is None:
+        return None
+    steps = [leg.network.travel_costs[route_edges(leg.network, nodes)].sum()
+             for leg, nodes in zip(trip.legs, route, strict=True)]
+    return 3.6 * length / float(sum(steps))
 
 
 def add_speed(parser: argparse.ArgumentParser) -> None:

@@ -78,7 +78,7 @@ def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detou
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:
-    """Return a table for a terminal, with lengths relative to the shortest."""
+    """Return a table for a terminal, with the length relative to the shortest."""
     head = ('detour', 'slack', 'value', 'gap', 'length', 'exposure', 'route entropy')
     lines = [''.join(f'{name:>14}' for name in head)]
     for row in rows:
@@ -121,7 +121,7 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
                        xytext=(4, -14), textcoords='offset points', path_effects=HALO)
         value.set_title(title, loc='left')
     for axes, label in zip(panels[:, 0], (
-        'mean loss\nby the best ambush', 'exposure on the way\n[loss x m]',
+        'mean loss\nby the best ambush', 'danger on the way\n(mean loss x m)',
         'equally likely routes\n(a power of 10)',
     ), strict=True):
         axes.set_ylabel(label)

@@ -212,7 +212,12 @@ class Strategy(Shown):
         """Draw edges by probability and ambush sites on matplotlib axes; returns the axes."""
         from ..figures import draw_strategy
 
-        return draw_strategy(axes, TripStrategy((self,), self.certificate), risk_map)
+        return draw_strategy(axes, self.alone, risk_map)
+
+    @cached_property
+    def alone(self) -> TripStrategy:
+        """This leg as a whole trip."""
+        return TripStrategy((self,), self.certificate, self.entropy_bound, self.reason)
 
     @property
     def network(self) -> Network:

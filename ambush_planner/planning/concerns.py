@@ -174,9 +174,8 @@ def _covers_all(plan: Plan) -> str:
     """Which single place lies on every route of a leg, '' if none does."""
     if not is_sound(plan):
         return ''
-    tolerance = plan.options.strategy.tolerance
     for k, leg in enumerate(plan.drawn_from.legs):
-        sites = certain_sites(leg, tolerance)
+        sites = certain_sites(leg)
         if not len(sites):
             continue
         ends = np.array(plan.ends_xy)

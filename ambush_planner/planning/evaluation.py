@@ -60,8 +60,7 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     """
     if isinstance(planned, Plan):
         return compared(planned.drawn_from, planned.trip)
-    trip = TripStrategy((planned,), planned.certificate)
-    return compared(trip, trip)
+    return compared(planned.alone, planned.alone)
 
 
 def compared(drawn: TripStrategy, whole: TripStrategy) -> dict[str, Measures]:
@@ -103,8 +102,7 @@ def _fixed(planner: str, trip: TripStrategy, choose: Callable[[Game], IndexArray
 
 
 def _meets(legs: Legs, laws: Sequence[Law], q: FloatArray) -> float:
-    """P(the ambusher who waits by q (N,) hits a leg): the paper's equation 8, of legs drawn alone.
-    """
+    """P(the ambusher who waits by q (N,) hits any leg), the paper's equation 8."""
     at_sites = q[legs.games[0].sites]
     rows = np.flatnonzero(at_sites > 0.0)
     missed = [1.0 - law.meets(own) for law, own in zip(

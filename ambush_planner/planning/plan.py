@@ -113,9 +113,7 @@ class Plan(Shown):
 
     def of_leg(self, number: int) -> Plan:
         """The plan of one leg alone."""
-        leg = self.legs[number]
-        trip = TripStrategy((leg,), leg.certificate, leg.entropy_bound, leg.reason)
-        return replace(self, trip=trip, corridors=(self.corridors[number],), few=None)
+        return replace(self, trip=self.legs[number].alone, corridors=(self.corridors[number],), few=None)
 
     def legs_from(self, first: int) -> Plan:
         """The plan of the legs from ``first`` on."""

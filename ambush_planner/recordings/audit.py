@@ -110,10 +110,9 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
 
     ``departures`` are in order of time, each with the attributes ``drawn_from`` (TripStrategy),
     ``route`` (the nodes of each leg), ``drawn_slot`` (its time and the RecordedSlots that it was
-    drawn from, or None), ``covered`` and ``value`` of RecordedDeparture; those of one strategy share
-    it.
-    A finding needs 999 ``resamples`` or more. Raises NotAuditable if fewer than ``MIN_DEPARTURES``
-    are from strategies without cycles.
+    drawn from, or None), ``covered`` and ``value`` of RecordedDeparture; those of one strategy
+    share it. A finding needs 999 ``resamples`` or more. Raises NotAuditable if fewer than
+    ``MIN_DEPARTURES`` are from strategies without cycles.
     """
     rng = np.random.default_rng(rng)
     groups, audited = _grouped(departures)
@@ -141,8 +140,8 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     loss = loss * np.array([each.covered for each in audited])[row % n]
     caused = _observe(followed, n, loss, row, node)
     low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
-    return Audit(departures=n, strategies=len({id(each.drawn_from) for each in audited}), left_out=len(departures) - n,
-                 impossible=impossible,
+    return Audit(departures=n, strategies=len({id(each.drawn_from) for each in audited}),
+                 left_out=len(departures) - n, impossible=impossible,
                  p_value=0.0 if impossible else _p_value(counts),
                  segments=segments, passages=frozen_array(passages[0], np.int64),
                  expected=frozen_array(expected, np.float64),

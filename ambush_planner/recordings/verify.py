@@ -140,8 +140,9 @@ class Verifier:
         if departure.few:
             plan = replace(plan, few=departure.few)
         if said.diversion:
-            again = other_rest(ground, newest, said.ends, len(said.diversion.left) - len(said.route),
-                               np.array(said.diversion.ahead), source, spacing)
+            leg = len(said.diversion.left) - len(said.route)
+            again = other_rest(ground, newest, said.ends, leg, np.array(said.diversion.ahead),
+                               source, spacing)
         elif departure.joined:
             again = draw_route(departure.joined.plan, source, spacing, said.ends)
         else:

@@ -76,10 +76,10 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     code, sections = write_report(recordings[0].parent, folder, True, console)
     if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
-    section, strategy = sections[-1], sections[-1].strategy
+    section, trip = sections[-1], sections[-1].trip
     shown = replace(section.risk_map, heights=load_elevation().heights)
-    figure = routes_figure(shown, strategy, [path[:, :2] for path in paths],
-                           fixed_routes(strategy))
+    figure = routes_figure(shown, trip, [path[:, :2] for path in paths],
+                           fixed_routes(trip.legs[0]))
     write_all_durably({folder / 'routes.png': as_png(figure)})
     console.step('solving for other budgets')
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
