@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
+import warnings
+from collections import Counter
 from unittest.mock import Mock
 
 import interfaces
@@ -9,6 +11,7 @@ from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
+from rclpy.service import Service
 from ros_harness import GOAL, LATCHED, LONG, START, recorded, stage, threads, wait_until
 from waiting import TIMEOUT, answer_of, held
 
@@ -59,6 +62,24 @@ def start(running):
     manager = Manager(running.client)
     manager.go(configure='inactive', activate='active')
     return manager
+
+
+def test_answers_are_sent_again_to_a_client_that_is_not_known_yet(monkeypatch):
+    """As rclpy warns when the middleware has discovered only half of a client that calls."""
+    send, tries = Service.send_response, Counter()
+
+    def late(service, response, header):
+        tries[service.srv_name] += 1
+        if tries[service.srv_name] % 3:
+            warnings.warn('failed to send response (timeout): client', RuntimeWarning, stacklevel=1)
+        else:
+            send(service, response, header)
+
+    monkeypatch.setattr(Service, 'send_response', late)
+    with stage(parameters=WAITING) as running:
+        start(running)
+        assert 'no risk map' in running.client.call('new_route').message
+    assert {'change_state', 'new_route'} <= {name.rpartition('/')[2] for name in tries}
 
 
 def test_without_autostart_it_waits_and_refuses_in_each_state():

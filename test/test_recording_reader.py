@@ -256,7 +256,7 @@ def a_day(**changes):
     (['08:00'], [1.0], 0), (['8 am'], [1.0], 1)])
 def test_slots_that_are_none_are_refused(times, shares, window):
     slots = {'times': times, 'shares': shares, 'window': window, 'value': 1.0, 'lower_bound': 1.0}
-    with pytest.raises(InvalidEntry, match='slots'):
+    with pytest.raises(InvalidEntry):
         typed(slots, RecordedSlots, 'slots')
 
 
@@ -277,8 +277,8 @@ def test_slots_that_are_none_are_refused(times, shares, window):
     (lambda f: f.entries['trip'].update(start=[float('nan'), 0.0]), 'departure: start is not'),
     (lambda f: f.entries['call'].update(request_ns=10**30), 'departure: request_ns is out of ra'),
     (lambda f: f.entries.update(departure=-2**64), 'departure: departure is out of range'),
-    (lambda f: f.entries.update(day=a_day(date='2026-13-01')), 'departure: date is not of the f'),
-    (lambda f: f.entries.update(day=a_day(slot='25:00')), 'departure: slot is not of the form'),
+    (lambda f: f.entries.update(day=a_day(date='2026-13-01')), 'departure: a date or time is not'),
+    (lambda f: f.entries.update(day=a_day(slot='25:00')), 'departure: a date or time is not of'),
     (lambda f: f.entries.update(joined='no'), 'departure: joined is not of the type bool'),
     (lambda f: f.entries.update(diversion={'number': 1}), 'departure: left is missing'),
     (lambda f: f.entries.update(topics={'path': '/path'}), 'departure: missing'),

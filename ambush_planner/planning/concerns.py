@@ -41,14 +41,8 @@ MAX_DETOUR = 5.0
 def _once_a_plan(say: Callable[[Plan], _Said]) -> Callable[[Plan], _Said]:
     """Keep what is said of a plan as long as the plan: a node reports it with each departure."""
     known: WeakKeyDictionary[Plan, _Said] = WeakKeyDictionary()
-
-    @wraps(say)
-    def said(plan: Plan) -> _Said:
-        if plan not in known:
-            known[plan] = say(plan)
-        return known[plan]
-
-    return said
+    return wraps(say)(lambda plan: known[plan] if plan in known else (
+        known.setdefault(plan, say(plan))))
 
 
 @_once_a_plan

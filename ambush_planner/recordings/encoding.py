@@ -2,9 +2,9 @@
 """Encode one departure, or a plan, as an MCAP file with the profile ``ros2``.
 
 The mcap library is imported on use: apt does not have it, and a node without it can still plan. Its
-writer compresses everything again for each file. Here a large message has a chunk of its own, whose
-compressed data is kept with the message: for the map and the markers of a plan, that is once a
-plan. Only what says when the message was sent goes before it, uncompressed.
+writer would compress everything again for each file. Here a large message has a chunk of its own,
+whose compressed data stays with the message: map and markers are compressed once a plan. Only the
+time of the message goes before them, uncompressed.
 """
 
 from __future__ import annotations
@@ -30,14 +30,11 @@ MAGIC = b'\x89MCAP0\r\n'  # begins and ends a file
 # Size of messages that have a chunk of their own [bytes].
 _LARGE = 2**14
 _LEVEL = 6  # of their compression: markers take a quarter less than at the usual 3
-# How messages, and the footer of a file, begin: operation code, length, and more. They are short,
-# and the library's classes take longer.
+# How a message begins: operation code, length, channel, a number, and two times.
 _MESSAGE, _MESSAGE_CODE = struct.Struct('<BQHIQQ'), 5
-_FOOTER, _FOOTER_CODE, _FOOTER_LENGTH = struct.Struct('<BQQQ'), 2, 20
-# The frame of zstd (RFC 8878): its magic number, then that a size of 8 bytes follows, and only the
-# data's own memory is needed to unpack it. A block begins with 3 bytes, its size times 8 if it is
-# neither compressed nor the last one.
-_FRAME, _BLOCK = b'\x28\xb5\x2f\xfd\xe0', struct.Struct('<I')
+# A frame of zstd (RFC 8878): its magic number, and that a size of 8 bytes follows, the memory to
+# unpack it. A block begins with 3 bytes: its size times 8 if it is not compressed, nor the last.
+_FRAME = b'\x28\xb5\x2f\xfd\xe0'
 
 
 def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
@@ -140,10 +137,10 @@ class _File:
         from mcap import records
 
         self.add(records.DataEnd(zlib.crc32(self._data)))
-        start = len(self._data)
-        footer = _FOOTER.pack(_FOOTER_CODE, _FOOTER_LENGTH, start, 0)
-        crc = zlib.crc32(footer, zlib.crc32(summary))
-        return b''.join((self._data, summary, footer, struct.pack('<I', crc), MAGIC))
+        # The footer ends with the CRC of all before it, from the summary on.
+        summary += _bytes_of([records.Footer(len(self._data), 0, 0)])[:-4]
+        crc = zlib.crc32(summary).to_bytes(4, 'little')
+        return b''.join((self._data, summary, crc, MAGIC))
 
 
 def _bytes_of(found: Sequence[McapRecord]) -> bytes:
@@ -172,5 +169,5 @@ def _packed(head: bytes, last: RecordedMessage, compression: str) -> bytes:
     if not last.packed or last.packed[0] is not last.data:
         whole = zstandard.compress(last.data, _LEVEL)
         last.packed[:] = last.data, whole[zstandard.frame_header_size(whole):]
-    size, block = struct.pack('<Q', len(head) + len(last.data)), _BLOCK.pack(len(head) * 8)[:3]
-    return b''.join((_FRAME, size, block, head, last.packed[1]))
+    size, block = (len(head) + len(last.data)).to_bytes(8, 'little'), len(head) * 8
+    return b''.join((_FRAME, size, block.to_bytes(3, 'little'), head, last.packed[1]))

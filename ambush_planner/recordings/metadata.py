@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from datetime import datetime
 from itertools import chain
@@ -71,20 +71,17 @@ class MapSource:
 
 @dataclass(frozen=True)
 class RecordedSlots:
-    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts.
-
-    Raises InvalidEntry if they are not.
-    """
+    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts."""
 
     times: tuple[str, ...]
     shares: tuple[float, ...]
     window: int
 
     def __post_init__(self) -> None:
+        _check_form('%H:%M', *self.times)
         if not (len(self.times) == len(self.shares) and min(self.shares, default=-1.0) >= 0.0
                 and math.isclose(sum(self.shares), 1.0) and self.window > 0):
-            raise InvalidEntry('slots: times and their shares do not fit together')
-        _check_dates('slots', '%H:%M', self.times)
+            raise InvalidEntry('times and shares of slots do not fit together')
 
     @classmethod
     def of(cls, times: Sequence[str], window: int) -> RecordedSlots:
@@ -141,8 +138,8 @@ class RecordedDay:
     replaces: str = ''
 
     def __post_init__(self) -> None:
-        _check_dates('date', '%Y-%m-%d', (self.date,))
-        _check_dates('slot', '%H:%M', filter(None, (self.slot,)))
+        _check_form('%Y-%m-%d', self.date)
+        _check_form('%H:%M', *filter(None, [self.slot]))
 
 
 @dataclass(frozen=True)
@@ -224,13 +221,13 @@ class Metadata:
         return asdict(self)
 
 
-def _check_dates(name: str, form: str, texts: Iterable[str]) -> None:
-    """Raise InvalidEntry if one of the texts does not have the form."""
-    for text in texts:
-        try:
+def _check_form(form: str, *texts: str) -> None:
+    """Raise InvalidEntry if one of the texts is no date or time of this form."""
+    try:
+        for text in texts:
             datetime.strptime(text, form)
-        except ValueError as error:
-            raise InvalidEntry(f'{name} is not of the form {form}') from error
+    except ValueError as error:
+        raise InvalidEntry(f'a date or time is not of the form {form}') from error
 
 
 def typed(value: Any, wanted: Any, name: str) -> Any:

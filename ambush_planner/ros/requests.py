@@ -23,7 +23,7 @@ from ..recordings.metadata import RecordedCall
 from .conversions import fields_of
 from .departure_record import Answer
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary
+from .error_boundary import ErrorBoundary, send_until_known
 from .serial_executor import started
 from .topics import REQUESTS
 from .trip import TripRequest
@@ -71,7 +71,7 @@ class Requests:
             kind, name, lambda request, _: started(partial(start, request)), qos_profile=REQUESTS,
             callback_group=group,
         )
-        send = service.send_response
+        send = partial(send_until_known, service.send_response)
 
         def respond(header: Any, future: Future[_Result]) -> None:
             response, error = self._error_boundary.attempt(
