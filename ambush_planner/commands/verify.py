@@ -34,7 +34,7 @@ how to sign a folder.
 Output: one line per departure with its problems below it, then the plans if there are several, and
 departures that were struck as unused; progress on standard error.
 --json: {"verdict", "departures": [{"file", "number", "holds", "value", "problems", "notes"}],
-"findings", "notes", "plans": [{"made", "value", "departures"}], "struck": [FILE]}
+"findings", "notes", "plans": [{"made", "value", "departures"}], "struck": {FILE: WHY}}
 """
 
 
@@ -54,7 +54,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     verifier = Verifier(options.replan)
     verdicts = [verifier.verify(path) for path in console.progress(paths, 'verified')]
     for verdict in verdicts:
-        line = f'{"holds" if verdict.holds else "FAILS"}  {shown(verdict.path.name)}'
+        word = 'holds' if verdict.holds else 'CLOSED' if verdict.denied else 'FAILS'
+        line = f'{word:<5}  {shown(verdict.path.name)}'
         if said := verdict.metadata:
             diverted = f' diverted ({said.diversion.number})' if said.diversion else ''
             line += (f': departure {said.departure}{diverted}, {verdict.nodes} nodes, '
@@ -65,10 +66,15 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if findings:
         console.line('FAILS')
     _print_below(console, findings, notes)
-    failing = [verdict for verdict in verdicts if not verdict.holds]
+    failing = [verdict for verdict in verdicts if not (verdict.holds or verdict.denied)]
+    denied = [verdict for verdict in verdicts if verdict.denied]
     departures = cli.count(len(verdicts), 'departure')
+    if denied:
+        console.line(f'{len(denied)} of {departures}: no permission to read')
     if failing:
         console.line(f'{len(failing)} of {departures}: not consistent')
+    elif denied:
+        console.line(f'{len(verdicts) - len(denied)} of {departures}: all hold')
     else:
         console.line(f'{departures}: {"each holds, but not together" if findings else "all hold"}')
     known = [(each, each.metadata) for each in verdicts if each.metadata]
@@ -79,19 +85,20 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
                               for (made, _, value), number in sorted(plans.items()))
         console.item(f'{cli.count(plans.total(), "departure")} of {len(plans)} plans: {each_plan}',
                      0)
-    replaced = {said.day.replaces for _, said in known if said.day}
-    struck = [each.path for each, said in known if said.departure_id in replaced]
+    replaced = {said.day.replaces: said.day.why for _, said in known if said.day}
+    struck = {each.path: replaced[said.departure_id] for each, said in known
+              if said.departure_id in replaced}
     if struck:
         console.item(readers.struck_note(struck, len(verdicts)), 0)
     console.result = {
         'departures': [*map(_as_json, verdicts)], 'findings': findings, 'notes': notes,
         'plans': [{'made': when(made), 'value': value, 'departures': number}
                   for (made, _, value), number in sorted(plans.items())],
-        'struck': [*map(cli.place, struck)],
+        'struck': readers.struck_json(struck),
     }
     if findings or any(verdict.readable for verdict in failing):
         return cli.Exit.FINDING
-    return cli.Exit.UNREADABLE if failing else cli.Exit.HOLDS
+    return cli.Exit.UNREADABLE if failing or denied else cli.Exit.HOLDS
 
 
 def _value(verdict: Verdict, said: Metadata) -> str:

@@ -39,7 +39,7 @@ from .attachments import misstated, misstated_few
 from .metadata import Metadata, RecordedTrip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
-from .recording_errors import UnreadableRecording
+from .recording_errors import NoPermission, UnreadableRecording
 from .recording_file import read_recording
 
 # Rounding between releases of numpy and scipy, relative and absolute.
@@ -55,13 +55,15 @@ class Verdict:
     """What was found about one file.
 
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
-    ``notes`` are other remarks. ``route`` (K,) and ``drawn`` (L,) are nodes as in
-    ``RecordedDeparture``; the strategy is not kept, since a folder may hold thousands. ``value`` is
-    that of the strategy, or of few routes, if the time of departure is known.
+    if the file is ``denied``, the user may not read it. ``notes`` are other remarks. ``route`` (K,)
+    and ``drawn`` (L,) are nodes as in ``RecordedDeparture``; the strategy is not kept, since a
+    folder may hold thousands. ``value`` is that of the strategy, or of few routes, if the time of
+    departure is known.
     """
 
     path: Path
     readable: bool = False
+    denied: bool = False
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     metadata: Metadata | None = field(default=None, repr=False)
@@ -105,6 +107,7 @@ class Verifier:
                 verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
             verdict.problems += self._problems(departure)
         except UnreadableRecording as error:
+            verdict.denied = isinstance(error, NoPermission)
             verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
             verdict.problems.append(f'no plan follows from map, trip and parameters: {error}')
