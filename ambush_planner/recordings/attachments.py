@@ -116,8 +116,8 @@ def misstated(strategy: Strategy,
     """
     # The route entropy is a difference of two numbers of the edge entropy's size.
     rounding = _SAME * max(1e-3, abs(strategy.edge_entropy))
-    for name in NUMBERS:
-        found, said = getattr(strategy, name), stated[name]
+    for name, said in stated.items():
+        found = getattr(strategy, name)
         if not (math.isclose(said, found, rel_tol=_SAME, abs_tol=rounding)
                 or (name == 'lower_bound' and said < found)):
             yield name, said, found

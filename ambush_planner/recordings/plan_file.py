@@ -136,7 +136,11 @@ def read_plan(path: Path | str) -> SavedPlan:
     Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
     departure.
     """
-    file = read_recording(path)
+    return plan_in(read_recording(path))
+
+
+def plan_in(file: RecordingFile) -> SavedPlan:
+    """Return the plan in a file; raises UnreadableRecording as ``read_plan`` does."""
     if file.entries.get('kind') != KIND:
         raise UnreadableRecording(file.path, 'it is a recorded departure, not a plan')
     return part(file.path, 'plan', lambda: _plan_in(file))

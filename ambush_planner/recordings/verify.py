@@ -36,7 +36,9 @@ from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from .attachments import misstated, misstated_few
-from .metadata import Metadata, RecordedTrip
+from .ground_check import GroundCheck, Now
+from .metadata import Metadata, PlanMetadata, RecordedTrip, typed
+from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
 from .recording_errors import NoPermission, UnreadableRecording
@@ -58,7 +60,8 @@ class Verdict:
     if the file is ``denied``, the user may not read it. ``notes`` are other remarks. ``route`` (K,)
     and ``drawn`` (L,) are nodes as in ``RecordedDeparture``; the strategy is not kept, since a
     folder may hold thousands. ``value`` is that of the strategy, or of few routes, if the time of
-    departure is known.
+    departure is known. ``now`` is the file on new ground, if that is asked for; ``plan`` is set if
+    the file is a plan.
     """
 
     path: Path
@@ -71,6 +74,8 @@ class Verdict:
     drawn: tuple[int, ...] = field(default=(), repr=False)
     nodes: int = 0
     value: float = math.nan
+    now: Now | None = field(default=None, repr=False)
+    plan: PlanMetadata | None = field(default=None, repr=False)
 
     @property
     def holds(self) -> bool:
@@ -85,27 +90,39 @@ class Verdict:
 
 
 class Verifier:
-    """Verifies departures; with ``replan`` each strategy is also solved again from scratch."""
+    """Verifies departures and plans.
 
-    def __init__(self, replan: bool = False) -> None:
+    With ``replan`` each strategy is also solved again from scratch; with files of a new map or new
+    roads, verdicts say what is clear there and what it costs.
+    """
+
+    def __init__(self, replan: bool = False, map_file: Path | None = None,
+                 roads_file: Path | None = None) -> None:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
+        self._ground = GroundCheck(map_file, roads_file, self._shared.once) if (
+            map_file or roads_file) else None
 
     def verify(self, path: Path) -> Verdict:
-        """Verify one file; problems are in the verdict and never raised."""
+        """Verify one file; problems are in the verdict and never raised.
+
+        Raises the errors of a new map or of new roads.
+        """
         verdict = Verdict(path)
+        departure: RecordedDeparture | None = None
+        saved: SavedPlan | None = None
         try:
             file = read_recording(path)
             verdict.readable = True
-            departure = departure_in(file, self._shared)
-            verdict.metadata = departure.metadata
-            verdict.route, verdict.drawn = map(tuple, (departure.route.tolist(),
-                                                       departure.drawn.tolist()))
-            verdict.nodes = len(departure.strategy.network.points)
-            verdict.value = departure.departed_on.value
-            if departure.parameters.values['seed'] >= 0:
-                verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
-            verdict.problems += self._problems(departure)
+            if file.entries.get('kind') == KIND:
+                saved = plan_in(file)
+                verdict.plan = typed(file.entries, PlanMetadata, 'metadata')
+                verdict.nodes = len(saved.plan.network.points)
+                verdict.value = saved.value
+                verdict.problems += self._plan_problems(saved)
+            else:
+                departure = departure_in(file, self._shared)
+                self._verify_departure(departure, verdict)
         except UnreadableRecording as error:
             verdict.denied = isinstance(error, NoPermission)
             verdict.problems.append(error.reason)
@@ -114,7 +131,29 @@ class Verifier:
         except Exception as error:  # a file may say anything, and others wait to be verified
             verdict.problems.append('no plan follows from map, trip and parameters '
                                     f'({type(error).__name__})')
+        if self._ground and not verdict.problems:
+            verdict.now = (self._ground.plan(saved) if saved else
+                           self._ground.departure(departure) if departure else None)
         return verdict
+
+    def _verify_departure(self, departure: RecordedDeparture, verdict: Verdict) -> None:
+        verdict.metadata = departure.metadata
+        verdict.route, verdict.drawn = map(tuple, (departure.route.tolist(),
+                                                   departure.drawn.tolist()))
+        verdict.nodes = len(departure.strategy.network.points)
+        verdict.value = departure.departed_on.value
+        if departure.parameters.values['seed'] >= 0:
+            verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
+        verdict.problems += self._problems(departure)
+
+    def _plan_problems(self, saved: SavedPlan) -> list[str]:
+        """Check a plan as each departure of it is."""
+        plan, planning = saved.plan, saved.parameters.planning
+        problems = [*network_problems(plan.strategy, plan.own_map, planning, recorded_trip(plan)),
+                    *certificate_problems(plan.strategy, {}, planning)]
+        if not problems and self._replan:
+            problems += replan_problems(plan.strategy, planning)
+        return problems
 
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         strategy, planning = departure.strategy, departure.parameters.planning
@@ -122,7 +161,7 @@ class Verifier:
             *self._shared.once(network_problems, strategy, departure.risk_map, planning,
                                departure.metadata.trip),
             *certificate_problems(strategy, departure.stated, planning),
-            *(misstated_few(departure.few, departure.stated['few_value']) if departure.few else ()),
+            *(misstated_few(departure.few, departure.few_value) if departure.few else ()),
             *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
