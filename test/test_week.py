@@ -293,8 +293,8 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
                         (tmp_path, 'Is a directory')):
         done = run_here(draw, path)
         assert done.code == 3 and words in done.err and done.err.count('\n') == 1
-    done = run_here(verify, file)
-    assert 'it is a plan: ambush draw makes a departure of it' in done.out + done.err
+    done = run_here(audit, file)
+    assert 'it is a plan: ambush draw makes a departure of it' in ' '.join(done.out.split())
     done = run_here(card, file, '-o', tmp_path / 'c.html')
     assert done.code == 2 and 'is a plan, not a departure: draw one with' in done.err
     done = run_here(card, file, '-o', tmp_path / 'c.html', '--route', 1)

@@ -37,6 +37,8 @@ the same trip, say with --earlier whether it was driven; on a terminal, the comm
 was not driven does not count in audit and report; they name it, and --why.
 The exit code is 1, and nothing is drawn, if map, roads or layers of the plan have changed.
 If a file cannot be written, nothing is, and nothing has been drawn.
+"""
+DETAILS = """\
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
 "recording"}]}
 """
@@ -44,7 +46,10 @@ If a file cannot be written, nothing is, and nothing has been drawn.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('draw', DESCRIPTION, EPILOG)
+    made = cli.new_parser(
+        'draw', DESCRIPTION, EPILOG,
+        ('-o', '--date', '--days', '--slot', '--speed', '--earlier', '--why', '--dry-run'), DETAILS,
+        'ambush draw PLAN [options]')
     made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
     made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
                       metavar='FILE', help='card.html or route.gpx')

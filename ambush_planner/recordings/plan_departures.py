@@ -24,7 +24,7 @@ from .durable_files import make_private_folders
 from .metadata import Metadata, RecordedCall, RecordedDay, RecordedTrip
 from .plain_messages import map_message, path_message, pose_message
 from .plan_file import SavedPlan, attachments_of, recorded_plan, recorded_trip
-from .recording_errors import part
+from .recording_errors import NoPermission, part
 from .recording_file import encode, read_recording
 from .versions import software_versions
 
@@ -134,11 +134,17 @@ def earlier_departures(saved: SavedPlan, folder: Path,
     """The departures for the same trip on some dates, without those that a later one replaced.
 
     They are in the folder of the plan's departures, or in one next to it: that of an earlier plan,
-    or of a copy of this one. Raises UnreadableRecording.
+    or of a copy of this one. Raises UnreadableRecording, but not of files next to it that the user
+    may not read.
     """
-    trip, folders = recorded_trip(saved.plan), sorted(folder.parent.glob(f'*{SUFFIX}'))
-    said = [_metadata_of(path) for each in folders for _, date, path in names_in(each)
-            if date in dates]
+    trip, said = recorded_trip(saved.plan), []
+    for each in sorted(folder.parent.glob(f'*{SUFFIX}')):
+        for path in (path for _, date, path in names_in(each) if date in dates):
+            try:
+                said.append(_metadata_of(path))
+            except NoPermission:
+                if each == folder:
+                    raise
     found = [(each.day, each) for each in said if each.day and (
         (each.plan and each.plan.id == saved.id) or _is_same(each.trip, trip))]
     replaced = {day.replaces for day, _ in found}
