@@ -141,6 +141,12 @@ def _degrees(text: str) -> float:
     return sum(part / 60.0**k for k, part in enumerate(parts))
 
 
+def written(xy: npt.ArrayLike, risk_map: RiskMap) -> str:
+    """A world position [m] as latitude and longitude, or if these are unknown as (x, y)."""
+    kind = 'degrees' if risk_map.crs else 'metres'
+    return Position((0.0, 0.0), kind, '').like(xy, risk_map)
+
+
 class _Positions(argparse.Action):
     """Parse positions, one or several, and append them."""
 
