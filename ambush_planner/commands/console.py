@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import stat
 import sys
 import threading
 import time
@@ -56,9 +57,12 @@ class Console:
         self.say(f'Warning: {text}.')
 
     def secret(self, paths: Iterable[Path], what: str = '') -> list[str]:
-        """Print which files were written, and with what, that only this user can read."""
+        """Print which files were written, and with what, and who can read them."""
+        paths = list(paths)
         files = [place(path) for path in paths]
-        self.line(f'{", ".join(files)}: {what}secret, so only this user can read '
+        shared = [path for path in paths if path.stat().st_mode & stat.S_IRGRP]
+        readers = f'the group {shared[0].group()}' if shared else 'this user'
+        self.line(f'{", ".join(files)}: {what}secret, so only {readers} can read '
                   f'{"it" if len(files) == 1 else "them"}.')
         return files
 

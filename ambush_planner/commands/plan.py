@@ -20,7 +20,9 @@ from ..planning.options import PlanningOptions
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
 from ..recordings.metadata import RecordedSlots
+from ..recordings.plan_departures import departures_folder, names_in
 from ..recordings.plan_file import saved_plan
+from ..recordings.sources import sources_of
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
 from ..words import best_ambush as in_words
 from ..words import distance, duration, over_legs, percent
@@ -78,6 +80,8 @@ def parser() -> argparse.ArgumentParser:
                       help='number of consecutive slots that an ambush lasts (default: 1)')
     made.add_argument('--accept-gap', action='store_true', help='save FILE.plan even if a much '
                       'better plan may exist')
+    made.add_argument('--overwrite', action='store_true',
+                      help='overwrite a plan from which departures were drawn')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound '
@@ -95,6 +99,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
+    _check_departures(arguments)
     check_outputs(arguments.output, console)
     risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
                 if arguments.terrain else read_risk_map(arguments.map, of_map))
@@ -125,9 +130,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day:
         slots = () if few else [day.drawn(rng) for _ in drawn.paths]
         drawn = replace(drawn, slots=slots, covered=day.covered)
-    write_routes(output, drawn,
-                 saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map)
-                 if len(quick) < len(output) else None)
+    plans = [path for path in output if path not in quick]
+    write_routes(output, drawn, saved_plan(
+        plan, of_map, day, sources_of(plans[0].parent, arguments.map, planning.network.graph),
+    ) if plans else None)
     _tell(plan, day, arguments, console)
     if few:
         tell_few(plan, few, arguments.routes, day.covered if day else 1.0, console)
@@ -140,6 +146,19 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                       'nevertheless')
     tell_outputs(output, drawn, console)
     return cli.Exit.HOLDS if plan.value > 0.0 and not plan.gap_is_wide else cli.Exit.FINDING
+
+
+def _check_departures(arguments: argparse.Namespace) -> None:
+    """Raise UsageError if a plan with departures would be overwritten, unless that is asked for."""
+    for path in arguments.output:
+        if path.suffix.lower() != PLAN or arguments.overwrite:
+            continue
+        folder = departures_folder(path)
+        if path.exists() and (drawn := names_in(folder)):
+            raise cli.UsageError(
+                f'{cli.place(path)} is a plan from which {cli.count(len(drawn), "departure")} were '
+                f'drawn ({cli.place(folder)}): plan to a new name, or add --overwrite; the '
+                'recordings keep the plan that they were drawn from')
 
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,

@@ -24,7 +24,6 @@ from ..recordings.report_data import Section, map_data
 from ..words import percent, rounded
 from . import report_words as words
 from .cli import count, resource
-from .report_picture import map_picture
 
 # The colours of the page by their names in CSS and in the script.
 COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
@@ -123,7 +122,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
         warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
-        ratio=f'{ratio:.3f}', picture=b64encode(map_picture(section, ratio)).decode(),
+        ratio=f'{ratio:.3f}', picture=_picture(section, ratio),
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
         tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
                       for number, text in words.tiles(section)),
@@ -140,6 +139,16 @@ def _section(section: Section, folder: Path, name: str) -> str:
         changed=sum(bool(default) for _, _, default in settings),
         settings=_table([('setting', 'value', 'default'), *settings]),
     )
+
+
+def _picture(section: Section, ratio: float) -> str:
+    """The map as a picture for those who run no scripts; nothing without matplotlib."""
+    try:
+        from .report_picture import map_picture
+    except ModuleNotFoundError:
+        return ''
+    return ('<img alt="Map of risk, probabilities, ambush sites and routes" src="data:image/jpeg;'
+            f'base64,{b64encode(map_picture(section, ratio)).decode()}">')
 
 
 def _paragraphs(texts: Iterable[str]) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from ..arrays import NEGLIGIBLE
 from ..game.strategy import TripStrategy
-from ..maps.coordinates import InvalidCoordinates
 from ..parameters.table import PARAMETERS
 from ..planning.plan import path_lengths
 from ..recordings import RecordedDeparture
@@ -25,7 +24,7 @@ from ..words import (
     travel,
 )
 from .console import when
-from .positions import Position
+from .positions import written
 
 PLANNERS = {
     'stochastic': 'these random routes',
@@ -68,17 +67,9 @@ def _guarantee(section: Section) -> str:
 def _in_words(section: Section) -> str:
     if section.best is None:
         return 'No ambush causes a loss.'
-    text = best_ambush(section.best.hit, _place(section), section.departures[-1].covered)
+    text = best_ambush(section.best.hit, written(section.best.xy, section.risk_map),
+                       section.departures[-1].covered)
     return f'In other words, {text}.'
-
-
-def _place(section: Section) -> str:
-    """Where the best ambush is: latitude and longitude, or x and y."""
-    assert section.best
-    try:
-        return Position((0.0, 0.0), True).like(section.best.xy, section.risk_map)
-    except InvalidCoordinates:
-        return Position((0.0, 0.0), False).like(section.best.xy, section.risk_map)
 
 
 def _optimality(section: Section) -> str:
@@ -143,8 +134,8 @@ def _hits_tile(section: Section) -> tuple[str, str]:
     if section.best is None:
         return 'no departure', 'meets an ambush that causes a loss'
     return (of_departures(section.best.hit * section.departures[-1].covered),
-            f'hit by the best ambush, at {_place(section)}, instead of every one once he has '
-            'learnt a habit')
+            f'hit by the best ambush, at {written(section.best.xy, section.risk_map)}, instead of '
+            'every one once he has learnt a habit')
 
 
 def measures(section: Section) -> list[tuple[str, ...]]:

@@ -158,8 +158,8 @@ def misstated(trip: TripStrategy,
     """
     # The route entropy is a difference of two numbers of the edge entropy's size.
     rounding = _SAME * max(1e-3, abs(trip.edge_entropy))
-    for name in NUMBERS:
-        found, said = getattr(trip, name), stated[name]
+    for name, said in stated.items():
+        found = getattr(trip, name)
         if not (math.isclose(said, found, rel_tol=_SAME, abs_tol=rounding)
                 or (name == 'lower_bound' and said < found)):
             yield name, said, found

@@ -13,6 +13,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ..errors import AmbushPlannerError
+from .sources import Source
 
 Position = tuple[float, float]
 
@@ -60,14 +61,6 @@ class Diversion:
 
 
 @dataclass(frozen=True)
-class MapSource:
-    """The map's file when it was planned on: its absolute path, and the SHA-256 of its content."""
-
-    path: str
-    digest: str
-
-
-@dataclass(frozen=True)
 class RecordedSlots:
     """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts."""
 
@@ -104,14 +97,14 @@ class RecordedSlots:
 class RecordedPlan:
     """What a plan file says of its plan; times as ``Plan`` has them, ``made_ns`` when it was made.
 
-    ``source`` is the map's file, if it is to be watched.
+    ``sources`` are the files that it was made from.
     """
 
     id: str
     made_ns: int
     seconds: float
-    source: MapSource | None
     slots: RecordedSlots | None
+    sources: tuple[Source, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -120,7 +113,7 @@ class RecordedDay:
 
     ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said), which was drawn after the route if
     ``slot_drawn``; the index of the route if there are few; the id of an earlier departure for the
-    same day that it ``replaces``, because that one was not driven.
+    same day that it ``replaces``, because that one was not driven, and ``why``.
     """
 
     date: str
@@ -128,6 +121,7 @@ class RecordedDay:
     slot_drawn: bool
     few_route: int | None
     replaces: str = ''
+    why: str = ''
 
 
 @dataclass(frozen=True)

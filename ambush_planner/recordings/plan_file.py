@@ -8,8 +8,6 @@ if there are any. A departure that is drawn from it has the same, and its route.
 
 from __future__ import annotations
 
-import hashlib
-import os
 import time
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -36,11 +34,12 @@ from .attachments import (
     strategy_file,
     strategy_from_file,
 )
-from .metadata import MapSource, PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
+from .metadata import PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, encode, read_recording
+from .sources import Source
 from .versions import software_versions
 
 KIND = 'plan'
@@ -53,18 +52,10 @@ class SavedPlan:
     plan: Plan
     parameters: NodeParameters
     slots: RecordedSlots | None = None
-    source: MapSource | None = None
+    sources: tuple[Source, ...] = ()
     frame: str = 'map'
     id: str = ''
     made_ns: int = 0
-
-    @property
-    def map_has_changed(self) -> bool:
-        """Whether the map's file is still there, with another content."""
-        if self.source is None:
-            return False
-        path = Path(self.source.path)
-        return path.is_file() and digest_of(path) != self.source.digest
 
     @property
     def value(self) -> float:
@@ -72,14 +63,9 @@ class SavedPlan:
         return self.plan.value * (self.slots.covered if self.slots else 1.0)
 
 
-def digest_of(path: Path) -> str:
-    """The SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
-               slots: RecordedSlots | None = None, map_file: Path | None = None) -> SavedPlan:
-    """A new plan to save; ``map_file`` is where its map came from, if it is to be watched.
+               slots: RecordedSlots | None = None, sources: tuple[Source, ...] = ()) -> SavedPlan:
+    """A new plan to save, with the files that it was made from.
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
@@ -87,8 +73,7 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
     values = parameter_values(plan, occupancy)
     roads = plan.options.network.roads
     roads = roads and in_map_frame(roads, plan.own_map.crs)
-    source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
-    return SavedPlan(plan, parameters_from(values, roads), slots, source, id=str(uuid4()),
+    return SavedPlan(plan, parameters_from(values, roads), slots, sources, id=str(uuid4()),
                      made_ns=time.time_ns())
 
 
@@ -123,7 +108,8 @@ def plan_bytes(saved: SavedPlan) -> bytes:
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
     """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
     plan = saved.plan
-    return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.source, saved.slots)
+    return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.slots,
+                        saved.sources)
 
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
@@ -149,7 +135,11 @@ def read_plan(path: Path | str) -> SavedPlan:
     Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
     departure.
     """
-    file = read_recording(path)
+    return plan_in(read_recording(path))
+
+
+def plan_in(file: RecordingFile) -> SavedPlan:
+    """Return the plan in a file; raises UnreadableRecording as ``read_plan`` does."""
     if file.entries.get('kind') != KIND:
         raise UnreadableRecording(file.path, 'it is a recorded departure, not a plan')
     return part(file.path, 'plan', lambda: _plan_in(file))
@@ -172,5 +162,5 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
         if problems := misstated_few(few, value):
             raise UnreadableRecording(file.path, f'it was edited: {problems[0]}; plan again')
         plan = replace(plan, few=few)
-    return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
+    return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, about.id,
                      about.made_ns)

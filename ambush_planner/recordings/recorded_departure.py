@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -62,7 +63,7 @@ class RecordedDeparture:
         Node indices of each leg from its source to its target. For a diversion this is the whole
         route: what was driven before, and the rest that ``drawn`` holds, after its source.
     stated
-        The numbers that the file states of the strategies, and ``few_value`` of few routes.
+        The numbers that the file states of the strategies.
     trip
         The recorded strategies, their certificate computed from their probabilities.
     drawn_from
@@ -74,9 +75,9 @@ class RecordedDeparture:
         The maps of the plan and at the time of departure; the losses of the former.
     before
         What was recorded of the departure before this diversion, if that is known.
-    few
-        The few routes that it was drawn from; ``drawn_from`` are then their strategies, and
-        ``route`` is on their networks.
+    few, few_value
+        The few routes that it was drawn from, and the value that the file states of them;
+        ``drawn_from`` are then their strategies, and ``route`` is on their networks.
     """
 
     path: Path
@@ -95,6 +96,7 @@ class RecordedDeparture:
     _path_message: tuple[str, str, bytes] = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
     few: FewRoutes | None = field(default=None, repr=False)
+    few_value: float = math.nan
 
     @cached_property
     def newest_risk_map(self) -> RiskMap:
@@ -206,15 +208,14 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
         if (value := metadata.value) is not None:
             drawn_from = with_certificate(drawn_from,
                                           Certificate(value, min(trip.lower_bound, value)))
-    few = None
+    few, few_value = None, math.nan
     if FEW_FILE in files:
         few, few_value = once(few_from_file, files[FEW_FILE], ground().plan)
         drawn_from, route = few.trip, few.nodes(_few_route(metadata.day))
-        stated = {**stated, 'few_value': few_value}
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
                              trip, stated, drawn_from, joined, planned_on, newest, risk_map,
-                             file.defined(message), few=few)
+                             file.defined(message), few=few, few_value=few_value)
 
 
 def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:

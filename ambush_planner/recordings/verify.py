@@ -33,10 +33,12 @@ from ..planning.plan import Route
 from ..planning.solving import add_hiding_places
 from ..planning.trip import Trip
 from .attachments import misstated, misstated_few
-from .metadata import Metadata, RecordedTrip
+from .ground_check import GroundCheck, Now
+from .metadata import Metadata, PlanMetadata, RecordedTrip, typed
+from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
-from .recording_errors import UnreadableRecording
+from .recording_errors import NoPermission, UnreadableRecording
 from .recording_file import read_recording
 
 # Rounding between releases of numpy and scipy, relative and absolute.
@@ -52,13 +54,16 @@ class Verdict:
     """What was found about one file.
 
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
-    ``notes`` are other remarks. ``route`` and ``drawn`` are nodes as in ``RecordedDeparture``; the
-    strategies are not kept, since a folder may hold thousands. ``value`` is that of the strategies,
-    or of few routes, if the time of departure is known.
+    if the file is ``denied``, the user may not read it. ``notes`` are other remarks. ``route`` and
+    ``drawn`` are nodes as in ``RecordedDeparture``; the strategies are not kept, since a folder may
+    hold thousands. ``value`` is that of the strategies, or of few routes, if the time of departure
+    is known. ``now`` is the file on new ground, if that is asked for; ``plan`` is set if the file
+    is a plan.
     """
 
     path: Path
     readable: bool = False
+    denied: bool = False
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     metadata: Metadata | None = field(default=None, repr=False)
@@ -66,6 +71,8 @@ class Verdict:
     drawn: tuple[tuple[int, ...], ...] = field(default=(), repr=False)
     nodes: int = 0
     value: float = math.nan
+    now: Now | None = field(default=None, repr=False)
+    plan: PlanMetadata | None = field(default=None, repr=False)
 
     @property
     def holds(self) -> bool:
@@ -80,39 +87,74 @@ class Verdict:
 
 
 class Verifier:
-    """Verifies departures; with ``replan`` each strategy is also solved again from scratch."""
+    """Verifies departures and plans.
 
-    def __init__(self, replan: bool = False) -> None:
+    With ``replan`` each strategy is also solved again from scratch; with files of a new map or new
+    roads, verdicts say what is clear there and what it costs.
+    """
+
+    def __init__(self, replan: bool = False, map_file: Path | None = None,
+                 roads_file: Path | None = None) -> None:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
+        self._ground = GroundCheck(map_file, roads_file, self._shared.once) if (
+            map_file or roads_file) else None
 
     def verify(self, path: Path) -> Verdict:
-        """Verify one file; problems are in the verdict and never raised."""
+        """Verify one file; problems are in the verdict and never raised.
+
+        Raises the errors of a new map or of new roads.
+        """
         verdict = Verdict(path)
+        departure: RecordedDeparture | None = None
+        saved: SavedPlan | None = None
         try:
             file = read_recording(path)
             verdict.readable = True
-            departure = departure_in(file, self._shared)
-            verdict.metadata = departure.metadata
-            verdict.route, verdict.drawn = map(_numbers, (departure.route, departure.drawn))
-            verdict.nodes = departure.trip.game.node_count
-            verdict.value = departure.departed_on.value
-            if departure.parameters.values['seed'] >= 0:
-                verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
-            wide = gap_problems(departure.trip, departure.parameters.planning)
-            if departure.metadata.plan:  # it was accepted when the plan was saved
-                verdict.notes += [f'{text}, and was accepted' for text in wide]
+            if file.entries.get('kind') == KIND:
+                saved = plan_in(file)
+                verdict.plan = typed(file.entries, PlanMetadata, 'metadata')
+                verdict.nodes = len(saved.plan.network.points)
+                verdict.value = saved.value
+                verdict.problems += self._plan_problems(saved)
             else:
-                verdict.problems += wide
-            verdict.problems += self._problems(departure)
+                departure = departure_in(file, self._shared)
+                self._verify_departure(departure, verdict)
         except UnreadableRecording as error:
+            verdict.denied = isinstance(error, NoPermission)
             verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
             verdict.problems.append(f'no plan follows from map, trip and parameters: {error}')
         except Exception as error:  # a file may say anything, and others wait to be verified
             verdict.problems.append('no plan follows from map, trip and parameters '
                                     f'({type(error).__name__})')
+        if self._ground and not verdict.problems:
+            verdict.now = (self._ground.plan(saved) if saved else
+                           self._ground.departure(departure) if departure else None)
         return verdict
+
+    def _verify_departure(self, departure: RecordedDeparture, verdict: Verdict) -> None:
+        verdict.metadata = departure.metadata
+        verdict.route, verdict.drawn = map(_numbers, (departure.route, departure.drawn))
+        verdict.nodes = departure.trip.game.node_count
+        verdict.value = departure.departed_on.value
+        if departure.parameters.values['seed'] >= 0:
+            verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
+        wide = gap_problems(departure.trip, departure.parameters.planning)
+        if departure.metadata.plan:  # it was accepted when the plan was saved
+            verdict.notes += [f'{text}, and was accepted' for text in wide]
+        else:
+            verdict.problems += wide
+        verdict.problems += self._problems(departure)
+
+    def _plan_problems(self, saved: SavedPlan) -> list[str]:
+        """Check a plan as each departure of it is."""
+        plan, planning = saved.plan, saved.parameters.planning
+        problems = [*network_problems(plan.trip, plan.own_map, planning, recorded_trip(plan)),
+                    *certificate_problems(plan.trip, {}, planning)]
+        if not problems and self._replan:
+            problems += replan_problems(plan.trip, planning)
+        return problems
 
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         trip, planning = departure.trip, departure.parameters.planning
@@ -120,7 +162,7 @@ class Verifier:
             *self._shared.once(network_problems, trip, departure.risk_map, planning,
                                departure.metadata.trip),
             *certificate_problems(trip, departure.stated, planning),
-            *(misstated_few(departure.few, departure.stated['few_value']) if departure.few else ()),
+            *(misstated_few(departure.few, departure.few_value) if departure.few else ()),
             *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
