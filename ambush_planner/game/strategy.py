@@ -216,7 +216,7 @@ class Strategy(Shown):
 
     @cached_property
     def alone(self) -> TripStrategy:
-        """This leg as a whole trip."""
+        """The trip of this leg alone."""
         return TripStrategy((self,), self.certificate, self.entropy_bound, self.reason)
 
     @property

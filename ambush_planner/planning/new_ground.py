@@ -15,10 +15,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray, members
-from ..errors import BudgetInfeasible, NoRoute
-from ..game.distribution.chain import chain_of
+from ..game.hits import Law, LegLaws
 from ..game.revaluation import revalue
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..maps.obstacles import ObstacleField, nearest_on_segments
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
@@ -62,31 +61,33 @@ class NewGround:
         x, y = (0.5 * (a[first] + b[first])).tolist()
         return Blocked((x, y), along, int((np.diff(lost, prepend=False) & lost).sum()))
 
-    def assess(self, strategy: Strategy, before: NewGround,
+    def assess(self, trip: TripStrategy, before: NewGround,
                planning: PlanningOptions) -> Assessment:
-        """Return what a strategy costs here, if only its routes that are clear are driven."""
-        network, p = strategy.network, strategy.edge_probability
+        """Return what strategies cost here, if only their routes that are clear are driven."""
+        legs, network, anywhere = trip.joint, trip.game.network, holds_at_cells(trip)
         cells = CellLosses(self.risk_map, planning.game.ambush_in_obstacles)
-        alpha, anywhere = cells.at(network.points), holds_at_cells(strategy)
+        alpha = cells.at(network.points)
         # Where ambushers wait anywhere, the search below finds what these nodes would cost.
-        alpha[network.ends] = 0.0
+        alpha[[(leg.network.source, leg.network.target) for leg in trip.legs]] = 0.0
         alpha[(network.alpha == 0.0) & anywhere] = 0.0
-        used, lost = np.flatnonzero(p > 0.0), (alpha > planning.game.alpha_threshold)[network.heads]
-        tails, heads = network.points[network.edges[used]].swapaxes(0, 1)
-        lost[used] |= ~self._clear(tails, heads, before, planning.network)
-        share = 1.0
-        if lost[used].any():
-            share, p = ConditionedStrategy(strategy).avoiding(lost)
-        if not share > 0.0:
-            return Assessment(math.inf, 0.0, 0.0)
-        try:
-            known = revalue(strategy, alpha, p)
-        except (NoRoute, BudgetInfeasible):
-            return Assessment(math.inf, 0.0, share)
+        forbidden, share, laws = alpha > planning.game.alpha_threshold, 1.0, list[Law]()
+        for leg in trip.legs:
+            own, law = leg.network, leg.law
+            used, lost = np.flatnonzero(leg.edge_probability > 0.0), forbidden[own.heads]
+            tails, heads = own.points[own.edges[used]].swapaxes(0, 1)
+            lost[used] |= ~self._clear(tails, heads, before, planning.network)
+            if lost[used].any():
+                clear, found = ConditionedStrategy(leg).avoiding(lost)
+                if found is None:
+                    return Assessment(math.inf, 0.0, 0.0)
+                share, law = share * clear, found
+            laws.append(law)
+        law = LegLaws(legs, laws) if len(laws) > 1 else laws[0]
+        known = revalue(trip, alpha, law)
         value = known.value
-        if anywhere:
-            search = CellSearch(cells, strategy.game, np.flatnonzero(p > 0.0))
-            value = max([value, *search.worst(chain_of(network, p), value).mean_loss[:1]])
+        if anywhere and value < math.inf:
+            search = CellSearch(cells, legs.games, law.uses(legs.edge_count) > 0.0)
+            value = max([value, *search.worst(law, value).mean_loss[:1]])
         return Assessment(value, known.bound, share)
 
     def _clear(self, a: FloatArray, b: FloatArray, before: NewGround,
