@@ -31,8 +31,8 @@ from .maps.occupancy import OccupancyOptions, risk_from_occupancy
 from .maps.risk_layers import InvalidLayers
 from .maps.risk_map import RiskMap
 from .maps.risk_map_file import read_risk_map
+from .maps.tables import InvalidFeatures
 from .maps.terrain_file import risk_from_terrain
-from .maps.vector_file import InvalidFeatures
 from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .planning.evaluation import evaluate

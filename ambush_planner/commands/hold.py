@@ -17,7 +17,8 @@ from ..game.strategy import within_slack
 from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
-from ..maps.vector_file import InvalidFeatures, attribute, features_on
+from ..maps.tables import InvalidFeatures
+from ..maps.vector_file import attribute, features_on
 from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table

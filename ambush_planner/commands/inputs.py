@@ -19,6 +19,7 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..gone import remedy_for
 from ..maps.occupancy import OccupancyOptions
+from ..maps.road_file import ROAD_OPTIONS
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
 from .cli import new_parser
@@ -65,9 +66,10 @@ _TYPES = {f'{group}.{each.name}': next(kind for kind in _KINDS if kind.__name__ 
           if f'{group}.{each.name}' not in SET_BY_PLAN}
 # How options are typed, by their names without the group; and other texts in messages.
 _TYPED = {name.partition('.')[2]: f'--set {name}' for name in _TYPES} | {
-    name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()}
-_PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
-            ' (game.secured_radius -1)': ' (leave out --held)',
+    name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()} | {
+    'graph': '--roads'} | {name: f'--{name.replace("_", "-")}' for name in ROAD_OPTIONS}
+_PHRASES = {' (node_crossings)': '', ' (road_column, all_lines_are_roads)': '', ' (two_way)': '',
+            ' (all_lines_are_roads)': '', ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)':
             ' (--set strategy.time_limit=SECONDS)',
             'max_planning_time': 'strategy.time_limit'}
@@ -99,7 +101,12 @@ def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
         parser.add_argument(f'--{word}', metavar=unit,
                             help=argparse.SUPPRESS if word == hidden else text)
     parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
-                        'cross without a shared vertex (network.node_crossings)')
+                        'cross or touch without a shared vertex')
+    parser.add_argument('--road-column', metavar='COLUMN=VALUES', help='column that says which '
+                        'lines are roads, and its values for roads: class=road,track')
+    parser.add_argument('--all-lines-are-roads', action='store_true', help='no column says which')
+    parser.add_argument('--two-way', action='store_true', help='no road is one-way, whatever a '
+                        'column that is not known may say')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
                         help='other options: network.spacing=50 strategy.time_limit=300')
 
@@ -113,7 +120,8 @@ def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, Plann
     given = [f'{name}={_in_metres(value) if unit == "METRES" else value}'
              for word, (name, unit, _) in WORDS.items()
              if (value := getattr(arguments, word)) is not None]
-    given += ['network.node_crossings=true'] * arguments.node_crossings
+    given += [f'network.{name}={str(value).lower() if value is True else value}'
+              for name in ROAD_OPTIONS if (value := getattr(arguments, name))]
     if getattr(arguments, 'roads', None):
         given += ['network.method=graph', f'network.graph={arguments.roads}']
     of_map, of_plan = options_of([*arguments.set, *given])
@@ -138,9 +146,10 @@ def options_of(assignments: Iterable[str]) -> tuple[OccupancyOptions, PlanningOp
             raise InvalidOption(f'{name} has two values; give one')
         changes[group][option] = _value(name, text)
     network = changes['network']
-    for option in ('graph', 'node_crossings', 'join_distance'):
+    for option in ('graph', *ROAD_OPTIONS, 'join_distance'):
         if option in network and network.get('method') != 'graph':
-            raise InvalidOption(f'network.{option} has no effect without network.method=graph')
+            raise InvalidOption(f'network.{option} has no effect without roads '
+                                '(network.method=graph)')
     of_map, network, game, strategy, route = (_changed(group, changes[group]) for group in DEFAULTS)
     return of_map, PlanningOptions(network=network, game=game, strategy=strategy, drive=route,
                                    max_gap=math.inf)

@@ -13,7 +13,8 @@ from scipy.spatial.distance import cdist
 from ..arrays import FloatArray
 from ..option_checks import check_at_least
 from .risk_map import RiskMap
-from .vector_file import InvalidFeatures, attribute, attribute_values
+from .tables import InvalidFeatures, dates_of
+from .vector_file import attribute, attribute_values
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -27,29 +28,33 @@ MAX_VALIDATED = 3000
 
 
 def weighted_incidents(features: GeoDataFrame,
-                       values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+                       values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray, str]:
     """Places (K, 2) [m] and weights (K,) of the incidents that count (see ``risk_layers``).
 
-    Raises InvalidFeatures if an attribute is missing or malformed.
+    Also says how many there are, and when, if dates matter. Raises InvalidFeatures if an
+    attribute is missing or malformed.
     """
-    from pandas import to_datetime
+    from pandas import Series
 
     places = np.stack((features.geometry.x, features.geometry.y), axis=1)
     weights = attribute_values(features, 'weight', values['weight'])
     half_life = values['half_life']
     check_at_least('half_life', half_life, 1e-3, 'days', finite=False)
     if half_life == math.inf and values['until'] is None:
-        return places, weights
-    dates = to_datetime(attribute(features, 'date', values['date']), errors='coerce', utc=True,
-                        format='mixed')
+        return places, weights, ''
+    dates = dates_of(attribute(features, 'date', values['date']), values['date'])
     if missing := int(dates.isna().sum()):
         raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have no date such '
                               'as 2025-03-31')
-    until = dates.max() if values['until'] is None else to_datetime(str(values['until']), utc=True)
-    if not (dates <= until).any():
+    until = (dates.max() if values['until'] is None
+             else dates_of(Series([values['until']]), 'until').iloc[0])
+    counts = (dates <= until).to_numpy()
+    if not counts.any():
         raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
     days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
-    return places[days >= 0.0], (weights * 0.5 ** (days / half_life))[days >= 0.0]
+    return (places[counts], (weights * 0.5 ** (days / half_life))[counts],
+            f'{counts.sum()} of {len(dates)} incidents count, {dates.min():%Y-%m-%d} to '
+            f'{dates[counts].max():%Y-%m-%d}')
 
 
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,

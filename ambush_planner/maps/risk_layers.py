@@ -41,11 +41,12 @@ from .incidents import count_near, cross_validated_bandwidth, kernel_density, we
 from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
-from .road_file import connected_parts
+from .road_joints import connected_parts
 from .road_tags import roads_among
+from .tables import InvalidFeatures
 from .terrain_file import terrain_of_file
 from .terrain_risk import TerrainOptions
-from .vector_file import InvalidFeatures, attribute_values, features_on
+from .vector_file import attribute_values, features_on
 from .visibility import ViewOptions
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ _SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'h
 _KINDS: Mapping[str, Mapping[str, Any]] = {
     'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
     'polygons': {**_SHAPES, 'buffer': 0.0},
-    'roads': {**_SHAPES, 'width': 0.0},
+    'roads': {**_SHAPES, 'width': 0.0, 'road_column': '', 'all_lines_are_roads': False},
     'incidents': {'loss': 9.0, 'bandwidth': 'auto', 'half_life': math.inf, 'until': None,
                   'date': 'date', 'weight': 1.0},
 }
@@ -137,7 +138,8 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             features = features_on(joined.ground, str(path), *_GEOMETRIES[kind], crs=crs, refused=(
                 f'{whole[0]} ground must be whole' if whole else ''))
             if kind == 'roads':
-                roads, _ = roads_among(str(path), features)
+                roads, _ = roads_among(str(path), features, values['road_column'],
+                                       values['all_lines_are_roads'], two_way=True)
                 if whole and len(roads) < len(features):
                     raise InvalidFeatures(
                         f'{path.name}: {whole[0]} ground must be whole; put lines that are no '
@@ -146,7 +148,8 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
             add(path.name, features, values)
         except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
-            raise InvalidLayers(f'layer {number} ({kind}): {error}') from error
+            where = '' if path.name in str(error) else f'{path.name}: '
+            raise InvalidLayers(f'layer {number} ({kind}): {where}{error}') from error
     assert joined is not None  # there is a line
     return joined.result()
 
@@ -263,7 +266,8 @@ class _Joined:
 
     def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply incidents, with a remark if there are few."""
-        places, weights = weighted_incidents(features, values)
+        places, weights, span = weighted_incidents(features, values)
+        self.remarks += [f'{name}: {span}'] * bool(span)
         bandwidth = values['bandwidth']
         if bandwidth == 'auto':
             bandwidth, largest = cross_validated_bandwidth(self.ground, places, weights)

@@ -12,21 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
+from .road_joints import noded, segments_of
 from .road_tags import roads_among
-from .vector_file import InvalidFeatures, file_and_layer, read_features, single_parts
+from .tables import InvalidFeatures, naming
+from .vector_file import file_and_layer, read_features, single_parts
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# Decimals to which vertices are rounded, about 1 mm each; equal vertices are one place.
-DIGITS_METRES, DIGITS_DEGREES = 3, 8
-# Maximum number of connected parts with colours of their own in pictures.
-MAX_NAMED = 9
+# Options of reading roads: those of ``read_roads`` after the source, in this order.
+ROAD_OPTIONS = ('node_crossings', 'road_column', 'all_lines_are_roads', 'two_way')
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +59,14 @@ class RoadGraph:
         return f'RoadGraph({len(self.pairs)} pieces)'
 
 
-def read_roads(source: Any, node_crossings: bool = False) -> RoadGraph:
+def read_roads(source: Any, node_crossings: bool = False, road_column: str = '',
+               all_lines_are_roads: bool = False, two_way: bool = False) -> RoadGraph:
     """Read the roads of a file, a table of lines (GeoDataFrame), or a graph of networkx or osmnx.
 
     Lines meet where they share a vertex, so a bridge does not meet the road below. With
-    ``node_crossings`` they also meet where they cross or touch, unless one is on a bridge or in a
-    tunnel; else a warning counts these places. ``roads_among`` says which lines are roads, and in
-    which direction.
+    ``node_crossings`` they also meet where they cross or touch, ends to 5 cm, unless one is on a
+    bridge or in a tunnel; else a warning counts these places. ``roads_among`` says which lines are
+    roads, and in which direction; it takes the other options.
 
     A file is a vector file (``read_features``) or a graph of nav2_route (GeoJSON): points with
     ``id``; lines with ``startid``, ``endid`` and, in their ``metadata``, ``abs_speed_limit`` [m/s],
@@ -79,35 +78,41 @@ def read_roads(source: Any, node_crossings: bool = False) -> RoadGraph:
         if not isinstance(source, str | Path):
             if hasattr(source, 'adj'):
                 source = lines_of_graph(source)
+                all_lines_are_roads |= 'highway' not in source
             if not hasattr(source, 'geometry'):
                 raise InvalidFeatures(f'a {type(source).__name__} is neither a file, a '
                                       'GeoDataFrame nor a graph of networkx')
             lines = single_parts('roads', source, ['LineString'])
-            return roads_from_lines('roads', lines, node_crossings)
+            return roads_from_lines('roads', lines, node_crossings, road_column,
+                                    all_lines_are_roads, two_way)
         if not str(source):
             raise InvalidFeatures('must name a file with roads if method is graph')
         path, _ = file_and_layer(str(source))
         changed = path.stat()
-        return _read(str(source), path, node_crossings, (changed.st_mtime_ns, changed.st_size))
+        return _read(str(source), path, (changed.st_mtime_ns, changed.st_size), node_crossings,
+                     road_column, all_lines_are_roads, two_way)
     except (OSError, InvalidFeatures) as error:
         raise InvalidOption(f'graph: {error}') from error
 
 
 @lru_cache(4)
-def _read(source: str, path: Path, node_crossings: bool, version: tuple[int, int]) -> RoadGraph:
+def _read(source: str, path: Path, version: tuple[int, int], *options: Any) -> RoadGraph:
     """Read the file again only if it has changed."""
-    if path.suffix.lower() in ('.json', '.geojson'):
-        try:
-            features = json.loads(path.read_bytes())['features']
-            if any('startid' in (each.get('properties') or {}) for each in features):
-                return _nav2_graph(features)
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise InvalidFeatures(
-                f'{path}: not a graph or FeatureCollection in GeoJSON: {error!r}') from error
-    if path.suffix.lower() == '.graphml':
-        raise InvalidFeatures(f'{path}: convert GraphML with osmnx.save_graph_geopackage('
-                              'osmnx.load_graphml(FILE), directed=True)')
-    return roads_from_lines(str(path), read_features(source, 'LineString'), node_crossings)
+    with naming(path):
+        if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
+            if any(options):
+                raise InvalidFeatures('a route graph says itself where it leads; leave out '
+                                      f'{", ".join(ROAD_OPTIONS)}')
+            try:
+                return _nav2_graph(json.loads(path.read_bytes())['features'])
+            except (ValueError, KeyError, TypeError, IndexError) as error:
+                if isinstance(error, InvalidFeatures):
+                    raise
+                raise InvalidFeatures(f'not a route graph: {error!r}') from error
+        if path.suffix.lower() == '.graphml':
+            raise InvalidFeatures('convert GraphML with osmnx.save_graph_geopackage('
+                                  'osmnx.load_graphml(FILE), directed=True)')
+        return roads_from_lines(str(path), read_features(source, 'LineString'), *options)
 
 
 def lines_of_graph(graph: Any) -> GeoDataFrame:
@@ -139,6 +144,10 @@ def lines_of_graph(graph: Any) -> GeoDataFrame:
 
 def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
     nodes = [each for each in features if each['geometry']['type'] == 'Point']
+    for each in nodes:
+        if (frame := each['properties'].get('frame') or 'map') != 'map':
+            raise InvalidFeatures(f'node {each["properties"].get("id")} is in the frame {frame!r}; '
+                                  "give its position in the map's frame, and name that map")
     places = {each['properties']['id']: k for k, each in enumerate(nodes)}
     points = [each['geometry']['coordinates'][:2] for each in nodes]
     segments: list[tuple[int, int]] = []
@@ -165,90 +174,38 @@ def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
                   _speeds(np.array(speeds), 'abs_speed_limit'), '')
 
 
-def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool = False) -> RoadGraph:
+def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
+                     *declared: Any) -> RoadGraph:
     """Join lines that are roads where they share a vertex, as ``read_roads`` says.
 
-    ``path`` is named in errors and warnings.
+    ``path`` is named in errors and warnings; ``declared`` are options of ``roads_among``.
     """
-    lines, tags = roads_among(path, lines)
-    points, segments, line, digits = _segments(lines)
-    crossings = _crossings(points, segments, np.array([road.level for road in tags])[line])
+    apart = 'lines that share a vertex at different heights or levels do not meet, at {} places'
+    try:
+        lines, tags = roads_among(path, lines, *declared)
+    except InvalidFeatures as error:
+        split = segments_of(lines).split
+        also = f'; also, {apart.format(split)}' if split else ''
+        raise InvalidFeatures(f'{error}{also}') from error
+    if lines.crs is None:
+        warn(f'{path}: its coordinate system is unknown; its coordinates are taken as those of the '
+             'map')
+    segments = segments_of(lines, np.array([road.levels for road in tags]))
+    if segments.split:
+        warn(f'{path}: {apart.format(segments.split)}')
+    level = np.array([road.level for road in tags])
+    joined, count = noded(segments, level)
     if node_crossings:
-        points, segments, line = _noded(points, segments, line, *crossings, digits)
-    elif count := len(np.unique(crossings[2].round(digits), axis=0)):
+        segments = joined
+    elif count:
         warn(f'{path}: roads cross or touch at {count} places without a shared vertex, bridges and '
              'tunnels apart; these are no junctions unless --node-crossings (node_crossings) joins '
              'them')
-    way = np.array([road.way for road in tags])
+    way, line = np.array([road.way for road in tags]), segments.line
     speed = _speeds(np.array([road.speed for road in tags]), f'{path}: speed_kph')
-    return _graph(points, segments, way[line], None if speed is None else speed[line],
+    return _graph(segments.points, segments.pairs, way[line],
+                  None if speed is None else speed[line],
                   lines.crs.to_wkt() if lines.crs is not None else '')
-
-
-def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
-    """The pieces of lines, and the length of the connected ``part`` that each belongs to."""
-    import geopandas
-    import shapely
-
-    points, segments, *_ = _segments(lines)
-    joined = coo_matrix((np.ones(len(segments)), tuple(segments.T)), [len(points)] * 2)
-    part = connected_components(joined, directed=False)[1][segments[:, 0]]
-    pieces = shapely.linestrings(points[segments])
-    km = np.bincount(part, shapely.length(pieces)) / 1000.0
-    least = np.sort(km)[-MAX_NAMED:][0]
-    names = [f'{each:.4g} km' if each >= least else 'shorter' for each in km]
-    return geopandas.GeoDataFrame({'part': [names[k] for k in part]}, geometry=pieces)
-
-
-def _segments(lines: GeoDataFrame) -> tuple[FloatArray, IndexArray, IndexArray, int]:
-    """Places (P, 2), segments between them (S, 2), the line of each (S,), decimals of places."""
-    import shapely
-
-    coordinates, line = shapely.get_coordinates(lines.geometry, return_index=True)
-    in_degrees = lines.crs is not None and lines.crs.is_geographic
-    if in_degrees:  # continuous across the antimeridian
-        first = coordinates[0, 0]
-        coordinates[:, 0] = (coordinates[:, 0] - first + 180.0) % 360.0 + first - 180.0
-    digits = DIGITS_DEGREES if in_degrees else DIGITS_METRES
-    points, place = _places(coordinates, digits)
-    inner = line[1:] == line[:-1]
-    return points, np.stack((place[:-1], place[1:]), axis=1)[inner], line[1:][inner], digits
-
-
-def _places(points: FloatArray, digits: int) -> tuple[FloatArray, IndexArray]:
-    """Places that are equal to the given decimals once, and the place of each."""
-    _, first, place = np.unique(points.round(digits), axis=0, return_index=True,
-                                return_inverse=True)
-    return points[first], place.ravel()
-
-
-def _crossings(points: FloatArray, segments: IndexArray,
-               level: IndexArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Segments that meet others of their level without a shared place: two (C,), where (C, 2)."""
-    import shapely
-
-    shapes = shapely.linestrings(points[segments])
-    one, other = shapely.STRtree(shapes).query(shapes, predicate='intersects')
-    apart = (segments[one][:, :, None] != segments[other][:, None, :]).all(axis=(1, 2))
-    new = (one < other) & apart & (level[one] == level[other])
-    at = shapely.intersection(shapes[one[new]], shapes[other[new]])
-    single = shapely.get_type_id(at) == shapely.GeometryType.POINT
-    return one[new][single], other[new][single], shapely.get_coordinates(at[single])
-
-
-def _noded(points: FloatArray, segments: IndexArray, line: IndexArray, one: IndexArray,
-           other: IndexArray, at: FloatArray,
-           digits: int) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """Cut segments where they meet (``_crossings``)."""
-    every, place = _places(np.concatenate((points, at)), digits)
-    ends, met, number = place[segments], place[len(points):], np.arange(len(segments))
-    segment = np.concatenate((number, one, other, number))
-    node = np.concatenate((ends[:, 0], met, met, ends[:, 1]))
-    along = np.hypot(*(every[node] - every[ends[segment, 0]]).T)
-    order = np.lexsort((along, segment))
-    segment, node = segment[order], node[order]
-    inner = segment[1:] == segment[:-1]
-    return every, np.stack((node[:-1], node[1:]), axis=1)[inner], line[segment[1:][inner]]
 
 
 def _speeds(values: FloatArray, name: str) -> FloatArray | None:

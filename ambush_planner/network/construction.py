@@ -16,7 +16,7 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.risk_map import RiskMap
-from ..maps.road_file import RoadGraph, read_roads
+from ..maps.road_file import ROAD_OPTIONS, RoadGraph, read_roads
 from ..option_checks import check_at_least, check_flag, check_whole, none_for
 from .grading import Grading
 from .layout import FreeSpace, connect_nodes
@@ -57,6 +57,9 @@ class NetworkOptions:
         graph of networkx or osmnx), or a ``RoadGraph``.
     node_crossings
         Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
+    road_column, all_lines_are_roads, two_way
+        Which lines are roads (COLUMN=VALUE,VALUE or all), and that columns which may say directions
+        do not, if the columns of a file are not known (``roads_among``).
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
     refine
@@ -78,6 +81,9 @@ class NetworkOptions:
     clear_of_edge: bool = True
     graph: str | RoadGraph | Any = None
     node_crossings: bool = False
+    road_column: str = ''
+    all_lines_are_roads: bool = False
+    two_way: bool = False
     join_distance: float = 50.0
     refine: int | None = None
 
@@ -90,14 +96,15 @@ class NetworkOptions:
         check_at_least('clearance', self.clearance, 0.0, 'm')
         check_whole('seed', self.seed, 0)
         check_whole('target_nodes', self.target_nodes, 2)
-        for name in ('clear_of_edge', 'node_crossings'):
+        for name in ('clear_of_edge', 'node_crossings', 'all_lines_are_roads', 'two_way'):
             check_flag(name, getattr(self, name))
         if self.refine is not None:
             check_whole('refine', self.refine, 0)
         check_at_least('join_distance', self.join_distance, 0.0, 'm')
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
             given = '' if self.graph is None else self.graph
-            object.__setattr__(self, 'graph', read_roads(given, self.node_crossings))
+            object.__setattr__(self, 'graph', read_roads(
+                given, *(getattr(self, name) for name in ROAD_OPTIONS)))
 
     @property
     def roads(self) -> RoadGraph | None:

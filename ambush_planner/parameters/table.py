@@ -94,6 +94,16 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _NETWORK.node_crossings,
         'Whether roads also meet where they cross without a shared vertex, except on bridges and '
         'in tunnels.'),
+    'network.road_column': Declaration(
+        _NETWORK.road_column,
+        'Column of network.graph that says which lines are roads, and its values for roads: '
+        'class=road,track; for files whose columns are not known.'),
+    'network.all_lines_are_roads': Declaration(
+        _NETWORK.all_lines_are_roads,
+        'Whether all lines of network.graph are roads, if no column says which.'),
+    'network.two_way': Declaration(
+        _NETWORK.two_way,
+        'Whether roads are two-way although a column that is not known may say directions.'),
     'network.join_distance': Declaration(
         _NETWORK.join_distance,
         'Maximum distance of start, stops and goal from the nearest road [m].'),

@@ -120,8 +120,9 @@ def check_possible(changes: Mapping[str, Any]) -> None:
     others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
     others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': _SOME_ROADS,
                'game.ambush_radius': 1.0}
-    if changes.get('network.graph'):
-        others['network.method'] = 'graph'  # so that the file is read
+    if changes.get('network.graph'):  # so that the file is read, whatever its columns say
+        others |= {'network.method': 'graph', 'network.two_way': True,
+                   'network.all_lines_are_roads': not changes.get('network.road_column')}
     for solver in reversed(SOLVERS):  # the reason given is that of the first solver
         try:
             parameters_from({**others, 'strategy.solver': solver, **changes})

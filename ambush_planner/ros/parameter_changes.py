@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 
 from ..errors import InvalidOption, telling_warnings
 from ..gone import check_none_gone
+from ..maps.road_file import ROAD_OPTIONS
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import NodeParameters, check_possible, parameters_from
 from ..recordings.plan_file import SavedPlan
@@ -25,7 +26,7 @@ from .plan_from_file import planned_parameters, read_plan_for_node
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
 # Parameters whose change has the roads read again.
-_OF_ROADS = ('network.method', 'network.graph', 'network.node_crossings')
+_OF_ROADS = ('network.method', 'network.graph', *(f'network.{name}' for name in ROAD_OPTIONS))
 
 
 class NodeSettings:
