@@ -3,6 +3,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ import pytest
 pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
 import networkx
-from commands import heard
+from commands import heard, table_under
 from shapely.geometry import LineString, MultiLineString, Point, Polygon
 
 from ambush_planner import InvalidOption, NetworkOptions
+from ambush_planner.maps import road_schemas as known
 from ambush_planner.maps.road_file import read_roads
 
 CRS = 'EPSG:32616'
@@ -97,6 +99,19 @@ def test_which_lines_are_roads_in_which_direction(tags, drivable, words):
     found, _, said = read(table(tags, {'HIGHWAY': 'primary'} if 'HIGHWAY' in tags else None),
                           two_way='not read' in words)
     assert found == drivable and words in said and bool(words) == bool(said)
+
+
+@pytest.mark.parametrize(('data', 'schema'), [
+    ('OpenStreetMap', known.OPENSTREETMAP), ("Geofabrik's extracts", known.GEOFABRIK),
+    ('Overture', known.OVERTURE), ('TIGER', known.TIGER), ('Natural Earth', known.NATURAL_EARTH)])
+def test_the_documented_values_are_those_of_roads(data, schema):
+    _, columns, values, _ = next(
+        row for row in table_under('docs/roads.md', 'What is a road') if row[0] == data)
+    names, values = (re.findall('`([^`]+)`', each.lower()) for each in (columns, values))
+    assert names[:len(schema)] == [*schema]
+    assert frozenset().union(*schema.values()).issuperset(values)
+    if data in ('TIGER', 'Natural Earth'):
+        assert frozenset().union(*schema.values()) == {*values}
 
 
 TWO_WAY, OVERTURE = 'no column says directions', {'subtype': 'road', 'class': 'residential'}
