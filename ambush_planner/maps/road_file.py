@@ -203,7 +203,7 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
              'them')
     way, line = np.array([road.way for road in tags]), segments.line
     speed = _speeds(np.array([road.speed for road in tags]), f'{path}: speed_kph')
-    return _graph(segments.points, segments.pairs, way[line],
+    return _graph(segments.points / segments.scale, segments.pairs, way[line],
                   None if speed is None else speed[line],
                   lines.crs.to_wkt() if lines.crs is not None else '')
 
