@@ -64,10 +64,10 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
     it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
     opened.
     """
-    refuse_other_kinds(path, InvalidTerrain)
-    with path.open('rb') as file:
-        is_zip = file.read(4) == b'PK\x03\x04'
-    return (_read_npz if is_zip else _read_gdal)(path, name, crs)
+    is_npz = path.suffix.lower() == '.npz'
+    if not is_npz:
+        refuse_other_kinds(path, InvalidTerrain)
+    return (_read_npz if is_npz or zipfile.is_zipfile(path) else _read_gdal)(path, name, crs)
 
 
 def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
@@ -93,21 +93,34 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
 
 def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
     rasterio = import_extra('rasterio', f'{path}: formats other than .npz', 'gis', InvalidTerrain)
-    try:
-        with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE):
-            warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)  # refused
-            with rasterio.io.DatasetReader(path, driver=list(_DRIVERS)) as dataset:
+    with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE):
+        warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)  # refused
+        try:
+            dataset = rasterio.io.DatasetReader(path, driver=list(_DRIVERS))
+        except rasterio.errors.RasterioError as error:
+            others = {'risk': '; a risk map is a .yaml for map_server, an .npz, or such a raster',
+                      'elevation': '; a .yaml has layers, or is a map for map_server'}
+            raise InvalidTerrain(
+                f'{path}: no raster that is read, such as GeoTIFF, .asc, .hgt and NetCDF; convert '
+                'it with gdal_translate, shapes with gdal_rasterize' + others.get(name, '')
+            ) from error
+        try:
+            with dataset:
                 return _of_dataset(path, dataset, name, crs)
-    except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
-        hint = ('; it looks like a map for map_server, not like an elevation model'
-                if path.suffix.lower() in ('.yaml', '.yml') else '')
-        raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}{hint}') from error
+        except rasterio.errors.RasterioIOError as error:
+            raise InvalidTerrain(f'{path}: it is damaged, or ends early') from error
+        except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
+            raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}') from error
 
 
 def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
     _check(path, dataset, name)
     system = known_system(dataset.crs and dataset.crs.to_wkt(), crs)
+    if system is None and any('degree' in value for key, value in _tags(dataset).items()
+                              if key.endswith('#units')):
+        raise InvalidTerrain(f'{path}: its cells are in degrees, but its coordinate system is '
+                             'unknown; add --crs EPSG:4326, if it is that')
     metres = _metres_per_unit(path, dataset) if name == 'elevation' else 1.0
     bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]
     if name == 'elevation':

@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import arrays_in
 from ..errors import InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates, InvalidCoordinates
-from .elevation import InvalidTerrain, square_cells
+from .elevation import square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, agreed_crs
@@ -64,11 +64,7 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
 
 
 def _read_raster(path: Path) -> OccupancyMap:
-    try:
-        raster = read_raster(path, 'risk')
-    except InvalidTerrain as error:
-        raise InvalidTerrain(f'{error}; a risk map is a .yaml for map_server, an .npz, or a raster '
-                             'such as .tif or .asc') from error
+    raster = read_raster(path, 'risk')
     if not math.isclose(raster.row_step, raster.column_step, rel_tol=1e-5):
         given, raster = raster, square_cells(raster)
         warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
