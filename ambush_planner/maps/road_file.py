@@ -23,7 +23,7 @@ from .vector_file import file_and_layer, read_features, single_parts
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# Options of reading roads: those of ``read_roads`` after the source, in this order.
+# Options of ``read_roads``.
 ROAD_OPTIONS = ('node_crossings', 'road_column', 'all_lines_are_roads', 'two_way')
 
 
@@ -59,14 +59,13 @@ class RoadGraph:
         return f'RoadGraph({len(self.pairs)} pieces)'
 
 
-def read_roads(source: Any, node_crossings: bool = False, road_column: str = '',
-               all_lines_are_roads: bool = False, two_way: bool = False) -> RoadGraph:
+def read_roads(source: Any, node_crossings: bool = False, **declared: Any) -> RoadGraph:
     """Read the roads of a file, a table of lines (GeoDataFrame), or a graph of networkx or osmnx.
 
     Lines meet where they share a vertex, so a bridge does not meet the road below. With
     ``node_crossings`` they also meet where they cross or touch, ends to 5 cm, unless one is on a
     bridge or in a tunnel; else a warning counts these places. ``roads_among`` says which lines are
-    roads, and in which direction; it takes the other options.
+    roads, and in which direction; ``declared`` are its options.
 
     A file is a vector file (``read_features``) or a graph of nav2_route (GeoJSON): points with
     ``id``; lines with ``startid``, ``endid`` and, in their ``metadata``, ``abs_speed_limit`` [m/s],
@@ -78,29 +77,29 @@ def read_roads(source: Any, node_crossings: bool = False, road_column: str = '',
         if not isinstance(source, str | Path):
             if hasattr(source, 'adj'):
                 source = lines_of_graph(source)
-                all_lines_are_roads |= 'highway' not in source
+                declared['all_lines_are_roads'] = 'highway' not in source
             if not hasattr(source, 'geometry'):
                 raise InvalidFeatures(f'a {type(source).__name__} is neither a file, a '
                                       'GeoDataFrame nor a graph of networkx')
             lines = single_parts('roads', source, ['LineString'])
-            return roads_from_lines('roads', lines, node_crossings, road_column,
-                                    all_lines_are_roads, two_way)
+            return roads_from_lines('roads', lines, node_crossings, **declared)
         if not str(source):
             raise InvalidFeatures('must name a file with roads if method is graph')
         path, _ = file_and_layer(str(source))
         changed = path.stat()
         return _read(str(source), path, (changed.st_mtime_ns, changed.st_size), node_crossings,
-                     road_column, all_lines_are_roads, two_way)
+                     **declared)
     except (OSError, InvalidFeatures) as error:
         raise InvalidOption(f'graph: {error}') from error
 
 
 @lru_cache(4)
-def _read(source: str, path: Path, version: tuple[int, int], *options: Any) -> RoadGraph:
+def _read(source: str, path: Path, version: tuple[int, int], node_crossings: bool,
+          **declared: Any) -> RoadGraph:
     """Read the file again only if it has changed."""
     with naming(path):
         if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
-            if any(options):
+            if node_crossings or any(declared.values()):
                 raise InvalidFeatures('a route graph says itself where it leads; leave out '
                                       f'{", ".join(ROAD_OPTIONS)}')
             try:
@@ -112,7 +111,8 @@ def _read(source: str, path: Path, version: tuple[int, int], *options: Any) -> R
         if path.suffix.lower() == '.graphml':
             raise InvalidFeatures('convert GraphML with osmnx.save_graph_geopackage('
                                   'osmnx.load_graphml(FILE), directed=True)')
-        return roads_from_lines(str(path), read_features(source, 'LineString'), *options)
+        return roads_from_lines(str(path), read_features(source, 'LineString'), node_crossings,
+                                **declared)
 
 
 def lines_of_graph(graph: Any) -> GeoDataFrame:
@@ -175,14 +175,14 @@ def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
 
 
 def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
-                     *declared: Any) -> RoadGraph:
+                     **declared: Any) -> RoadGraph:
     """Join lines that are roads where they share a vertex, as ``read_roads`` says.
 
     ``path`` is named in errors and warnings; ``declared`` are options of ``roads_among``.
     """
     apart = 'lines that share a vertex at different heights or levels do not meet, at {} places'
     try:
-        lines, tags = roads_among(path, lines, *declared)
+        lines, tags = roads_among(path, lines, **declared)
     except InvalidFeatures as error:
         split = segments_of(lines).split
         also = f'; also, {apart.format(split)}' if split else ''
@@ -203,7 +203,7 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
              'them')
     way, line = np.array([road.way for road in tags]), segments.line
     speed = _speeds(np.array([road.speed for road in tags]), f'{path}: speed_kph')
-    return _graph(segments.points, segments.pairs, way[line],
+    return _graph(segments.points / segments.scale, segments.pairs, way[line],
                   None if speed is None else speed[line],
                   lines.crs.to_wkt() if lines.crs is not None else '')
 

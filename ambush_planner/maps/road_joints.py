@@ -16,12 +16,10 @@ from ..arrays import FloatArray, IndexArray
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# Decimals to which vertices are rounded, about 1 mm each; equal vertices are one place.
-DIGITS_METRES, DIGITS_DEGREES = 3, 8
+# Decimals of metres to which vertices are rounded; equal vertices are one place.
+DIGITS = 3
 # Distance within which an open end meets another line, and any vertex does [m].
 NEAR_END, NEAR_VERTEX = 0.05, 0.002
-# Length of a line from which it can meet itself [m].
-LOOP = 1.0
 # Difference in height of roads that do not meet, and height of a level [m].
 CLEARANCE, STOREY = 2.0, 5.0
 METRES_PER_DEGREE = 111_320.0
@@ -33,16 +31,16 @@ MAX_NAMED = 9
 class Segments:
     """Segments (S,) of lines between places (P,).
 
-    ``points`` (P, 2) and ``heights`` (P,) [m, NaN if unknown] of places; ``pairs`` (S, 2), the two
-    places of a segment; ``line`` (S,), the line of each; ``scale`` (2,) converts points to metres;
-    ``split``, how many places share a vertex with a place at another height.
+    ``points`` (P, 2) [m] and ``heights`` (P,) [m, NaN if unknown] of places; ``scale`` (2,), metres
+    in a unit of the file; ``pairs`` (S, 2), the two places of a segment; ``line`` (S,), the line of
+    each; ``split``, how many places share a vertex with a place at another height.
     """
 
     points: FloatArray
     heights: FloatArray
+    scale: FloatArray
     pairs: IndexArray
     line: IndexArray
-    scale: FloatArray
     split: int
 
 
@@ -55,29 +53,29 @@ def segments_of(lines: GeoDataFrame, levels: FloatArray | None = None) -> Segmen
     import shapely
 
     xyz, line = shapely.get_coordinates(lines.geometry, include_z=True, return_index=True)
-    xy, height = xyz[:, :2].copy(), xyz[:, 2]
-    scale, digits = np.ones(2), DIGITS_METRES
+    xy, height, scale = xyz[:, :2].copy(), xyz[:, 2], np.ones(2)
     if lines.crs is not None and lines.crs.is_geographic:  # continuous across the antimeridian
         xy[:, 0] = (xy[:, 0] - xy[0, 0] + 180.0) % 360.0 + xy[0, 0] - 180.0
         scale = METRES_PER_DEGREE * np.array((np.cos(np.radians(xy[:, 1].mean())), 1.0))
-        digits = DIGITS_DEGREES
     elif lines.crs is not None:
         scale *= lines.crs.axis_info[0].unit_conversion_factor
+    xy *= scale
     first = np.diff(line, prepend=-1) != 0
     if levels is not None and not np.isfinite(height).any():
         last = np.append(first[1:], True)
         height = STOREY * levels[line, np.select([first, last], [0, 2], 1)]
-    _, spot = np.unique(xy.round(digits), axis=0, return_inverse=True)
-    order = np.lexsort((height, spot.ravel()))
-    new_spot = np.diff(spot.ravel()[order], prepend=-1) != 0
+    _, spot = np.unique(xy.round(DIGITS), axis=0, return_inverse=True)
+    spot = spot.ravel()
+    order = np.lexsort((height, spot))
+    new_spot = np.diff(spot[order], prepend=-1) != 0
     higher = ~new_spot & (np.diff(height[order], prepend=np.nan) > CLEARANCE)
     begins = new_spot | higher
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.cumsum(begins) - 1
     pairs = np.stack((place[:-1], place[1:]), axis=1)
     long = ~first[1:] & (place[:-1] != place[1:])
-    return Segments(xy[order][begins], height[order][begins], pairs[long], line[1:][long], scale,
-                    len(np.unique(spot.ravel()[order][higher])))
+    return Segments(xy[order][begins], height[order][begins], scale, pairs[long], line[1:][long],
+                    len(np.unique(spot[order][higher])))
 
 
 def noded(given: Segments, level: IndexArray) -> tuple[Segments, int]:
@@ -97,7 +95,7 @@ def noded(given: Segments, level: IndexArray) -> tuple[Segments, int]:
     order = np.lexsort((along, segment))
     segment, place = segment[order], place[order]
     inner = segment[1:] == segment[:-1]
-    return replace(given, points=at / given.scale, line=given.line[segment[1:][inner]],
+    return replace(given, points=at, line=given.line[segment[1:][inner]],
                    pairs=np.stack((place[:-1], place[1:]), axis=1)[inner]), count
 
 
@@ -108,19 +106,17 @@ def _meetings(given: Segments, level: IndexArray) -> tuple[IndexArray, IndexArra
     """
     import shapely
 
-    at, pairs, line = given.points * given.scale, given.pairs, given.line
+    at, pairs, line = given.points, given.pairs, given.line
     shapes = shapely.linestrings(at[pairs])
     one, other = shapely.STRtree(shapes).query(shapes, predicate='dwithin', distance=NEAR_END)
-    length = shapely.length(shapes)
-    late, early = np.maximum(one, other), np.minimum(one, other)
-    between = (np.cumsum(length) - length)[late] - np.cumsum(length)[early]
     apart = (pairs[one][:, :, None] != pairs[other][:, None, :]).all(axis=(1, 2))
-    kept = apart & (level[line[one]] == level[line[other]]) & (
-        (line[one] != line[other]) | (between > LOOP))
-    one, other, pair = one[kept], other[kept], (early * len(pairs) + late)[kept]
+    apart &= level[line[one]] == level[line[other]]
+    one, other = one[apart], other[apart]
+    pair = np.minimum(one, other) * len(pairs) + np.maximum(one, other)
     ends = pairs[one]
     reach = np.where(np.bincount(pairs.ravel())[ends] == 1, NEAR_END, NEAR_VERTEX)
-    touches = shapely.distance(shapely.points(at[ends]), shapes[other][:, None]) <= reach
+    touches = (shapely.distance(shapely.points(at[ends]), shapes[other][:, None]) <= reach) & (
+        line[one] != line[other])[:, None]
     row, which = np.nonzero(touches)
     cut, place = other[row], ends[row, which]
     fits = ~(np.abs(given.heights[place] - _heights_at(given, cut, at[place])) > CLEARANCE)
@@ -138,7 +134,7 @@ def _meetings(given: Segments, level: IndexArray) -> tuple[IndexArray, IndexArra
 
 def _heights_at(given: Segments, segment: IndexArray, at: FloatArray) -> FloatArray:
     """Heights (K,) of segments (K,) at the places (K, 2) [m] next to them, NaN if unknown."""
-    a, b = np.moveaxis(given.points[given.pairs[segment]] * given.scale, 1, 0)
+    a, b = np.moveaxis(given.points[given.pairs[segment]], 1, 0)
     share = ((at - a) * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1)
     low, high = given.heights[given.pairs[segment]].T
     return np.asarray(low + np.clip(share, 0.0, 1.0) * (high - low))

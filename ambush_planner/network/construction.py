@@ -92,7 +92,7 @@ class NetworkOptions:
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
             given = '' if self.graph is None else self.graph
             object.__setattr__(self, 'graph', read_roads(
-                given, *(getattr(self, name) for name in ROAD_OPTIONS)))
+                given, **{name: getattr(self, name) for name in ROAD_OPTIONS}))
 
     @property
     def roads(self) -> RoadGraph | None:
