@@ -27,7 +27,8 @@ from matplotlib.transforms import Affine2D
 
 from . import colours
 from .arrays import BoolArray, FloatArray
-from .maps.coordinates import Coordinates, InvalidCoordinates
+from .errors import InvalidCoordinates
+from .maps.coordinates import Coordinates
 from .maps.risk_map import RiskMap
 
 RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)

@@ -15,20 +15,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from .arrays import FloatArray
-from .errors import InvalidOption
-from .game.strategy import Strategy
-from .maps.coordinates import WGS84, InvalidCoordinates
-from .maps.risk_map import RiskMap
-from .planning.plan import Plan
-from .planning.route_layers import line_table, lines_in_system, route_columns, strategy_tables
-from .recordings.durable_files import write_all_durably
+from .errors import InvalidCoordinates, InvalidOption
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
 
+    from .arrays import FloatArray
+    from .game.strategy import Strategy
+    from .maps.risk_map import RiskMap
+    from .planning.plan import Plan
     from .recordings.plan_file import SavedPlan
 
 # The libraries that each format needs.
@@ -59,12 +55,16 @@ class Drawn:
     @property
     def columns(self) -> dict[str, Any]:
         """What files say of each route, by column."""
+        from .planning.route_layers import route_columns
+
         slots = {'slot': self.slots} if self.slots else {}
         return {**route_columns(self.paths, self.times), **slots}
 
     @cached_property
     def routes(self) -> Any:
         """The table of routes."""
+        from .planning.route_layers import line_table
+
         return line_table(self.columns, self.paths, self.risk_map.crs)
 
     @property
@@ -76,6 +76,8 @@ class Drawn:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
+        from .planning.route_layers import strategy_tables
+
         return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map)}
 
     def picture(self) -> Figure:
@@ -107,6 +109,8 @@ def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | N
     these, InvalidCoordinates if a format needs a coordinate system and the map has none, and
     OSError; nothing is written then.
     """
+    from .recordings.durable_files import write_all_durably
+
     write_all_durably({path: plan_content(plan) if plan and path.suffix.lower() == PLAN
                        else content_of(path, drawn) for path in paths})
 
@@ -147,6 +151,8 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
 
 
 def _csv(drawn: Drawn) -> bytes:
+    from .planning.route_layers import lines_in_system
+
     columns, text = drawn.columns, io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(['WKT', *columns])
@@ -158,6 +164,8 @@ def _csv(drawn: Drawn) -> bytes:
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:
+    from .maps.coordinates import WGS84
+
     features = []
     for name, table in tables.items():
         shown = table.assign(layer=name)
@@ -170,6 +178,7 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
 
 def _cut_at_180(shape: Any) -> Any:
     """A shape in degrees; one that crosses 180 degrees as its parts on both sides (RFC 7946)."""
+    import numpy as np
     import shapely
 
     first = shapely.get_coordinates(shape)[0, 0]
@@ -190,6 +199,8 @@ def _cut_at_180(shape: Any) -> Any:
 
 def _gpx(drawn: Drawn) -> bytes:
     from gpxpy import gpx
+
+    from .maps.coordinates import WGS84
 
     file = gpx.GPX()
     file.creator = 'ambush_planner'

@@ -5,16 +5,15 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..recordings import read_departure
-from ..recordings.durable_files import write_all_durably
-from ..recordings.plan_file import read_plan
 from ..route_files import PLAN
 from ..words import distance
 from . import cli
-from .card_page import Card, add_speed, card_of, card_page
 from .positions import add_crs, crs_text
+
+if TYPE_CHECKING:
+    from .card_page import Card
 
 EPILOG = """\
 FILE is a recorded departure (.mcap), of the node or of ambush draw, or with --route a plan of few
@@ -31,7 +30,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('card', 'Write the map, legs and times of one departure for its driver.',
                           EPILOG)
-    made.add_argument('departure', type=Path, metavar='FILE', help='a recording, or a plan')
+    made.add_argument('departure', type=cli.existing, metavar='FILE', help='a recording, or a plan')
     made.add_argument('--route', type=int, metavar='NUMBER', help='the route in a plan of few')
     made.add_argument('-o', '--output', type=cli.file_of('.html'), required=True,
                       metavar='CARD.html', help='the page to write')
@@ -43,7 +42,17 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """Add the argument ``--speed``."""
+    parser.add_argument('--speed', type=cli.number(0.01, 1000.0), metavar='KM/H',
+                        help='mean speed, for the times on the card (default: as the roads allow, '
+                        'if the plan has their speeds)')
+
+
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..recordings.durable_files import write_all_durably
+    from .card_page import card_page
+
     of_plan = arguments.departure.suffix.lower() == PLAN
     if of_plan == (arguments.route is None):
         file = cli.place(arguments.departure)
@@ -64,6 +73,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 
 def _recorded(arguments: argparse.Namespace) -> Card:
+    from ..recordings import read_departure
+    from .card_page import card_of
+
     if arguments.departure.is_dir():
         raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
                              'departure, so name its recording (.mcap)')
@@ -75,6 +87,9 @@ def _recorded(arguments: argparse.Namespace) -> Card:
 
 
 def _chosen(arguments: argparse.Namespace) -> Card:
+    from ..recordings.plan_file import read_plan
+    from .card_page import card_of
+
     plan = read_plan(arguments.departure).plan
     file = cli.place(arguments.departure)
     if plan.few is None:

@@ -6,7 +6,6 @@ Nothing on it tells of other routes: no probabilities, ambush sites or values.
 
 from __future__ import annotations
 
-import argparse
 from base64 import b64encode
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -28,7 +27,7 @@ from ..network.network import Network
 from ..planning.plan import path_lengths
 from ..routes.legs import bearings, distances_along, secured_stretches, way_points
 from ..words import distance, duration, ends, rounded
-from .cli import Console, number, resource
+from .cli import Console, resource
 
 _ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
@@ -102,13 +101,6 @@ def _mean_speed(network: Network, nodes: IndexArray, length: float) -> float | N
     if network.seconds is None:
         return None
     return 3.6 * length / float(network.seconds[route_edges(network, nodes)].sum())
-
-
-def add_speed(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--speed``."""
-    parser.add_argument('--speed', type=number(0.01, 1000.0), metavar='KM/H',
-                        help='mean speed, for the times on the card (default: as the roads allow, '
-                        'if the plan has their speeds)')
 
 
 def card_page(card: Card, console: Console) -> str:

@@ -9,17 +9,18 @@ import time
 from collections.abc import Iterator
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..recordings import plan_departures
-from ..recordings.durable_files import write_all_durably
-from ..recordings.metadata import Metadata, RecordedDay
-from ..recordings.plan_file import SavedPlan, read_plan
-from ..route_files import Drawn, content_of
 from ..words import distance
 from . import cli
-from .card_page import add_speed, card_of, card_page
+from .card import add_speed
 from .console import when
 from .geo_files import require_for
+
+if TYPE_CHECKING:
+    from ..recordings import plan_departures
+    from ..recordings.metadata import Metadata, RecordedDay
+    from ..recordings.plan_file import SavedPlan
 
 SUFFIXES = ('.html', '.gpx')
 DESCRIPTION = """\
@@ -43,7 +44,7 @@ If a file cannot be written, nothing is, and nothing has been drawn.
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('draw', DESCRIPTION, EPILOG)
-    made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
+    made.add_argument('plan', type=cli.existing, metavar='PLAN', help='the plan, such as week.plan')
     made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
                       metavar='FILE', help='card.html or route.gpx')
     made.add_argument('--date', type=_date, metavar='YYYY-MM-DD',
@@ -68,6 +69,9 @@ def _date(text: str) -> date:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..recordings import plan_departures
+    from ..recordings.plan_file import read_plan
+
     require_for(arguments.output)
     saved = read_plan(arguments.plan)
     if saved.source and saved.map_has_changed:
@@ -95,6 +99,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _replaced(arguments: argparse.Namespace, folder: Path,
               dates: list[str]) -> dict[str, str]:
     """Dates and ids of the departures that were drawn before, but not driven; raises UsageError."""
+    from ..recordings import plan_departures
+
     _check_clock(folder, arguments.date)
     slot = arguments.slot
     again = [(day, said) for day, said in plan_departures.earlier_departures(folder, dates)
@@ -107,6 +113,8 @@ def _replaced(arguments: argparse.Namespace, folder: Path,
 
 def _check_clock(folder: Path, named: date | None) -> None:
     """Raise UsageError if the clock is behind the last departure, unless the day is named."""
+    from ..recordings import plan_departures
+
     if (names := plan_departures.names_in(folder)) and not named:
         last = max(path.stat().st_mtime_ns for _, _, path in names)
         if last > time.time_ns():
@@ -130,6 +138,9 @@ def _asked(day: RecordedDay, said: Metadata) -> str:
 def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan, folder: Path,
             dates: list[str], replaced: dict[str, str]) -> cli.Exit:
     """Draw, write everything or nothing, and tell."""
+    from ..recordings import plan_departures
+    from ..recordings.durable_files import write_all_durably
+
     names = [] if arguments.dry_run else plan_departures.names_in(folder)
     number = max((each for each, *_ in names), default=0)
     files: dict[Path, bytes] = {}
@@ -167,6 +178,9 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
 def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
              drawn: plan_departures.DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
     """The files that were asked for, with the day in their names if there are several days."""
+    from ..route_files import Drawn, content_of
+    from .card_page import card_of, card_page
+
     plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked

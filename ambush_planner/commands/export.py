@@ -7,11 +7,9 @@ import argparse
 from dataclasses import replace
 from datetime import datetime, timezone
 
-from ..route_files import Drawn, write_routes
 from . import cli, readers
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .positions import add_crs, crs_text
-from .report_words import leaving
 
 EPILOG = f"""\
 Routes are the recorded paths, numbered in order of time; strategy, map and ground are those of the
@@ -32,6 +30,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..route_files import Drawn, write_routes
+    from .report_words import leaving
+
     check_outputs(options.output, console)
     departures, unreadable, _ = readers.read_all(options.recordings, console)
     for error in unreadable:

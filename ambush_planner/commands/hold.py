@@ -5,24 +5,19 @@ from __future__ import annotations
 
 import argparse
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-
-from .. import figures, map_figures
 from ..colours import AMBUSHER
-from ..game.strategy import within_slack
-from ..maps.coordinates import Coordinates
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import read_risk_map
-from ..maps.vector_file import InvalidFeatures, attribute, features_on
-from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .inputs import options_from, planner_parser
+from .planner_parser import planner_parser
 from .positions import Position, places_on
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..maps.risk_map import RiskMap
+    from ..planning.holding import Held, Holding
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
@@ -58,6 +53,11 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..game.strategy import within_slack
+    from ..maps.risk_map_file import read_risk_map
+    from ..planning.holding import places_to_hold
+    from .inputs import options_from
+
     of_map, planning = options_from(arguments)
     risk_map = read_risk_map(arguments.map, of_map)
     check_outputs(arguments.output, console)
@@ -80,6 +80,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
     """The row of one place; the columns lat and lon are for maps with a coordinate system."""
+    from ..maps.coordinates import Coordinates
+
     at = dict(zip('xy', step.xy, strict=True))
     if risk_map.crs:
         at |= zip(('lat', 'lon'), Coordinates(risk_map.crs).to_lat_lon([step.xy])[0], strict=True)
@@ -111,6 +113,12 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
     # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
+    import numpy as np
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    from .. import figures, map_figures
+
     lines = 2 + len(map_figures.ground_key(risk_map))
     heights = 6.1 + 0.3 * lines, 2.1
     figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
@@ -142,6 +150,8 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
 
 def read_places(source: str, risk_map: RiskMap) -> dict[str, tuple[float, float]]:
     """World positions [m] by the names of points in a file; raises InvalidFeatures."""
+    from ..maps.vector_file import InvalidFeatures, attribute, features_on
+
     points = features_on(risk_map, source, 'Point', crs=risk_map.crs,
                          refused='each place needs a position')
     names = attribute(points, 'candidates', 'name').astype(str).str.strip()

@@ -8,25 +8,20 @@ import math
 import warnings
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ..maps.risk_map_file import read_risk_map
-from ..planning.concerns import assumptions, concerns, is_sound
-from ..planning.evaluation import evaluate
-from ..planning.few_routes import MAX_ROUTES
-from ..planning.plan import Plan
-from ..planning.trip import plan_trip
-from ..recordings.metadata import RecordedSlots
-from ..recordings.plan_file import saved_plan
-from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
+from ..route_files import PLAN, SUFFIXES
 from ..words import distance, duration, percent
 from . import cli
-from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .inputs import options_from, planner_parser
+from .planner_parser import planner_parser
 from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
+
+if TYPE_CHECKING:
+    from ..planning.plan import Plan
+    from ..recordings.metadata import RecordedSlots
+    from ..route_files import Drawn
 
 DESCRIPTION = """\
 Plan on a map. Save the plan and draw from it each day, or draw routes for a quick look.
@@ -61,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
-    number.add_argument('--routes', type=cli.number(1, MAX_ROUTES, int), metavar='K', help='find '
+    number.add_argument('--routes', type=cli.number(1, math.inf, int), metavar='K', help='find '
                         'the best mixture of at most K routes, to brief, or draw by hand')
     made.add_argument('--terrain', action='store_true',
                       help='MAP is an elevation model, whose risk is found as by ambush risk')
@@ -79,12 +74,26 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    import numpy as np
+
+    from ..maps.risk_map_file import read_risk_map
+    from ..planning.concerns import concerns, is_sound
+    from ..planning.few_routes import MAX_ROUTES
+    from ..planning.trip import plan_trip
+    from ..recordings.metadata import RecordedSlots
+    from ..recordings.plan_file import saved_plan
+    from ..route_files import draw, write_routes
+    from .few_files import FewDrawn, tell_few
+    from .inputs import options_from
+
     (of_map, planning), slots = options_from(arguments), arguments.slots
     for before, after in pairwise(slots):
         if after <= before:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
+    if (arguments.routes or 0) > MAX_ROUTES:
+        raise cli.UsageError(f'--routes must be at most {MAX_ROUTES}')
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
@@ -130,6 +139,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
+    from ..planning.concerns import assumptions
+    from ..planning.evaluation import evaluate
+
     strategy, few = plan.strategy, plan.few
     value, bound = ((day.value, day.lower_bound) if day
                     else (plan.value, plan.lower_bound))

@@ -7,16 +7,15 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
+from ..errors import InvalidCoordinates
 
-from ..arrays import FloatArray
-from ..maps.coordinates import Coordinates, InvalidCoordinates
-from ..maps.grid_references import MGRS_REFERENCE, from_mgrs, mgrs_references
-from ..maps.risk_map import RiskMap
-from ..network.trip_graph import position_errors
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from ..arrays import FloatArray
+    from ..maps.risk_map import RiskMap
 
 _POSITIONS = {'--start': 'where trips begin', '--via': 'stops',
               '--goal': 'where trips end; the start again for a round trip'}
@@ -35,6 +34,11 @@ class Position:
 
     def like(self, xy: npt.ArrayLike, risk_map: RiskMap) -> str:
         """Another world position [m] on the map, written as this one was typed."""
+        import numpy as np
+
+        from ..maps.coordinates import Coordinates
+        from ..maps.grid_references import mgrs_references
+
         if not (self.in_degrees and risk_map.crs):
             x, y = np.asarray(xy, dtype=float).tolist()
             return f'({x:.1f}, {y:.1f})'
@@ -48,6 +52,10 @@ class Position:
 
     def xy(self, risk_map: RiskMap) -> FloatArray:
         """World position [m]; raises InvalidCoordinates."""
+        import numpy as np
+
+        from ..maps.coordinates import Coordinates
+
         if not self.in_degrees:
             return np.array(self.numbers)
         if not risk_map.crs:
@@ -69,6 +77,8 @@ class _Positions(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
+        from ..maps.grid_references import MGRS_REFERENCE
+
         texts = [''.join(values)] if MGRS_REFERENCE.match(''.join(values)) else values
         as_mgrs = any(MGRS_REFERENCE.match(text) for text in texts)
         in_degrees = any(',' in text or MGRS_REFERENCE.match(text) for text in texts)
@@ -87,6 +97,8 @@ class _Positions(argparse.Action):
 
 def _parts(text: str) -> Sequence[str | float]:
     """The numbers of a position, or of a part of it."""
+    from ..maps.grid_references import MGRS_REFERENCE, from_mgrs
+
     if MGRS_REFERENCE.match(text):
         return from_mgrs(text)
     return [part for part in text.split(',') if part]
@@ -112,6 +124,11 @@ def places_on(arguments: argparse.Namespace,
 
 
 def _xy(name: str, given: Position, risk_map: RiskMap) -> FloatArray:
+    import numpy as np
+
+    from ..maps.coordinates import Coordinates
+    from ..network.trip_graph import position_errors
+
     if not risk_map.crs or given.is_on(risk_map):
         return given.xy(risk_map)
     low, high = Coordinates(risk_map.crs).to_lat_lon(risk_map.bounds)

@@ -10,12 +10,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import AmbushPlannerError
-from ..recordings import UnreadableRecording, read_recording, recordings_in
-from ..recordings.messages import DURATIONS, Channel, fields_from_yaml
 from . import cli, readers
+
+if TYPE_CHECKING:
+    from ..recordings.messages import Channel
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -120,6 +121,8 @@ class _Replay:
 
     def _files(self) -> Mapping[Path, set[Channel]]:
         """Return the readable files with their channels."""
+        from ..recordings import UnreadableRecording, read_recording, recordings_in
+
         paths = recordings_in(self._options.recordings)
         found = {}
         for path in self._console.progress(paths, 'read'):
@@ -150,6 +153,8 @@ class _Replay:
 
     def _publish(self, files: Iterable[Path]) -> None:
         """Publish everything in time."""
+        from ..recordings import read_recording
+
         for path in files:
             messages = [each for each in read_recording(path).messages
                         if each.channel in self._publishers]
@@ -194,6 +199,8 @@ def qos_from_yaml(text: str) -> Any:
     """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
     from rclpy import qos
     from rclpy.duration import Duration
+
+    from ..recordings.messages import DURATIONS, fields_from_yaml
 
     fields = dict(fields_from_yaml(text))
     for name in ('history', 'reliability', 'durability', 'liveliness'):

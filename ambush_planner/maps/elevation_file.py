@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray, arrays_in
-from ..errors import InvalidRiskMap, import_extra, warn
-from .coordinates import InvalidCoordinates, horizontal, metric_system
+from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
+from .coordinates import horizontal, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
 from .risk_map import LOSSES
 

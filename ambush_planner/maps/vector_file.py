@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError, import_extra, warn
+from ..errors import AmbushPlannerError, InvalidCoordinates, import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import WGS84, Coordinates, InvalidCoordinates, in_metres
+from .coordinates import WGS84, Coordinates, in_metres
 from .risk_map import RiskMap, to_map_axes
 
 if TYPE_CHECKING:

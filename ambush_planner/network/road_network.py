@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, members
-from ..errors import InvalidOption, NoRoute
-from ..maps.coordinates import InvalidCoordinates
+from ..errors import InvalidCoordinates, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField, nearest_on_segments
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
