@@ -26,23 +26,26 @@ if TYPE_CHECKING:
     from .maps.risk_map import RiskMap
     from .planning.plan import Plan
     from .recordings.plan_file import SavedPlan
+    from .routes.way_points import WayPoint
 
 # The libraries that each format needs.
 NEEDS: dict[str, tuple[str, ...]] = {
     '.gpkg': ('geopandas', 'rasterio'), '.geojson': ('geopandas', 'rasterio'),
-    '.gpx': ('geopandas', 'gpxpy'), '.csv': (), '.png': ('matplotlib',)}
+    '.gpx': ('gpxpy', 'pyproj'), '.csv': (), '.png': ('matplotlib',)}
 SUFFIXES = tuple(NEEDS)
 PLAN = '.plan'
 NEEDS[PLAN] = ('mcap', 'mcap_ros2', 'zstandard')
-# Points of a GPX route that are nearer to the line through the others are left out [m].
-_STRAIGHT = 0.5
+# Points of a GPX route that are nearer to the line through the others are left out [m], and corners
+# nearer to a way point.
+_STRAIGHT, _APART = 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
     """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot.
 
-    Without ``labels``, they are named by their numbers and slots.
+    Without ``labels``, they are named by their numbers and slots. ``way_points`` are those of their
+    drivers' cards, for each path, or none.
     """
 
     strategy: Strategy
@@ -51,6 +54,7 @@ class Drawn:
     times: Sequence[datetime]
     slots: Sequence[str] = field(default=(), kw_only=True)
     labels: Sequence[str] = field(default=(), kw_only=True)
+    way_points: Sequence[Sequence[WayPoint]] = field(default=(), kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -198,22 +202,47 @@ def _cut_at_180(shape: Any) -> Any:
 
 
 def _gpx(drawn: Drawn) -> bytes:
+    """Each path as a track, and as a route of its corners and named way points.
+
+    The way points of a single path are also points of their own.
+    """
     from gpxpy import gpx
 
-    from .maps.coordinates import WGS84
+    from .maps.coordinates import Coordinates
 
-    file = gpx.GPX()
+    system, file = Coordinates(drawn.risk_map.crs or ''), gpx.GPX()
     file.creator = 'ambush_planner'
-    lines, corners = (each.to_crs(WGS84) for each in (drawn.routes.geometry,
-                                                      drawn.routes.simplify(_STRAIGHT)))
-    for name, line, corner in zip(drawn.names, lines, corners, strict=True):
+    for k, (name, path) in enumerate(zip(drawn.names, drawn.paths, strict=True)):
+        texts, corners = _corners(path[:, :2], drawn.way_points[k] if drawn.way_points else ())
         route, track, segment = gpx.GPXRoute(name), gpx.GPXTrack(name), gpx.GPXTrackSegment()
-        route.points = [gpx.GPXRoutePoint(latitude, longitude)
-                        for longitude, latitude in corner.coords]
-        segment.points = [gpx.GPXTrackPoint(latitude, longitude)
-                          for longitude, latitude in line.coords]
+        route.points = [gpx.GPXRoutePoint(latitude, longitude, name=text)
+                        for text, (latitude, longitude) in
+                        zip(texts, system.to_lat_lon(corners).tolist(), strict=True)]
+        segment.points = [gpx.GPXTrackPoint(*place)
+                          for place in system.to_lat_lon(path[:, :2]).tolist()]
         track.segments.append(segment)
         file.routes.append(route)
         file.tracks.append(track)
+    if len(file.routes) == 1:
+        file.waypoints = [gpx.GPXWaypoint(each.latitude, each.longitude, name=each.name)
+                          for each in file.routes[0].points if each.name]
     text: str = file.to_xml(version='1.1')
     return text.encode()
+
+
+def _corners(path: FloatArray,
+             way_points: Sequence[WayPoint]) -> tuple[Sequence[str | None], FloatArray]:
+    """The corners of a path (L, 2), and its way points (C, 2) with their numbers and names."""
+    import numpy as np
+
+    from .routes.legs import distances_along, main_corners
+
+    at, named = main_corners(path, _STRAIGHT), np.array([each.distance for each in way_points])
+    along = distances_along(path)[at]
+    bare = np.abs(named[:, None] - along).min(axis=0, initial=np.inf) > _APART
+    texts = [f'{number:02} {each.label}'.strip()
+             for number, each in enumerate(way_points, start=1)]
+    places = np.concatenate((path[at[bare]], np.reshape([each.xy for each in way_points], (-1, 2))))
+    order = np.argsort(np.concatenate((along[bare], named)), kind='stable')
+    names = [*[None] * int(bare.sum()), *texts]
+    return [names[k] for k in order], places[order]

@@ -21,9 +21,9 @@ from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.routes.legs import (
     MAX_LEGS,
     bearings,
+    corners_of_legs,
     distances_along,
     secured_stretches,
-    way_points,
 )
 
 FRAME = 'datum 36.6 -84.3 0.2'
@@ -34,7 +34,7 @@ PLACES = st.tuples(*2 * [st.integers(-50, 50)])
 @given(st.lists(PLACES, min_size=2, max_size=40, unique=True), st.integers(0, 39))
 def test_legs_add_up_and_pass_the_stops(path, stop):
     path = np.array(path, float)
-    at = way_points(path, path[[stop % len(path)]])
+    at = corners_of_legs(path, path[[stop % len(path)]])
     assert {0, stop % len(path), len(path) - 1} <= set(at) and len(at) <= MAX_LEGS + 1
     lengths = np.diff(distances_along(path)[at])
     assert np.all(lengths > 0.0)
@@ -43,7 +43,7 @@ def test_legs_add_up_and_pass_the_stops(path, stop):
 
 def test_corners_are_way_points_and_bearings_are_clockwise_from_y():
     path = np.array([(0, 0), (0, 5), (0, 10), (5, 10), (10, 10), (10, 0)], float)
-    at = way_points(path, NO_STOPS)
+    at = corners_of_legs(path, NO_STOPS)
     assert at.tolist() == [0, 2, 4, 5] and distances_along(path)[at].tolist() == [0, 10, 20, 30]
     assert bearings(path[at]).tolist() == [0, 90, 180]
 
@@ -108,7 +108,7 @@ def test_grid_references_agree_with_pyproj(runs, tmp_path):
         np.testing.assert_allclose(mgrs.MGRS().toLatLon(square.replace(' ', '')),
                                    (latitude, longitude), atol=3e-5)
     # True bearings differ from those of the grid by the convergence of the meridians.
-    grid = bearings(path[way_points(path, NO_STOPS)])
+    grid = bearings(path[corners_of_legs(path, NO_STOPS)])
     turned = (np.array([int(row[4][:-1]) for row in rows[:-1]]) - grid + 180.0) % 360.0 - 180.0
     assert np.ptp(turned) < 1.5 and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
 

@@ -81,16 +81,20 @@ def _recorded(arguments: argparse.Namespace) -> Card:
                              'departure, so name its recording (.mcap)')
     departure = read_departure(arguments.departure)
     day = departure.metadata.day
-    return card_of(departure.path_poses, departure.risk_map, departure.strategy,
-                   (departure.drawn_from.network, departure.route), arguments.speed,
-                   arguments.start_time or (day.slot if day else ''), day.date if day else '')
+    return card_of(departure.path_poses, departure.risk_map, departure.drawn_from,
+                   departure.route, departure.parameters.planning.network.roads,
+                   departure.metadata.trip.names,
+                   arguments.speed, arguments.start_time or (day.slot if day else ''),
+                   f'Departure {departure.metadata.departure}', day.date if day else '',
+                   day.zone if day else '')
 
 
 def _chosen(arguments: argparse.Namespace) -> Card:
     from ..recordings.plan_file import read_plan
     from .card_page import card_of
 
-    plan = read_plan(arguments.departure).plan
+    saved = read_plan(arguments.departure)
+    plan = saved.plan
     file = cli.place(arguments.departure)
     if plan.few is None:
         raise cli.UsageError(f'{file} is not a plan of few routes: make one with --routes K, or '
@@ -98,8 +102,9 @@ def _chosen(arguments: argparse.Namespace) -> Card:
     if not 1 <= arguments.route <= (count := len(plan.few.paths)):
         raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
     k = arguments.route - 1
-    return card_of(plan.few.paths[k], plan.own_map, plan.strategy,
-                   (plan.network, plan.few.routes[k]), arguments.speed, arguments.start_time)
+    return card_of(plan.few.paths[k], plan.own_map, plan.strategy, plan.few.routes[k],
+                   plan.options.network.roads, saved.names, arguments.speed, arguments.start_time,
+                   f'Route {arguments.route}')
 
 
 main = cli.command(parser, _work)

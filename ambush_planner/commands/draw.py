@@ -150,7 +150,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
                'route': None if drawn.few_route is None else drawn.few_route + 1,
                'length': drawn.length, 'recording': None}
-        for path, data in _outputs(arguments, console, saved, drawn, day):
+        for path, data in _outputs(arguments, console, saved, drawn, number + k, day):
             files[path] = data
         if not arguments.dry_run:
             path = folder / plan_departures.file_name(number + k, day)
@@ -176,22 +176,26 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
 
 
 def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
-             drawn: plan_departures.DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
+             drawn: plan_departures.DrawnDeparture, number: int,
+             day: str) -> Iterator[tuple[Path, bytes]]:
     """The files that were asked for, with the day in their names if there are several days."""
+    from ..recordings.plan_departures import local_zone
     from ..route_files import Drawn, content_of
     from .card_page import card_of, card_page
 
-    plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
+    plan, training = saved.plan, 'TRAINING ' * arguments.dry_run
+    name = training + ' '.join(filter(None, (day, drawn.slot)))
+    card = card_of(drawn.poses, plan.own_map, plan.strategy, drawn.nodes,
+                   plan.options.network.roads, saved.names, arguments.speed, drawn.slot,
+                   f'Departure {number}', day, local_zone(day, drawn.slot), arguments.dry_run)
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
         if path.suffix.lower() == '.html':
-            card = card_of(drawn.poses, plan.own_map, plan.strategy, (plan.network, drawn.nodes),
-                           arguments.speed, drawn.slot, day)
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
             yield path, content_of(path, Drawn(plan.strategy, plan.own_map, [drawn.poses], times,
-                                               labels=[name]))
+                                               labels=[name], way_points=[card.way_points]))
 
 
 main = cli.command(parser, _work)

@@ -58,6 +58,9 @@ def parser() -> argparse.ArgumentParser:
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
     number.add_argument('--routes', type=cli.number(1, math.inf, int), metavar='K', help='find '
                         'the best mixture of at most K routes, to brief, or draw by hand')
+    for end in ('start', 'goal'):
+        made.add_argument(f'--{end}-name', default='', metavar='NAME',
+                          help=f'name of the {end} on cards')
     made.add_argument('--terrain', action='store_true',
                       help='MAP is an elevation model, whose risk is found as by ambush risk')
     add_terrain(made.add_argument_group('with --terrain'))
@@ -124,7 +127,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day and few is None:
         drawn = replace(drawn, slots=[day.drawn(rng) for _ in drawn.paths])
     write_routes(arguments.output, drawn,
-                 saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map)
+                 saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map,
+                            (arguments.start_name, arguments.goal_name))
                  if len(quick) < len(arguments.output) else None)
     _tell(plan, day, arguments, console)
     if few:

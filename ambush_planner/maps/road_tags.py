@@ -28,6 +28,7 @@ DRIVABLE = frozenset((
     *(kind + link for kind in ('motorway', 'trunk', 'primary', 'secondary', 'tertiary')
       for link in ('', '_link')), *(f'track_grade{k}' for k in range(1, 6)),
     'unclassified', 'residential', 'living_street', 'service', 'road', 'track'))
+ROUNDABOUT = 'roundabout'
 # Ways that are no roads unless they have a kind of road, too; the last are words of other data.
 _OTHER_WAYS = ('waterway', 'railway', 'power', 'aerialway', 'aeroway', 'barrier', 'man_made',
                'boundary', 'route')
@@ -87,6 +88,26 @@ def roads_among(path: str, lines: GeoDataFrame) -> tuple[GeoDataFrame, list[Road
         warn(f'{text}; they are left out')
     keep = np.array([not road.problem for road in roads])
     return lines[keep], [road for road in roads if not road.problem]
+
+
+def road_names(lines: GeoDataFrame) -> list[str]:
+    """Reference and name of each line, such as ``B 55 Main Street``, or ``ROUNDABOUT``."""
+    ref, name, junction = (_texts(lines, key) for key in ('ref', 'name', 'junction'))
+    return [ROUNDABOUT if kind in ('roundabout', 'circular') else ' '.join(filter(None, texts))
+            for kind, *texts in zip(junction, ref, name, strict=True)]
+
+
+def _texts(lines: GeoDataFrame, key: str) -> list[str]:
+    """The texts of an attribute, '' if missing; osmnx has lists where it has merged ways."""
+    columns = {str(each).lower(): each for each in lines.columns}
+    if key in columns:
+        values = [' / '.join(each) if isinstance(each, list) else each
+                  for each in lines[columns[key]]]
+    else:
+        values = [(re.search(f'"{key}"=>"([^"]*)"', str(each)) or ('', ''))[1]
+                  for each in lines.get('other_tags', [''] * len(lines))]
+    return ['' if each is None or each != each else ' '.join(str(each).split())
+            for each in values]
 
 
 def _tags(path: str, lines: GeoDataFrame) -> DataFrame:

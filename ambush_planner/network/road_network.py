@@ -32,7 +32,8 @@ def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
     roads = in_map_frame(roads, risk_map.crs)
     uv = risk_map.to_map_axes(roads.points)[roads.pairs]
     inside = ((uv.max(axis=1) >= 0.0) & (uv.min(axis=1) <= risk_map.size)).all(axis=1)
-    return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside])
+    return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside],
+                   name=roads.name[inside])
 
 
 @lru_cache(4)
@@ -45,7 +46,10 @@ def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
     if not roads.crs:
         return roads
     try:
-        return replace(roads, points=from_system(roads.points, roads.crs, crs), crs='')
+        places = np.column_stack((from_system(roads.places[:, :2], roads.crs, crs),
+                                  roads.places[:, 2]))
+        return replace(roads, points=from_system(roads.points, roads.crs, crs), crs='',
+                       places=places)
     except InvalidCoordinates as error:
         raise InvalidOption(f'graph: {error}') from error
 

@@ -49,7 +49,7 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_dis
 _BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.
 _CIRCULATION = ('through', 'site', 'face', 'flow')
-_ROADS = ('points', 'pairs', 'speeds', 'timed')
+_ROADS = ('points', 'pairs', 'speeds', 'timed', 'names', 'name', 'places')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
 _FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), 'shares', 'value', 'worst_xy',
@@ -152,7 +152,10 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
     if data is None:
         return None
     content = arrays_in(BytesIO(data), _ROADS)
-    return RoadGraph(content['points'], content['pairs'], content['speeds'], bool(content['timed']))
+    named = (tuple(content['names'].tolist()), content['name'], content['places']) if (
+        'names' in content) else ()  # older ones have none
+    return RoadGraph(content['points'], content['pairs'], content['speeds'],
+                     bool(content['timed']), '', *named)
 
 
 def few_file(few: FewRoutes) -> bytes:

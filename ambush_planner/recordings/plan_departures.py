@@ -13,6 +13,7 @@ import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from uuid import uuid4
 
@@ -79,7 +80,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     ``previous`` is the id of the departure before, ``replaces`` that of an earlier one for the same
     day that was not driven.
     """
-    plan, trip = saved.plan, recorded_trip(saved.plan)
+    plan, trip = saved.plan, recorded_trip(saved)
     roles = {
         'map': map_message(plan.own_map, saved.parameters.occupancy, saved.frame, stamp_ns),
         'start': pose_message('/start_pose', trip.start, saved.frame, stamp_ns),
@@ -92,9 +93,17 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         False, tuple(drawn.nodes.tolist()), (drawn.source,),
         RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}), previous=previous,
         plan=recorded_plan(saved),
-        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces))
+        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces,
+                        local_zone(date, drawn.slot)))
     return said.departure_id, encode(list(roles.values()), said.entries(),
                                      attachments_of(plan, plan.own_map.crs), 'zstd')
+
+
+def local_zone(date: str, slot: str) -> str:
+    """The time zone of this computer on a day and at a time (HH:MM), such as ``UTC+01:00``."""
+    then = datetime.strptime(f'{date} {slot or "12:00"}', '%Y-%m-%d %H:%M').astimezone()
+    offset = f'{then:%z}'
+    return f'UTC{offset[:3]}:{offset[3:5]}'
 
 
 def departures_folder(plan_file: Path) -> Path:

@@ -48,13 +48,17 @@ KIND = 'plan'
 
 @dataclass(frozen=True, eq=False)
 class SavedPlan:
-    """A plan with its map, and what the node's parameters would be for it."""
+    """A plan with its map, and what the node's parameters would be for it.
+
+    ``names`` are those of start and goal, '' if they have none.
+    """
 
     plan: Plan
     parameters: NodeParameters
     slots: RecordedSlots | None = None
     source: MapSource | None = None
     frame: str = 'map'
+    names: tuple[str, str] = ('', '')
     id: str = ''
     made_ns: int = 0
 
@@ -78,7 +82,8 @@ def digest_of(path: Path) -> str:
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
-               slots: RecordedSlots | None = None, map_file: Path | None = None) -> SavedPlan:
+               slots: RecordedSlots | None = None, map_file: Path | None = None,
+               names: tuple[str, str] = ('', '')) -> SavedPlan:
     """A new plan to save; ``map_file`` is where its map came from, if it is to be watched.
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
@@ -88,8 +93,8 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
     roads = plan.options.network.roads
     roads = roads and in_map_frame(roads, plan.own_map.crs)
     source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
-    return SavedPlan(plan, parameters_from(values, roads), slots, source, id=str(uuid4()),
-                     made_ns=time.time_ns())
+    return SavedPlan(plan, parameters_from(values, roads), slots, source, names=names,
+                     id=str(uuid4()), made_ns=time.time_ns())
 
 
 def parameter_values(plan: Plan, occupancy: OccupancyOptions) -> dict[str, Any]:
@@ -115,7 +120,7 @@ def plan_bytes(saved: SavedPlan) -> bytes:
     plan = saved.plan
     message = map_message(plan.own_map, saved.parameters.occupancy, saved.frame, saved.made_ns)
     said = PlanMetadata(KIND, saved.frame, dict(saved.parameters.values),
-                        dict(software_versions()), {'map': message.topic}, recorded_trip(plan),
+                        dict(software_versions()), {'map': message.topic}, recorded_trip(saved),
                         recorded_plan(saved))
     return encode([message], asdict(said), attachments_of(plan, plan.own_map.crs), 'zstd')
 
@@ -126,10 +131,11 @@ def recorded_plan(saved: SavedPlan) -> RecordedPlan:
     return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.source, saved.slots)
 
 
-def recorded_trip(plan: Plan) -> RecordedTrip:
+def recorded_trip(saved: SavedPlan) -> RecordedTrip:
     """The trip of a plan."""
+    plan = saved.plan
     x, y = plan.network.points[plan.network.source].tolist()
-    return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy)
+    return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy, saved.names)
 
 
 def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
@@ -172,5 +178,5 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
         few_strategy(strategy, few)  # raises an error if its shares and routes are none
     plan = replace(make_plan(risk_map, strategy, planning), seconds=about.seconds,
                    few=few)
-    return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
-                     about.made_ns)
+    return SavedPlan(plan, parameters, about.slots, about.source, said.frame, said.trip.names,
+                     about.id, about.made_ns)
