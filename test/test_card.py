@@ -2,6 +2,7 @@
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
 import re
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -15,9 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
-from ambush_planner.commands import card
+from ambush_planner.commands import card, draw
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.occupancy import risk_from_occupancy
+from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.maps.road_file import RoadGraph
+from ambush_planner.recordings.plan_file import plan_bytes, saved_plan
 from ambush_planner.routes.legs import (
     MAX_LEGS,
     bearings,
@@ -68,8 +72,12 @@ def written(recording, folder, *options):
     done = run_here(card, recording, '-o', folder / 'card.html', *options)
     assert done.code == 0, done.err
     page = (folder / 'card.html').read_text()
-    rows = re.findall(r'<tr>(<td>.*?)</tr>', page)
-    return page, [re.findall('<td>(.*?)</td>', row) for row in rows]
+    return page, rows_of(page)
+
+
+def rows_of(page):
+    rows = re.findall(r'<tr>(<td.*?)</tr>', page)
+    return [re.findall('<td[^>]*>(.*?)</td>', row) for row in rows]
 
 
 def test_a_card_tells_of_its_departure_only(runs, tmp_path):
@@ -89,7 +97,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
     assert '23:59 to 00:0' in page and 'local time' in page
     assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{round(length / 60) - 1}'
-    assert 'Secured area (circles), 40 m around start and goal: 0 m to 4' in page
+    assert 'Secured area (circles), 40 m around start and goal: 0 to 4' in page
 
 
 def test_grid_references_agree_with_pyproj(runs, tmp_path):
@@ -111,6 +119,66 @@ def test_grid_references_agree_with_pyproj(runs, tmp_path):
     grid = bearings(path[corners_of_legs(path, NO_STOPS)])
     turned = (np.array([int(row[4][:-1]) for row in rows[:-1]]) - grid + 180.0) % 360.0 - 180.0
     assert np.ptp(turned) < 1.5 and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
+
+
+@pytest.fixture
+def road_plan(tmp_path):
+    """A plan on one road of 1 km at 18 km/h, and 1 km at 72 km/h after a crossing, as a file."""
+    north = 4_000_000.0
+    points = 500_000.0 + np.array([(100.0, 0.0), (1100.0, 0.0), (2100.0, 0.0), (1100.0, 300.0),
+                                   (1100.0, -300.0)])
+    points[:, 1] += north - 500_000.0
+    roads = RoadGraph(points, np.array([(0, 1), (1, 2), (1, 3), (1, 4)]),
+                      np.array([(5.0, 5.0), (20.0, 20.0), (9.0, 9.0), (9.0, 9.0)]), True, '',
+                      ('Slow & Old', 'Fast', 'Side', 'Elm'), np.array([0, 1, 2, 2]),
+                      np.array([(500_400.0, north + 100.0, 3)]))
+    ground = RiskMap(np.ones((70, 230)), np.zeros((70, 230), bool), 10.0,
+                     (500_000.0, north - 350.0, 0.0), 'EPSG:32631')
+    plan = plan_trip(ground, points[0], points[2], PlanningOptions(
+        network=plain_options(method='graph', graph=roads, spacing=100.0),
+        game=GameOptions(ambush_radius=50.0)))
+    file = tmp_path / 'road.plan'
+    file.write_bytes(plan_bytes(saved_plan(plan, names=('Depot', 'Camp <1>'))))
+    return file
+
+
+def test_a_card_on_roads_has_turns_names_and_the_times_of_the_roads(road_plan, tmp_path):
+    pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
+    gpxpy = pytest.importorskip('gpxpy', reason='GPX takes the extra "gis"')
+    drawn = run_here(draw, road_plan, '-o', tmp_path / 'c.html', tmp_path / 'c.gpx', '--date',
+                     '2030-07-01', '--slot', '6:00')
+    assert drawn.code == 0, drawn.err
+    page = (tmp_path / 'c.html').read_text()
+    assert 'Departure 1, 2030-07-01' in page and 'TRAINING' not in page
+    zone = f'{datetime(2030, 7, 1, 6).astimezone():%z}'
+    assert f'06:00 to 06:04 local time, UTC{zone[:3]}:{zone[3:]}' in page
+    assert 'Start 316 m from Elm, goal' in page and 'do not look for another one' in page
+    table = rows_of(page)
+    assert [row[:2] for row in table] == [
+        ['1 start Depot', 'east: Slow &amp; Old'], ['2', 'straight on: Fast'],
+        ['3 goal Camp &lt;1&gt;', '']]
+    assert [row[-1] for row in table] == ['06:00', '06:03', '06:04'], '200 s and 250 s'
+    # The receiver has the same points; the path keeps within a metre of the road.
+    file = gpxpy.parse((tmp_path / 'c.gpx').read_text())
+    names = ['01 start Depot, east: Slow & Old', '02 straight on: Fast', '03 goal Camp <1>']
+    for found in (file.waypoints, [each for each in file.routes[0].points if each.name]):
+        assert [each.name for each in found] == names
+        for each, row in zip(found, table, strict=True):
+            degrees = next(cell for cell in row if ', ' in cell and '.' in cell)
+            assert [each.latitude, each.longitude] == pytest.approx(
+                [*map(float, degrees.split(', '))], abs=6e-6)
+    again = run_here(card, *(tmp_path / 'road.departures').iterdir(), '-o', tmp_path / 'd.html')
+    assert again.code == 0 and rows_of((tmp_path / 'd.html').read_text()) == table
+
+
+def test_a_dry_run_is_a_training_on_card_and_receiver(road_plan, tmp_path):
+    done = run_here(draw, road_plan, '-o', tmp_path / 'c.html', tmp_path / 'c.gpx', '--dry-run',
+                    '--speed', 36)
+    assert done.code == 0, done.err
+    page, file = (tmp_path / 'c.html').read_text(), (tmp_path / 'c.gpx').read_text()
+    assert '<span>TRAINING</span>' in page and 'Training: do not drive this' in page
+    assert '<name>TRAINING 20' in file
+    assert rows_of(page)[1][-1] == '1.7', 'minutes at 36 km/h'
 
 
 def test_one_of_few_routes(tmp_path):
