@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from datetime import date
 from typing import TYPE_CHECKING
 
 from ..route_files import PLAN
@@ -13,6 +14,7 @@ from . import cli
 from .positions import add_crs, crs_text
 
 if TYPE_CHECKING:
+    from ..recordings import RecordedDeparture
     from .card_page import Card
 
 EPILOG = """\
@@ -74,19 +76,32 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _recorded(arguments: argparse.Namespace) -> Card:
     from ..recordings import read_departure
-    from .card_page import card_of
 
     if arguments.departure.is_dir():
         raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
                              'departure, so name its recording (.mcap)')
-    departure = read_departure(arguments.departure)
-    day = departure.metadata.day
-    return card_of(departure.path_poses, departure.risk_map, departure.drawn_from,
-                   departure.route, departure.parameters.planning.network.roads,
-                   departure.metadata.trip.names,
-                   arguments.speed, arguments.start_time or (day.slot if day else ''),
-                   f'Departure {departure.metadata.departure}', day.date if day else '',
-                   day.zone if day else '')
+    return departure_card(read_departure(arguments.departure), arguments.speed,
+                          arguments.start_time)
+
+
+def departure_card(departure: RecordedDeparture, speed: float | None = None,
+                   start: str | None = None) -> Card:
+    """The card of a recorded departure."""
+    from .card_page import card_of
+
+    said, day = departure.metadata, departure.metadata.day
+    slot, zone = (day.slot, day.zone) if day and not start else (start, _zone(start))
+    return card_of(departure.path_poses, departure.risk_map, departure.strategy,
+                   (departure.drawn_from.network, departure.route),
+                   departure.parameters.planning.network.roads, said.trip.names, speed, slot,
+                   f'Departure {said.departure}', day.date if day else '', zone)
+
+
+def _zone(start: str | None) -> str:
+    """Return the time zone of this computer today, at a time if it is known."""
+    from ..recordings.plan_departures import local_zone
+
+    return local_zone(date.today().isoformat(), start) if start else ''
 
 
 def _chosen(arguments: argparse.Namespace) -> Card:
@@ -102,9 +117,10 @@ def _chosen(arguments: argparse.Namespace) -> Card:
     if not 1 <= arguments.route <= (count := len(plan.few.paths)):
         raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
     k = arguments.route - 1
-    return card_of(plan.few.paths[k], plan.own_map, plan.strategy, plan.few.routes[k],
-                   plan.options.network.roads, saved.names, arguments.speed, arguments.start_time,
-                   f'Route {arguments.route}')
+    return card_of(plan.few.paths[k], plan.own_map, plan.strategy,
+                   (plan.network, plan.few.routes[k]), plan.options.network.roads, saved.names,
+                   arguments.speed, arguments.start_time, f'Route {arguments.route}',
+                   zone=_zone(arguments.start_time))
 
 
 main = cli.command(parser, _work)

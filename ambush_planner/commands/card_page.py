@@ -22,6 +22,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.grid_references import mgrs_references, true_bearings, utm_references
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
+from ..network.network import Network
 from ..routes.legs import bearings, distances_along, secured_stretches
 from ..routes.way_points import WayPoint, way_points
 from ..words import distance, duration, ends, rounded
@@ -78,17 +79,17 @@ class Card:
                 else f'{minutes:.1f}')
 
 
-def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy, nodes: IndexArray,
-            roads: RoadGraph | None, names: Sequence[str], speed: float | None,
-            start: str | None, title: str, day: str = '', zone: str = '',
+def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy,
+            drawn: tuple[Network, IndexArray], roads: RoadGraph | None, names: Sequence[str],
+            speed: float | None, start: str | None, title: str, day: str = '', zone: str = '',
             training: bool = False) -> Card:
-    """The card of a path (L, 2 or 3) along a route (K,) on a strategy's network.
+    """The card of a path (L, 2 or 3): ``drawn`` is its route (K,) and the network of that.
 
     ``names`` are those of start and goal, '' if they have none. Without a ``speed`` [km/h], times
     are those that the roads allow. ``start`` is HH:MM, if it is known.
     """
-    network, path = strategy.network, path[:, :2]
-    places = network.points[[network.source, *network.stops, network.target]]
+    (network, nodes), planned, path = drawn, strategy.network, path[:, :2]
+    places = planned.points[[planned.source, *planned.stops, planned.target]]
     roles = ['start', *(f'stop {k}' for k in range(1, len(places) - 1)), 'goal']
     roles[0], roles[-1] = f'start {names[0]}'.strip(), f'goal {names[1]}'.strip()
     line, end = network.points[nodes], float(distances_along(path)[-1])

@@ -185,7 +185,7 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
 
     plan, training = saved.plan, 'TRAINING ' * arguments.dry_run
     name = training + ' '.join(filter(None, (day, drawn.slot)))
-    card = card_of(drawn.poses, plan.own_map, plan.strategy, drawn.nodes,
+    card = card_of(drawn.poses, plan.own_map, plan.strategy, (plan.network, drawn.nodes),
                    plan.options.network.roads, saved.names, arguments.speed, drawn.slot,
                    f'Departure {number}', day, local_zone(day, drawn.slot), arguments.dry_run)
     for asked in arguments.output:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import datetime, timezone
 
 from . import cli, readers
+from .card import departure_card
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .positions import add_crs, crs_text
 
@@ -46,7 +47,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     slots = [leaving(each) for each in departures] if any(
         each.metadata.day for each in departures) else ()
     drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times,
-                  slots=slots)
+                  slots=slots, way_points=[departure_card(each).way_points for each in departures])
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

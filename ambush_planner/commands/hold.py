@@ -32,7 +32,8 @@ and nobody who drives there is hit; then the next one, given the first, and so o
 In a row of the table, value and lower_bound are those if this place and those before it are held;
 no other candidate can bring the value below others instead. The picture also has the strategy if
 all are held, and the value as a curve.
---json: {"verdict", "files", "value", "lower_bound", "places": [{...}]}
+It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
+--json: {"verdict", "files", "value", "lower_bound", "complete", "places": [{...}]}
 """
 
 
@@ -63,7 +64,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     check_outputs(arguments.output, console)
     start, goal, stops = places_on(arguments, risk_map)
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
-    with console.waiting('solving games'):
+    limit = planning.strategy.time_limit
+    with console.waiting(f'solving games, at most {limit:g} s (strategy.time_limit)'):
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, planning,
             stops=stops, candidates=given, progress=lambda number, left: console.step(
@@ -73,6 +75,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     write_table(arguments.output, columns, rows,
                 lambda: hold_figure(found, arguments.radius, risk_map))
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
+    if not found.complete:
+        console.warn(f'time is up after {limit:g} s: the last place is the best of those tried; '
+                     'to find better ones, name a few --candidates, or allow more time '
+                     '(strategy.time_limit)')
     console.result['files'] = console.secret(arguments.output)
     sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
@@ -102,12 +108,13 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
         others = '' if row['others'] is None else f'; {stay} above {row["others"]:.4g}'
         console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
                      f'{row["lower_bound"]:.4g}{others}')
-    if len(rows) < wanted:
+    if len(rows) < wanted and found.complete:
         console.say('No further place: the value is 0, or no candidate remains.')
     held = found.strategies[-1].game.options.held_places
     places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
     console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
-    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows}
+    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows,
+                      'complete': found.complete}
 
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:

@@ -58,7 +58,7 @@ def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, Plann
              for word, (name, unit, _) in WORDS.items()
              if (value := getattr(arguments, word)) is not None]
     given += ['network.node_crossings=true'] * arguments.node_crossings
-    if getattr(arguments, 'roads', None):
+    if arguments.roads:
         given += ['network.method=graph', f'network.graph={arguments.roads}']
     of_map, of_plan = options_of([*arguments.set, *given])
     crs = crs_text(arguments)

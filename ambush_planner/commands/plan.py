@@ -51,7 +51,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser('plan', DESCRIPTION, EPILOG, DETAILS,
                           '--start POSITION --goal POSITION [options] -o FILE ...',
-                          ('-n', '--routes', '--roads', '--slots', '--window', '-v'))
+                          ('-n', '--routes', '--slots', '--window', '-v'))
     add_outputs(made, 'files to write', (PLAN, *SUFFIXES))
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
@@ -64,7 +64,6 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--terrain', action='store_true',
                       help='MAP is an elevation model, whose risk is found as by ambush risk')
     add_terrain(made.add_argument_group('with --terrain'))
-    made.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
     made.add_argument('--slots', nargs='+', type=cli.time_of_day, default=(), metavar='HH:MM',
                       help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',

@@ -10,8 +10,8 @@ from .cli import existing, new_parser
 from .positions import add_crs, add_places
 
 # Options of all commands that plan which their short help shows.
-COMMON = ('-o', '--start', '--goal', '--via', '--reach', '--held', '--detour', '--slack', '--crs',
-          '--set')
+COMMON = ('-o', '--start', '--goal', '--via', '--roads', '--reach', '--held', '--detour', '--slack',
+          '--crs', '--set')
 HELP = """\
 MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
 A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
@@ -56,7 +56,11 @@ def planner_parser(command: str, description: str, epilog: str, details: str, us
 
 
 def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
-    """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``; help omits ``hidden``."""
+    """Add ``--roads``, the arguments of ``WORDS`` and ``--set``, for ``options_from``.
+
+    Help omits the option ``hidden``.
+    """
+    parser.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
     for word, (_, unit, text) in WORDS.items():
         parser.add_argument(f'--{word}', metavar=unit,
                             help=argparse.SUPPRESS if word == hidden else text)
