@@ -56,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
-    number.add_argument('--routes', type=cli.number(1, math.inf, int), metavar='K', help='find '
+    number.add_argument('--routes', type=int, metavar='K', help='find '
                         'the best mixture of at most K routes, to brief, or draw by hand')
     for end in ('start', 'goal'):
         made.add_argument(f'--{end}-name', default='', metavar='NAME',
@@ -94,8 +94,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
-    if (arguments.routes or 0) > MAX_ROUTES:
-        raise cli.UsageError(f'--routes must be at most {MAX_ROUTES}')
+    if arguments.routes is not None and not 1 <= arguments.routes <= MAX_ROUTES:
+        raise cli.UsageError(f'--routes must be a number from 1 to {MAX_ROUTES}')
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
