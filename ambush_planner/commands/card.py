@@ -63,11 +63,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             f'{arguments.output}, or name a route with --route N if it was made with --routes'
             if of_plan else
             f'{file} is a departure, which has one route: leave out --route')
-    card = _chosen(arguments) if of_plan else _recorded(arguments)
-    if crs := crs_text(arguments):
-        card = replace(card, risk_map=replace(card.risk_map, crs=crs))
-    file, length = arguments.output, float(card.distances[-1])
-    write_all_durably({file: card_page(card, console).encode()})
+    with console.waiting('drawing the card'):
+        card = _chosen(arguments) if of_plan else _recorded(arguments)
+        if crs := crs_text(arguments):
+            card = replace(card, risk_map=replace(card.risk_map, crs=crs))
+        file, length = arguments.output, float(card.distances[-1])
+        write_all_durably({file: card_page(card, console).encode()})
     legs = len(card.points) - 1
     (name,) = console.secret([file], f'{cli.count(legs, "leg")}, {distance(length)}; ')
     console.result = {'file': name, 'legs': legs, 'length': length}

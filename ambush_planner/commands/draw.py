@@ -73,7 +73,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.plan_file import read_plan
 
     require_for(arguments.output)
-    saved = read_plan(arguments.plan)
+    with console.waiting('reading the plan'):
+        saved = read_plan(arguments.plan)
     if saved.source and saved.map_has_changed:
         console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '
                      'if the ground has changed, plan again')
@@ -90,10 +91,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
     folder = plan_departures.departures_folder(arguments.plan)
     if arguments.dry_run:
-        return _finish(arguments, console, saved, folder, dates, {})
+        with console.waiting('drawing'):
+            return _finish(arguments, console, saved, folder, dates, {})
     with plan_departures.locked(folder):
         replaced = _replaced(arguments, folder, dates)
-        return _finish(arguments, console, saved, folder, dates, replaced)
+        with console.waiting('drawing'):
+            return _finish(arguments, console, saved, folder, dates, replaced)
 
 
 def _replaced(arguments: argparse.Namespace, folder: Path,

@@ -85,7 +85,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         habits = judge(risk_map, trips, planning)
     write_all_durably({output: as_png(judge_figure(habits, risk_map))})
     _tell(habits, risk_map, console)
-    for text in concerns(habits.plan):
+    for text in concerns(habits.plan, lambda xy: arguments.start[0].like(xy, risk_map)):
         console.warn(text)
     console.result['picture'] = console.secret([output])[0]
     return cli.Exit.HOLDS if is_sound(habits.plan) else cli.Exit.FINDING

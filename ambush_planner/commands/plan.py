@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
+import shlex
 import warnings
 from dataclasses import replace
 from itertools import pairwise
@@ -14,7 +16,7 @@ from ..route_files import PLAN, SUFFIXES
 from ..words import distance, duration, percent
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .planner_parser import planner_parser
+from .planner_parser import WORDS, planner_parser
 from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
@@ -81,6 +83,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..maps.risk_map_file import read_risk_map
     from ..planning.concerns import concerns, is_sound
     from ..planning.few_routes import MAX_ROUTES
+    from ..planning.one_place import find_one_place
     from ..planning.trip import plan_trip
     from ..recordings.metadata import RecordedSlots
     from ..recordings.plan_file import saved_plan
@@ -134,10 +137,27 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         tell_few(plan, few, arguments.routes, console)
     if day:
         _tell_slots(day, drawn, console)
-    for text in concerns(plan):
+    for text in concerns(plan, lambda xy: arguments.start[0].like(xy, risk_map)):
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
+    if find_one_place(plan):
+        console.say(f'To find what to hold: {_hold_line(arguments, plan)}')
     tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
+
+
+def _hold_line(arguments: argparse.Namespace, plan: Plan) -> str:
+    """The call of ``ambush hold`` for the same trip."""
+    given = [word for name in ('start', 'via', 'goal', 'roads', *WORDS, 'crs', 'set')
+             if (value := getattr(arguments, name))
+             for word in (f'--{name}', *(map(str, value) if isinstance(value, list) else [value]))]
+    radius = 2.0 * (plan.options.game.ambush_radius or plan.spacing)
+    return ' '.join(['ambush hold', *map(_quoted, [str(arguments.map), *given]),
+                     f'--radius {radius:g} -o hold.csv hold.png'])
+
+
+def _quoted(word: str) -> str:
+    """A word for a shell; a position X Y [m] is two words."""
+    return word if re.fullmatch('[-+.e0-9]+ [-+.e0-9]+', word) else shlex.quote(word)
 
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,

@@ -9,15 +9,17 @@ from functools import partial
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..game.game import Game
 from ..game.slack import Reason
-from ..game.solver import ALL_ROUTES
 from ..game.strategy import within_slack
 from ..words import distance, ends
+from .one_place import OnePlace, find_one_place
 from .options import holds_anywhere, start_tolerance
 from .plan import Plan
 from .refinement import LEAST_FALL
 
+Where = Callable[[FloatArray], str]
 # What a gap over the slack says about the search.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
@@ -35,9 +37,17 @@ MAX_SECURED = 0.5
 MAX_DETOUR = 5.0
 
 
-def concerns(plan: Plan) -> list[str]:
-    """Return what should be known about the value of a plan, one sentence each."""
-    found = wide_gap(plan), _secured_area(plan), _long_routes(plan)
+def in_world(xy: FloatArray) -> str:
+    """Write a world position (2,) [m]."""
+    return '({:.1f}, {:.1f})'.format(*xy)
+
+
+def concerns(plan: Plan, where: Where = in_world) -> list[str]:
+    """Return what should be known about the value of a plan, one sentence each.
+
+    ``where`` writes a world position (2,) [m].
+    """
+    found = wide_gap(plan), _secured_area(plan, where), _long_routes(plan)
     return [text for text in found if text]
 
 
@@ -117,7 +127,7 @@ def _long_routes(plan: Plan) -> str:
             'ratio, so 1.2 is 20 % more, and inf no limit')
 
 
-def _secured_area(plan: Plan) -> str:
+def _secured_area(plan: Plan, where: Where) -> str:
     """Whether the secured area decides too much: the value, or whether there is one."""
     bottleneck, game = plan.bottleneck, plan.strategy.game
     secured = game.options.secured_distance
@@ -130,11 +140,8 @@ def _secured_area(plan: Plan) -> str:
         plan.options, plan.spacing)
     asked = plan.options.game.secured_radius
     hold = asked is not None and asked < enough
-    if place := _covers_all(plan):
-        remedy = (f'hold {distance(enough)} there (game.secured_radius -1), or '
-                  if hold else '')
-        return (f'{place}: an ambush there always succeeds and costs {plan.strategy.value:.4g}; '
-                f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
+    if place := find_one_place(plan):
+        return _of_one_place(plan, place, enough if hold else 0.0, where)
     if hold and asked is not None and game.reach > 0.0:
         return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
                 f'{distance(asked)} around start and goal are secured: an ambush just outside may '
@@ -149,24 +156,21 @@ def _secured_area(plan: Plan) -> str:
     )
 
 
-def _covers_all(plan: Plan) -> str:
-    """Which single place lies on every route, '' if none does.
-
-    Against a best strategy all sites that the ambusher uses cost the same, so that a site which
-    costs no more than the value if it hits a route hits them all.
-    """
-    network, game = plan.network, plan.strategy.game
-    sites = plan.bottleneck.sites
-    sites = sites[ALL_ROUTES * game.loss[sites] <= plan.strategy.value]
-    if not len(sites) or not is_sound(plan):
-        return ''
-    ends = network.points[[network.source, *network.stops, network.target]]
-    away = np.hypot(*np.moveaxis(game.network.points[sites][:, None] - ends, 2, 0))
-    at = int(away.min(axis=0).argmin())
-    name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
-    if away.min() > game.options.secured_distance + 2.0 * max(game.reach, plan.spacing):
-        return f'one place hits every route, {distance(float(away.min()))} from {name}'
-    return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
+def _of_one_place(plan: Plan, place: OnePlace, enough: float, where: Where) -> str:
+    """Say where the one place that hits every route is, and what helps, the best first."""
+    covers = 'into' if place.end == 'the goal' else 'out of'
+    what = f'one place covers every way {covers} {place.end}' if place.covers_end else (
+        'one place hits every route')
+    held = None if place.held is None else max(place.held, enough)
+    helps = [f'secure {distance(held)} around {_ends(plan)} (game.secured_radius={held:.4g})'
+             ] if held else []
+    helps += ['hold places on the way (ambush hold finds them)', 'choose another start or goal']
+    if place.detour and place.detour > plan.options.strategy.max_detour:
+        helps.append('or drive around it (strategy.max_detour='
+                     f'{math.ceil(10.0 * place.detour) / 10.0:g})')
+    return (f'{what}, at {where(place.xy)}, {distance(place.away)} from {place.end}: an ambush '
+            f'there always succeeds and costs {plan.strategy.value:.4g}. What helps: '
+            f'{", ".join(helps)}')
 
 
 def _is_chance(game: Game) -> bool:
