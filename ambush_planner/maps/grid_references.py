@@ -34,7 +34,7 @@ def utm_references(lat_lon: FloatArray) -> list[str]:
     found, zones = [], {}  # it takes 0.2 s to look up a zone
     for place in lat_lon:
         latitude, longitude = place
-        key = longitude // 6.0, latitude // 8.0
+        key = longitude // 3.0, latitude // 8.0  # finer than zones and their exceptions
         if key not in zones:
             zones[key] = utm_zone(latitude, longitude)
         zone = zones[key]
