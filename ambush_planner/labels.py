@@ -25,11 +25,12 @@ class Labels:
     def __init__(self, frame: FloatArray, busy: FloatArray, taken: FloatArray) -> None:
         self._frame, self._busy, self._taken = frame, busy, taken
 
-    def beside(self, point: FloatArray, size: FloatArray, gap: float) -> FloatArray:
+    def beside(self, point: FloatArray, size: FloatArray, gap: float,
+               is_round: bool = False) -> FloatArray:
         """The centre (2,) of a label of a size (2,) near a point, at least ``gap`` from it."""
         angles = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False)
         around = np.column_stack((np.cos(angles), np.sin(angles)))
-        around /= np.abs(around).max(axis=1, keepdims=True)
+        around /= 1.0 if is_round else np.abs(around).max(axis=1, keepdims=True)
         away = np.repeat(_RINGS, _DIRECTIONS)[:, None] * gap
         centres = point + np.tile(around, (len(_RINGS), 1)) * (size / 2.0 + away)
         covered, busy = self._costs(centres, size)

@@ -31,9 +31,8 @@ _INCH, _POINT = 25.4, 25.4 / 72.0  # mm
 # Scales, times any power of ten.
 _SCALES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.5)
 _FONT, _SMALL = 8.5, 7.0  # points
-# Least distance of a label from its place, half the size of marks [mm], and how many roads are
-# named at most.
-_GAP, _MARK, _NAMED = 1.3, 1.2, 30
+# Half the size of the marks of ends and of way points [mm], and how many roads are named at most.
+_END, _MARK, _NAMED = 2.2, 1.2, 30
 # Distance of points along the route that labels keep off [mm].
 _BUSY = 0.8
 
@@ -115,12 +114,13 @@ class _Writer:
         extent = TextPath((0.0, 0.0), text, size=font, prop={'weight': 'bold'}).get_extents()
         return np.array((extent.width + 0.5 * font, 1.4 * font)) * _POINT * self.metres
 
-    def beside(self, text: str, xy: FloatArray, size: FloatArray, **style: Any) -> None:
-        """Write next to a place, with a thin dotted leader if it is not quite near."""
-        spot = self.labels.beside(xy, size, _GAP * self.metres)
+    def beside(self, text: str, xy: FloatArray, size: FloatArray, gap: float,
+               is_round: bool = False, **style: Any) -> None:
+        """Write next to a place, with a thin dotted leader if it is farther than a gap [mm]."""
+        spot = self.labels.beside(xy, size, gap * self.metres, is_round)
         leader = {'arrowstyle': '-', 'color': 'black', 'linestyle': ':', 'linewidth': 1.0,
                   'shrinkA': 0.0, 'shrinkB': 0.0}
-        far = (np.abs(spot - xy) > size / 2.0 + 1.5 * _GAP * self.metres).any()
+        far = (np.abs(spot - xy) > size / 2.0 + 1.5 * gap * self.metres).any()
         self.axes.annotate(text, tuple(xy), tuple(spot), ha='center', va='center', weight='bold',
                            fontsize=_FONT, arrowprops=leader if far else None, zorder=10, **style)
 
@@ -133,21 +133,21 @@ class _Writer:
 
 def _label(axes: Axes, card: Card, box: FloatArray, metres: float, bar: FloatArray) -> None:
     """Name start, stops and goal, number the way points, and name roads and places."""
-    mark = _MARK * metres
-    marks = np.concatenate((card.places, card.points))
     busy = _sampled(card.path, _BUSY * metres)
-    taken = np.vstack((np.hstack((marks - mark, marks + mark)), bar))
+    taken = np.vstack((bar, *(np.hstack((xy - size * metres, xy + size * metres)) for xy, size in (
+        (card.places, _END), (card.points, _MARK)))))
     write = _Writer(axes, Labels(box, busy, taken), metres)
     for number, each in enumerate(card.way_points, start=1):
         if each.name:
             text = f'{number} {each.name}'
-            write.beside(text, each.xy, write.size(text, _FONT), path_effects=map_figures.HALO)
+            write.beside(text, each.xy, write.size(text, _FONT), 1.1 * _END,
+                         path_effects=map_figures.HALO)
     round_size = np.full(2, 2.1 * _FONT * _POINT * metres)
     for number, each in enumerate(card.way_points, start=1):
         if not each.name:
             axes.plot(*each.xy, marker='o', markersize=4.5, color='white', markeredgecolor='black',
                       zorder=6)
-            write.beside(str(number), each.xy, round_size, bbox={
+            write.beside(str(number), each.xy, round_size, 1.1 * _MARK, True, bbox={
                 'boxstyle': 'circle,pad=0.2', 'facecolor': 'white', 'edgecolor': 'black'})
     if card.roads is None:
         return
