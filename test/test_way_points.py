@@ -106,7 +106,7 @@ def test_of_too_many_junctions_those_without_a_turn_are_counted():
                   ('End', [(100 * many, -50), (100 * many, 0), (100 * many, 50)]))
     line = [*((100 * k, 0) for k in range(many + 1)), (100 * many, 50)]
     assert told(graph, *line) == [
-        (0, f'start, east: Main; pass {many - 1} junctions'), (100 * many, 'left: End'),
+        (0, f'start, east: Main, then pass {many - 1}'), (100 * many, 'left: End'),
         (100 * many + 50, 'goal')]
     assert len(told(graph, *line[:MAX_ROWS - 1])) == MAX_ROWS - 1
 

@@ -30,7 +30,8 @@ WIDTH, MARGINS, SPACE = 160.0, (14.0, 6.0, 12.0, 2.0), 10.0
 _INCH, _POINT = 25.4, 25.4 / 72.0  # mm
 # Scales, times any power of ten.
 _SCALES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.5)
-_FONT, _SMALL = 8.5, 7.0  # points
+# Sizes of text [points]: of numbers and ends, where there are many of them, and of roads.
+_FONT, _CROWDED, _SMALL, _MANY = 8.5, 7.0, 7.0, 20
 # Half the size of the marks of ends and of way points [mm], and how many roads are named at most.
 _END, _MARK, _NAMED = 2.2, 1.2, 30
 # Distance of points along the route that labels keep off [mm].
@@ -108,6 +109,7 @@ class _Writer:
     axes: Axes
     labels: Labels
     metres: float
+    font: float
 
     def size(self, text: str, font: float) -> FloatArray:
         """Width and height of a text [m]."""
@@ -122,7 +124,8 @@ class _Writer:
                   'shrinkA': 0.0, 'shrinkB': 0.0}
         far = (np.abs(spot - xy) > size / 2.0 + 1.5 * gap * self.metres).any()
         self.axes.annotate(text, tuple(xy), tuple(spot), ha='center', va='center', weight='bold',
-                           fontsize=_FONT, arrowprops=leader if far else None, zorder=10, **style)
+                           fontsize=self.font, arrowprops=leader if far else None, zorder=10,
+                           **style)
 
     def on(self, text: str, places: FloatArray, **style: Any) -> None:
         """Write on one of some places (C, 2), unless the text would cover others."""
@@ -136,13 +139,14 @@ def _label(axes: Axes, card: Card, box: FloatArray, metres: float, bar: FloatArr
     busy = _sampled(card.path, _BUSY * metres)
     taken = np.vstack((bar, *(np.hstack((xy - size * metres, xy + size * metres)) for xy, size in (
         (card.places, _END), (card.points, _MARK)))))
-    write = _Writer(axes, Labels(box, busy, taken), metres)
+    font = _FONT if len(card.way_points) <= _MANY else _CROWDED
+    write = _Writer(axes, Labels(box, busy, taken), metres, font)
     for number, each in enumerate(card.way_points, start=1):
         if each.name:
             text = f'{number} {each.name}'
-            write.beside(text, each.xy, write.size(text, _FONT), 1.1 * _END,
+            write.beside(text, each.xy, write.size(text, font), 1.1 * _END,
                          path_effects=map_figures.HALO)
-    round_size = np.full(2, 2.1 * _FONT * _POINT * metres)
+    round_size = np.full(2, 2.1 * font * _POINT * metres)
     for number, each in enumerate(card.way_points, start=1):
         if not each.name:
             axes.plot(*each.xy, marker='o', markersize=4.5, color='white', markeredgecolor='black',

@@ -31,9 +31,13 @@ from .cli import Console, resource
 # Minimum length of a path with distances in km [m].
 _KILOMETRES = 2000.0
 # Height [mm] of a page of A4 or Letter that is left for the map and the rows of way points, of a
-# row, and of the map at least and at most.
+# row and of a further line in it, and of the map at least and at most.
 _TO_DO = 'what to do'
-_FREE, _ROW, _LOWEST, _HIGHEST = 187.0, 4.45, 70.0, 120.0
+# Columns of positions; of two tables next to each other, each has the first one only. Rows of one
+# table at most, and characters in a line of its texts, and in those of one of two tables.
+_PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x, y [m]')
+_MOST_ROWS, _WIDE, _NARROW = 20, 60, 20
+_FREE, _ROW, _LINE, _LOWEST, _HIGHEST = 174.0, 4.95, 3.75, 60.0, 120.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +126,9 @@ def card_page(card: Card, console: Console) -> str:
     """Return the page; the console says if MGRS is missing."""
     from .card_map import card_map
 
-    columns, end = _columns(card, console), card.distances[-1]
-    rows = len(card.way_points)
-    picture = card_map(card, min(max(_FREE - _ROW * rows, _LOWEST), _HIGHEST))
+    end = card.distances[-1]
+    tables, height = _tables(_columns(card, console))
+    picture = card_map(card, min(max(_FREE - height, _LOWEST), _HIGHEST))
     times = ''
     if card.clock:
         hours = f', {card.time(0.0)} to {card.time(end)}' if card.start else ''
@@ -139,12 +143,34 @@ def card_page(card: Card, console: Console) -> str:
         secret='Training: do not drive this' if card.training else 'Secret: destroy after use',
         summary=f'{_near(card)}{distance(end)}{times}{zone}',
         map=b64encode(picture.png).decode(), width=f'{picture.width:.1f}', scale=picture.scale,
-        head=''.join(f'<th scope="col"{_kind(name)}>{name}</th>' for name in columns),
-        rows='\n'.join('<tr>' + ''.join(f'<td{_kind(name)}>{escape(cell)}</td>' for name, cell in
-                                        zip(columns, row, strict=True)) + '</tr>'
-                       for row in zip(*columns.values(), strict=True)),
+        tables=tables, two=' two' * (tables.count('<table>') > 1),
         notes=''.join(f'<li>{note}</li>' for note in _notes(card)),
     )
+
+
+def _tables(columns: dict[str, list[str]]) -> tuple[str, float]:
+    """One table, or two with fewer columns next to each other; and their height, about [mm]."""
+    rows, wide = len(columns['way point']), _WIDE
+    half = rows
+    if rows > _MOST_ROWS:
+        kept = [name for name in columns if not name.startswith(('to next', 'bearing'))]
+        places = [name for name in kept if name in _PLACES]
+        columns = {name: columns[name] for name in kept if name not in places[1:]}
+        if len(zones := {cell.partition(' ')[0] for cell in columns.get('MGRS', ())}) == 1:
+            columns = {f'MGRS {zones.pop()}' if name == 'MGRS' else name:
+                       [cell.partition(' ')[2] if name == 'MGRS' else cell for cell in cells]
+                       for name, cells in columns.items()}
+        half, wide = -(-rows // 2), _NARROW
+    high = [_ROW + _LINE * max(max(len(cell) - 1, 0) // wide for cell in row)
+            for row in zip(*(columns[name] for name in ('way point', _TO_DO) if name in columns),
+                           strict=True)]
+    head = ''.join(f'<th scope="col"{_kind(name)}>{name}</th>' for name in columns)
+    body = ['<tr>' + ''.join(f'<td{_kind(name)}>{escape(cell)}</td>'
+                             for name, cell in zip(columns, row, strict=True)) + '</tr>'
+            for row in zip(*columns.values(), strict=True)]
+    parts = [slice(0, half), slice(half, rows)][: 1 + (half < rows)]
+    return '\n'.join(f'<table><thead><tr>{head}</tr></thead><tbody>\n{chr(10).join(body[part])}\n'
+                     '</tbody></table>' for part in parts), max(sum(high[part]) for part in parts)
 
 
 def _kind(column: str) -> str:
@@ -204,7 +230,9 @@ def _notes(card: Card) -> list[str]:
         if card.risk_map.crs else ("the map's y axis", ''))
     if card.risk_map.crs and not on_roads:
         systems += ' N or S after the UTM zone is the hemisphere.'
-    follow = ('Distances follow the road.' if on_roads else
+    passed = ' Then pass 2: go straight on at the next two junctions.' * any(
+        each.passed for each in card.way_points)
+    follow = (f'Distances follow the road.{passed}' if on_roads else
               f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
               'follow the path.')
     return [f'<b>If the {"road" if on_roads else "way"} is blocked, do not look for another '

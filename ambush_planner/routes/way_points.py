@@ -22,7 +22,9 @@ from ..network.road_network import ON_ROAD
 from .legs import corners_of_legs, distances_along
 
 # Maximum number of way points on roads, unless more of them are turns: they fit one page.
-MAX_ROWS = 30
+MAX_ROWS = 36
+# Distance of start and goal from a road, and of junctions from them, that is too small to tell [m].
+NEAR = 5.0
 # Distance over which the direction of a road is measured at a junction [m].
 BASE = 25.0
 # Turning angles [degrees] from which a way is not straight on, a proper turn, sharp, and back; and
@@ -38,7 +40,7 @@ class WayPoint:
     """A place (2,) [m] on a path, and the distance to it along the path [m].
 
     ``name`` is of start, stops and goal. On roads, ``action`` is what to do, and ``road`` the name
-    of the road that follows; then ``passed`` junctions are not way points.
+    of the road that follows; the next ``passed`` junctions are no way points.
     """
 
     xy: FloatArray
@@ -51,7 +53,7 @@ class WayPoint:
     @property
     def text(self) -> str:
         """What to do, such as ``left: B 55``."""
-        then = f'; pass {self.passed} junction{"s" * (self.passed > 1)}' if self.passed else ''
+        then = f', then pass {self.passed}' if self.passed else ''
         return ': '.join(filter(None, (self.action, self.road))) + then
 
     @property
@@ -140,10 +142,12 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
     crossing = (far <= ON_ROAD) & (roads.degrees(place) > 2)
     ends = [0, *(int(np.hypot(*(line - stop).T).argmin()) for stop in stops), len(line) - 1]
     # The links between ends and roads, and where these meet.
-    loose = [k for k in ends if roads.nearest(line[k])[0] > ON_ROAD]
+    loose = [k for k in ends if roads.nearest(line[k])[0] > NEAR]
     links = {min(k, k + step) for k in loose for step in (-1, 0)} & set(range(len(line) - 1))
     joints = {k + step for k in loose for step in (-1, 1)}
-    events = sorted({*ends, *(joints & set(range(len(line)))), *np.flatnonzero(crossing).tolist()})
+    inner = (along > NEAR) & (along < along[-1] - NEAR)
+    events = sorted({*ends, *(joints & set(range(len(line)))),
+                     *np.flatnonzero(crossing & inner).tolist()})
 
     def name(edge: int) -> str:
         """The name of the road along an edge of the route."""
