@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
+import os
 import re
+import subprocess
 import threading
 from datetime import datetime
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,8 +18,9 @@ from audit_samples import drawn, occupancy, parameters, record_drawn, sample_pla
 from commands import run_here
 from hypothesis import given
 from hypothesis import strategies as st
+from test_report_browser import BINARY
 
-from ambush_planner import GameOptions, PlanningOptions, plan_trip
+from ambush_planner import GameOptions, Network, PlanningOptions, plan_trip, solve
 from ambush_planner.commands import card, card_page, draw
 from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
@@ -214,3 +218,35 @@ def test_progress_is_shown_while_a_card_is_drawn(road_plan, tmp_path, monkeypatc
     done = (run_here(draw, road_plan, '--dry-run', '-o', tmp_path / 'c.html') if command == 'draw'
             else run_here(card, recording, '-o', tmp_path / 'c.html'))
     assert done.code == 0 and (tmp_path / 'c.html').read_text() == 'a card True'
+
+
+@pytest.mark.skipif(BINARY is None, reason='no Chromium here; on Debian: apt install chromium')
+@pytest.mark.parametrize(('turns', 'tables'), [(12, 1), (32, 2)])
+def test_a_card_fits_one_page_of_a4_and_of_letter(turns, tables, tmp_path):
+    """Stairs of named roads: a turn at each corner, and a road that goes straight on there."""
+    corners = [(300.0 * ((k + 1) // 2), 300.0 * (k // 2)) for k in range(turns + 2)]
+    beyond = [tuple(2 * np.array(b) - a) for a, b in pairwise(corners)]
+    points = np.array([*corners, *beyond]) + (500_500.0, 4_000_500.0)
+    pairs = [*pairwise(range(turns + 2)), *((k, k + turns + 1) for k in range(1, turns + 1))]
+    names = tuple(f'B {k} Valley Road' for k in range(turns + 1))
+    roads = RoadGraph(points, np.array(pairs), np.ones((len(pairs), 2)), False, '', names,
+                      np.r_[np.arange(turns + 1), np.arange(turns)])
+    ground = RiskMap(np.ones((130, 130)), np.zeros((130, 130), bool), 50.0,
+                     (500_000.0, 4_000_000.0, 0.0), 'EPSG:32631')
+    route = np.arange(turns + 2)
+    network = Network(points[route], np.r_[0.0, np.ones(turns), 0.0], list(pairwise(route)), 0,
+                      turns + 1)
+    made = card_page.card_of(network.points, ground, solve(network), (network, route), roads,
+                             ('Depot', 'Camp'), 30.0, '06:00', 'Departure 7', '2030-07-01', 'UTC')
+    page = card_page.card_page(made, Console('card', as_json=False, quiet=True))
+    assert page.count('<table>') == tables and len(rows_of(page)) == turns + 2
+    for size in ('A4', 'Letter'):
+        file = tmp_path / f'{size}.html'
+        file.write_text(page.replace('@page {', f'@page {{ size: {size};'))
+        subprocess.run([BINARY, '--headless', '--no-sandbox', '--disable-gpu', '--no-first-run',
+                        '--disable-background-networking', '--no-pdf-header-footer',
+                        f'--user-data-dir={tmp_path / "profile"}',
+                        f'--print-to-pdf={tmp_path / "card.pdf"}', file.as_uri()],
+                       check=True, capture_output=True, timeout=120,
+                       env={k: v for k, v in os.environ.items() if k != 'LD_LIBRARY_PATH'})
+        assert re.findall(rb'/Count (\d+)', (tmp_path / 'card.pdf').read_bytes()) == [b'1'], size

@@ -33,11 +33,11 @@ _KILOMETRES = 2000.0
 # Height [mm] of a page of A4 or Letter that is left for the map and the rows of way points, of a
 # row and of a further line in it, and of the map at least and at most.
 _TO_DO = 'what to do'
-# Columns of positions; of two tables next to each other, each has the first one only. Rows of one
-# table at most, and characters in a line of its texts, and in those of one of two tables.
+# Columns of positions, of which two tables next to each other have the first one only.
 _PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x, y [m]')
-_MOST_ROWS, _WIDE, _NARROW = 20, 60, 20
-_FREE, _ROW, _LINE, _LOWEST, _HIGHEST = 174.0, 4.95, 3.75, 60.0, 120.0
+# Rows of one table at most; characters in a line of its texts, and in those of one of two tables.
+_MOST_ROWS, _WIDE, _NARROW = 20, 28, 26
+_FREE, _ROW, _LINE, _LOWEST, _HIGHEST = 172.0, 4.95, 3.75, 60.0, 120.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def card_page(card: Card, console: Console) -> str:
     from .card_map import card_map
 
     end = card.distances[-1]
-    tables, height = _tables(_columns(card, console))
+    tables, height = _tables(card, _columns(card, console))
     picture = card_map(card, min(max(_FREE - height, _LOWEST), _HIGHEST))
     times = ''
     if card.clock:
@@ -148,29 +148,34 @@ def card_page(card: Card, console: Console) -> str:
     )
 
 
-def _tables(columns: dict[str, list[str]]) -> tuple[str, float]:
+def _tables(card: Card, columns: dict[str, list[str]]) -> tuple[str, float]:
     """One table, or two with fewer columns next to each other; and their height, about [mm]."""
-    rows, wide = len(columns['way point']), _WIDE
-    half = rows
-    if rows > _MOST_ROWS:
-        kept = [name for name in columns if not name.startswith(('to next', 'bearing'))]
-        places = [name for name in kept if name in _PLACES]
-        columns = {name: columns[name] for name in kept if name not in places[1:]}
-        if len(zones := {cell.partition(' ')[0] for cell in columns.get('MGRS', ())}) == 1:
-            columns = {f'MGRS {zones.pop()}' if name == 'MGRS' else name:
-                       [cell.partition(' ')[2] if name == 'MGRS' else cell for cell in cells]
-                       for name, cells in columns.items()}
-        half, wide = -(-rows // 2), _NARROW
-    high = [_ROW + _LINE * max(max(len(cell) - 1, 0) // wide for cell in row)
-            for row in zip(*(columns[name] for name in ('way point', _TO_DO) if name in columns),
-                           strict=True)]
+    rows, wide = len(card.way_points), _WIDE
+    parts = [slice(0, rows)]
+    if card.roads is not None and rows > _MOST_ROWS:
+        columns, wide = _narrow(card, columns), _NARROW
+        parts = [slice(0, -(-rows // 2)), slice(-(-rows // 2), rows)]
+    texts = columns.get(_TO_DO, [''] * rows)
+    high = [_ROW + _LINE * (max(len(text) - 1, 0) // wide) for text in texts]
     head = ''.join(f'<th scope="col"{_kind(name)}>{name}</th>' for name in columns)
     body = ['<tr>' + ''.join(f'<td{_kind(name)}>{escape(cell)}</td>'
                              for name, cell in zip(columns, row, strict=True)) + '</tr>'
             for row in zip(*columns.values(), strict=True)]
-    parts = [slice(0, half), slice(half, rows)][: 1 + (half < rows)]
-    return '\n'.join(f'<table><thead><tr>{head}</tr></thead><tbody>\n{chr(10).join(body[part])}\n'
-                     '</tbody></table>' for part in parts), max(sum(high[part]) for part in parts)
+    return '\n'.join(
+        '\n'.join((f'<table><thead><tr>{head}</tr></thead><tbody>', *body[part],
+                   '</tbody></table>')) for part in parts), max(sum(high[part]) for part in parts)
+
+
+def _narrow(card: Card, columns: dict[str, list[str]]) -> dict[str, list[str]]:
+    """The columns of one of two tables next to each other."""
+    first, *_ = (name for name in columns if name in _PLACES)
+    cells, head = columns[first], first
+    if first == 'MGRS' and len(zones := {cell.partition(' ')[0] for cell in cells}) == 1:
+        cells, head = [cell.partition(' ')[2] for cell in cells], f'MGRS {zones.pop()}'
+    return {'': [str(k) for k in range(1, len(cells) + 1)],
+            _TO_DO: [each.label for each in card.way_points], head: cells,
+            **{name: column for name, column in columns.items()
+               if name.startswith(('from start', 'time', 'minutes'))}}
 
 
 def _kind(column: str) -> str:
