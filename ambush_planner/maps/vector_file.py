@@ -18,16 +18,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import import_extra, warn
+from ..errors import InvalidCoordinates, import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import (
-    WGS84,
-    InvalidCoordinates,
-    from_system,
-    horizontal,
-    known_system,
-    longest_edge,
-)
+from .coordinates import WGS84, from_system, horizontal, known_system, longest_edge
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
 from .tables import InvalidFeatures, column_among, naming, numbers_of, read_table
