@@ -15,31 +15,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from .arrays import FloatArray
-from .errors import InvalidOption
-from .game.strategy import TripStrategy
-from .maps.coordinates import WGS84, InvalidCoordinates, longest_edge
-from .maps.risk_map import RiskMap
-from .planning.plan import Plan
-from .planning.route_layers import line_table, lines_in_system, route_columns, strategy_tables
-from .recordings.durable_files import write_all_durably
+from .errors import InvalidCoordinates, InvalidOption
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
 
+    from .arrays import FloatArray
+    from .game.strategy import TripStrategy
+    from .maps.risk_map import RiskMap
+    from .planning.plan import Plan
     from .recordings.plan_file import SavedPlan
+    from .routes.way_points import WayPoint
 
 # The libraries that each format needs.
 NEEDS: dict[str, tuple[str, ...]] = {
     '.gpkg': ('geopandas', 'rasterio'), '.geojson': ('geopandas', 'rasterio'),
-    '.gpx': ('geopandas', 'gpxpy'), '.csv': (), '.png': ('matplotlib',)}
+    '.gpx': ('gpxpy', 'pyproj'), '.csv': (), '.png': ('matplotlib',)}
 SUFFIXES = tuple(NEEDS)
 PLAN = '.plan'
 NEEDS[PLAN] = ('mcap', 'mcap_ros2', 'zstandard')
-# Points of a GPX route that are nearer to the line through the others are left out [m].
-_STRAIGHT = 0.5
+# Points of a GPX route that are nearer to the line through the others are left out [m], and corners
+# nearer to a way point.
+_STRAIGHT, _APART = 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +46,8 @@ class Drawn:
 
     With ``routes_only``, files tell nothing of other routes. Without ``labels``, routes are named
     by their numbers and slots. ``covered`` is the share of departures that an ambush at one of the
-    times covers, if these are drawn.
+    times covers, if these are drawn. ``way_points`` are those of their drivers' cards, for each
+    path, or none.
     """
 
     trip: TripStrategy
@@ -59,16 +58,21 @@ class Drawn:
     labels: Sequence[str] = field(default=(), kw_only=True)
     covered: float = field(default=1.0, kw_only=True)
     routes_only: bool = field(default=False, kw_only=True)
+    way_points: Sequence[Sequence[WayPoint]] = field(default=(), kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
         """What files say of each route, by column."""
+        from .planning.route_layers import route_columns
+
         slots = {'slot': self.slots} if self.slots else {}
         return {**route_columns(self.paths, self.times), **slots}
 
     @cached_property
     def routes(self) -> Any:
         """The table of routes."""
+        from .planning.route_layers import line_table
+
         return line_table(self.columns, self.paths, self.risk_map.crs)
 
     @property
@@ -80,6 +84,8 @@ class Drawn:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
+        from .planning.route_layers import strategy_tables
+
         others = {} if self.routes_only else strategy_tables(self.trip, self.risk_map)
         return {'routes': self.routes, **others}
 
@@ -116,6 +122,8 @@ def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | N
     these, InvalidCoordinates if a format needs a coordinate system and the map has none, and
     OSError; nothing is written then.
     """
+    from .recordings.durable_files import write_all_durably
+
     write_all_durably({path: plan_content(plan) if plan and path.suffix.lower() == PLAN
                        else content_of(path, drawn) for path in paths})
 
@@ -156,6 +164,8 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
 
 
 def _csv(drawn: Drawn) -> bytes:
+    from .planning.route_layers import lines_in_system
+
     columns, text = drawn.columns, io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(['WKT', *columns])
@@ -167,6 +177,8 @@ def _csv(drawn: Drawn) -> bytes:
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:
+    from .maps.coordinates import WGS84, longest_edge
+
     features = []
     for name, table in tables.items():
         shown = table.assign(layer=name)
@@ -180,6 +192,7 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
 
 def _cut_at_180(shape: Any) -> Any:
     """A shape in degrees; one that crosses 180 degrees as its parts on both sides (RFC 7946)."""
+    import numpy as np
     import shapely
 
     first = shapely.get_coordinates(shape)[0, 0]
@@ -199,20 +212,47 @@ def _cut_at_180(shape: Any) -> Any:
 
 
 def _gpx(drawn: Drawn) -> bytes:
+    """Each path as a track, and as a route of its corners and named way points.
+
+    The way points of a single path are also points of their own.
+    """
     from gpxpy import gpx
 
-    file = gpx.GPX()
+    from .maps.coordinates import Coordinates
+
+    system, file = Coordinates(drawn.risk_map.crs or ''), gpx.GPX()
     file.creator = 'ambush_planner'
-    lines, corners = (each.to_crs(WGS84) for each in (drawn.routes.geometry,
-                                                      drawn.routes.simplify(_STRAIGHT)))
-    for name, line, corner in zip(drawn.names, lines, corners, strict=True):
+    for k, (name, path) in enumerate(zip(drawn.names, drawn.paths, strict=True)):
+        texts, corners = _corners(path[:, :2], drawn.way_points[k] if drawn.way_points else ())
         route, track, segment = gpx.GPXRoute(name), gpx.GPXTrack(name), gpx.GPXTrackSegment()
-        route.points = [gpx.GPXRoutePoint(latitude, longitude)
-                        for longitude, latitude in corner.coords]
-        segment.points = [gpx.GPXTrackPoint(latitude, longitude)
-                          for longitude, latitude in line.coords]
+        route.points = [gpx.GPXRoutePoint(latitude, longitude, name=text)
+                        for text, (latitude, longitude) in
+                        zip(texts, system.to_lat_lon(corners).tolist(), strict=True)]
+        segment.points = [gpx.GPXTrackPoint(*place)
+                          for place in system.to_lat_lon(path[:, :2]).tolist()]
         track.segments.append(segment)
         file.routes.append(route)
         file.tracks.append(track)
+    if len(file.routes) == 1:
+        file.waypoints = [gpx.GPXWaypoint(each.latitude, each.longitude, name=each.name)
+                          for each in file.routes[0].points if each.name]
     text: str = file.to_xml(version='1.1')
     return text.encode()
+
+
+def _corners(path: FloatArray,
+             way_points: Sequence[WayPoint]) -> tuple[Sequence[str | None], FloatArray]:
+    """The corners of a path (L, 2), and its way points (C, 2) with their numbers and names."""
+    import numpy as np
+
+    from .routes.legs import distances_along, main_corners
+
+    at, named = main_corners(path, _STRAIGHT), np.array([each.distance for each in way_points])
+    along = distances_along(path)[at]
+    bare = np.abs(named[:, None] - along).min(axis=0, initial=np.inf) > _APART
+    texts = [f'{number:02} {each.label}'.strip()
+             for number, each in enumerate(way_points, start=1)]
+    places = np.concatenate((path[at[bare]], np.reshape([each.xy for each in way_points], (-1, 2))))
+    order = np.argsort(np.concatenate((along[bare], named)), kind='stable')
+    names = [*[None] * int(bare.sum()), *texts]
+    return [names[k] for k in order], places[order]

@@ -16,7 +16,11 @@ from shapely.geometry import LineString, MultiLineString, Point, Polygon
 
 from ambush_planner import InvalidOption, NetworkOptions
 from ambush_planner.maps import road_schemas as known
+from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.road_file import read_roads
+from ambush_planner.maps.road_tags import ROUNDABOUT
+from ambush_planner.network.road_network import in_map_frame
+from ambush_planner.recordings.attachments import roads_file, roads_from_file
 
 CRS = 'EPSG:32616'
 # The way round is a road; whether the straight line is one, and in which direction, is asked.
@@ -222,6 +226,33 @@ def test_openstreetmap_files(tags, drivable, tmp_path):
     (tmp_path / 'A.OSM').write_text(OSM.replace('TAGS', text))
     found, _, said = read(tmp_path / 'A.OSM')
     assert found == drivable and bool(said) == (drivable == NONE)
+
+
+@pytest.mark.parametrize(('tags', 'name'), [
+    ({'name': 'Main  Street'}, 'Main Street'), ({'NAME': 'Main Street', 'Ref': 'B 55'},
+                                                'B 55 Main Street'),
+    ({'name': ['High Road', 'Low Road']}, 'High Road / Low Road'), ({'name': None}, ''),
+    ({'other_tags': '"ref"=>"A 1","maxspeed"=>"80"'}, 'A 1'), ({'name': float('nan')}, ''),
+    ({'name': 'Ring', 'junction': 'roundabout'}, ROUNDABOUT),
+])
+def test_names_of_roads(tags, name):
+    roads = read_roads(table({'highway': 'track', **tags}))
+    names = {roads.names[k] for k in roads.name.tolist()}
+    assert names == {'', name}
+
+
+def test_names_and_places_of_an_openstreetmap_file_are_those_of_its_plan(tmp_path):
+    village = ('<node id="9" version="1" lat="0.001" lon="3.001"><tag k="place" v="village"/>'
+               '<tag k="name" v="Ash"/></node><way id="11"')
+    tags = '<tag k="highway" v="track"/><tag k="ref" v="T 7"/><tag k="name" v="Old Road"/>'
+    (tmp_path / 'a.osm').write_text(OSM.replace('TAGS', tags).replace('<way id="11"', village))
+    roads = in_map_frame(read_roads(tmp_path / 'a.osm'), 'EPSG:32631')
+    again = roads_from_file(roads_file(roads))
+    for each in (roads, again):
+        assert {each.names[k] for k in each.name.tolist()} == {'', 'T 7 Old Road'}
+        (x, y, name), = each.places
+        assert each.names[int(name)] == 'Ash'
+        assert Coordinates('EPSG:32631').to_lat_lon((x, y)) == pytest.approx((0.001, 3.001))
 
 
 @pytest.mark.parametrize(('second', 'tags', 'count'), [

@@ -3,6 +3,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from ambush_planner import (
     PlanningOptions,
     RiskMap,
     StrategyOptions,
+    TimeLimit,
     places_to_hold,
     plan_trip,
     solve,
@@ -27,7 +29,9 @@ from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.maps.vector_file import InvalidFeatures
+from ambush_planner.maps.tables import InvalidFeatures
+from ambush_planner.planning import holding
+from ambush_planner.planning.solving import solve_on_network
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
@@ -105,6 +109,28 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
         plan = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=game))
         assert (strategy.value, strategy.lower_bound) == pytest.approx(
             (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
+
+
+@pytest.mark.parametrize(('games', 'steps'), [(0, 0), (1, 1), (3, 1)])
+def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, steps):
+    """The clock ends it after some games; each has the time that is left of one limit."""
+    limits = []
+
+    def until_then(risk_map, network, options, warm=None):
+        if len(limits) == games:
+            raise TimeLimit('the time is up')
+        limits.append(options.strategy.time_limit)
+        return solve_on_network(risk_map, network, options, warm)
+
+    monkeypatch.setattr(holding, 'solve_on_network', until_then)
+    options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))
+    found = places_to_hold(yard, START, GOAL, RADIUS, 2, options)
+    assert not found.complete and len(found.steps) == steps
+    assert limits == sorted(limits, reverse=True) and max(limits, default=0.0) < 1000.0
+    values = [each.value for each in found.strategies]
+    assert values == sorted(values, reverse=True)
+    for step in found.steps:
+        assert step.strategy.value >= step.strategy.lower_bound > 0.0
 
 
 def test_no_candidate_that_the_bounds_rule_out_is_better(yard):

@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..recordings.durable_files import write_all_durably
-from ..route_files import NEEDS, PLAN, SUFFIXES, Drawn
+from ..route_files import NEEDS, PLAN, SUFFIXES
 from .cli import Console, count, file_of, place, require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ..route_files import Drawn
 
 FORMATS_HELP = """\
 FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
@@ -50,6 +51,7 @@ def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Ma
                 figure: Callable[[], Figure]) -> None:
     """Write a table to .csv files, and its picture to .png files, with mode 0600."""
     from ..map_figures import as_png
+    from ..recordings.durable_files import write_all_durably
 
     write_all_durably({path: _as_csv(columns, rows) if path.suffix.lower() == '.csv' else
                        as_png(figure()) for path in paths})

@@ -5,25 +5,19 @@ from __future__ import annotations
 
 import argparse
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-
-from .. import figures, map_figures
 from ..colours import AMBUSHER
-from ..game.strategy import within_slack
-from ..maps.coordinates import Coordinates
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import read_risk_map
-from ..maps.tables import InvalidFeatures
-from ..maps.vector_file import attribute, features_on
-from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .inputs import options_from, planner_parser
+from .planner_parser import planner_parser
 from .positions import Position, places_on
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..maps.risk_map import RiskMap
+    from ..planning.holding import Held, Holding
 
 # Held places in the picture: a green that is none of the routes'.
 HELD = '#35c48c'
@@ -38,7 +32,8 @@ and nobody who drives there is hit; then the next one, given the first, and so o
 In a row of the table, value and lower_bound are those if this place and those before it are held;
 no other candidate can bring the value below others instead. The picture also has the strategy if
 all are held, and the value as a curve.
---json: {"verdict", "files", "value", "lower_bound", "places": [{...}]}
+It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
+--json: {"verdict", "files", "value", "lower_bound", "complete", "places": [{...}]}
 """
 
 
@@ -59,12 +54,18 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..game.strategy import within_slack
+    from ..maps.risk_map_file import read_risk_map
+    from ..planning.holding import places_to_hold
+    from .inputs import options_from
+
     of_map, planning = options_from(arguments)
     risk_map = read_risk_map(arguments.map, of_map)
     check_outputs(arguments.output, console)
     start, goal, stops = places_on(arguments, risk_map)
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
-    with console.waiting('solving games'):
+    limit = planning.strategy.time_limit
+    with console.waiting(f'solving games, at most {limit:g} s (strategy.time_limit)'):
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, planning,
             stops=stops, candidates=given, progress=lambda number, left: console.step(
@@ -74,6 +75,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     write_table(arguments.output, columns, rows,
                 lambda: hold_figure(found, arguments.radius, risk_map))
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
+    if not found.complete:
+        console.warn(f'time is up after {limit:g} s: the last place is the best of those tried; '
+                     'to find better ones, name a few --candidates, or allow more time '
+                     '(strategy.time_limit)')
     console.result['files'] = console.secret(arguments.output)
     sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
@@ -81,6 +86,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
     """The row of one place; the columns lat and lon are for maps with a coordinate system."""
+    from ..maps.coordinates import Coordinates
+
     at = dict(zip('xy', step.xy, strict=True))
     if risk_map.crs:
         at |= zip(('lat', 'lon'), Coordinates(risk_map.crs).to_lat_lon([step.xy])[0], strict=True)
@@ -101,17 +108,24 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
         others = '' if row['others'] is None else f'; {stay} above {row["others"]:.4g}'
         console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
                      f'{row["lower_bound"]:.4g}{others}')
-    if len(rows) < wanted:
+    if len(rows) < wanted and found.complete:
         console.say('No further place: the value is 0, or no candidate remains.')
     held = found.strategies[-1].game.options.held_places
     places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
     console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
-    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows}
+    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows,
+                      'complete': found.complete}
 
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
     # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
+    import numpy as np
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    from .. import figures, map_figures
+
     lines = 2 + len(map_figures.ground_key(risk_map))
     heights = 6.1 + 0.3 * lines, 2.1
     figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
@@ -143,6 +157,9 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
 
 def read_places(source: str, risk_map: RiskMap) -> dict[str, tuple[float, float]]:
     """World positions [m] by the names of points in a file; raises InvalidFeatures."""
+    from ..maps.tables import InvalidFeatures
+    from ..maps.vector_file import attribute, features_on
+
     points = features_on(risk_map, source, 'Point', crs=risk_map.crs,
                          refused='each place needs a position')
     names = attribute(points, 'candidates', 'name').astype(str).str.strip()

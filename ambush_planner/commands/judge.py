@@ -10,28 +10,19 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption
-from ..game.strategy import StrategyOptions
-from ..map_figures import as_png
-from ..maps.coordinates import Coordinates
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import read_risk_map
-from ..maps.tables import InvalidFeatures
-from ..maps.track_file import Track, read_tracks
-from ..planning.concerns import assumptions, concerns, is_sound
-from ..planning.habits import NEAR, Habits, find_trips, judge
-from ..planning.options import solved_game
-from ..planning.path_mixtures import PathMixture
-from ..recordings.durable_files import write_all_durably
 from ..words import distance, percent
 from . import cli, readers
-from .inputs import options_from, planner_parser
-from .judge_figure import MIN_SHARE, judge_figure
+from .planner_parser import planner_parser
 from .positions import places_on
+
+if TYPE_CHECKING:
+    from ..maps.risk_map import RiskMap
+    from ..maps.track_file import Track
+    from ..planning.habits import Habits
+    from ..planning.path_mixtures import PathMixture
 
 EPILOG = """\
 TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, recordings, or
@@ -65,6 +56,16 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..game.strategy import StrategyOptions
+    from ..map_figures import as_png
+    from ..maps.risk_map_file import read_risk_map
+    from ..planning.concerns import concerns, is_sound
+    from ..planning.habits import NEAR, find_trips, judge
+    from ..planning.options import solved_game
+    from ..recordings.durable_files import write_all_durably
+    from .inputs import options_from
+    from .judge_figure import judge_figure
+
     (of_map, planning), output = options_from(arguments), arguments.output
     if arguments.detour is not None or planning.strategy.max_detour != StrategyOptions.max_detour:
         raise cli.UsageError('the tracks set the length budget: leave out --detour and '
@@ -92,7 +93,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         habits = judge(risk_map, trips, planning)
     write_all_durably({output: as_png(judge_figure(habits, risk_map))})
     _tell(habits, risk_map, console)
-    for text in concerns(habits.plan):
+    for text in concerns(habits.plan, lambda xy: arguments.start[0].like(xy, risk_map)):
         console.warn(text)
     console.result['picture'] = console.secret([output])[0]
     return cli.Exit.HOLDS if is_sound(habits.plan) else cli.Exit.FINDING
@@ -100,6 +101,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:
     """The tracks of a file, or of the files and recordings in a folder."""
+    import numpy as np
+
+    from ..maps.tables import InvalidFeatures
+    from ..maps.track_file import Track, read_tracks
+
     path = Path(source)
     if not path.is_dir() and path.suffix.lower() != '.mcap':
         yield from read_tracks(source, risk_map)
@@ -127,6 +133,11 @@ def _span(trips: Sequence[Track]) -> str:
 
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
+    import numpy as np
+
+    from ..planning.concerns import assumptions
+    from .judge_figure import MIN_SHARE
+
     strategy, hit, shares = habits.plan.strategy, habits.driven.hit, habits.best.shares
     (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
     named = [{'track': habits.trips[k].name, 'share': float(shares[k])}
@@ -155,6 +166,8 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
 
 
 def _numbers(mixture: PathMixture, habits: Habits, risk_map: RiskMap) -> dict[str, Any]:
+    from ..maps.coordinates import Coordinates
+
     at, crs = mixture.worst_xy, risk_map.crs
     return {'value': mixture.value, 'mean_length': float(mixture.shares @ habits.lengths),
             'worst_xy': at.round(2).tolist(), **({

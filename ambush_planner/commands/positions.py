@@ -4,20 +4,21 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
+from ..errors import InvalidCoordinates
 
-from ..arrays import FloatArray
-from ..maps.coordinates import Coordinates, InvalidCoordinates, agree
-from ..maps.grid_references import from_mgrs, from_utm, mgrs_references, utm_references
-from ..maps.risk_map import RiskMap
-from ..network.trip_graph import position_errors
-from .console import Console
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from ..arrays import FloatArray
+    from ..maps.risk_map import RiskMap
+    from .console import Console
 
 _POSITIONS = {'--start': 'where trips begin', '--via': 'stops',
               '--goal': 'where trips end; the start again for a round trip'}
@@ -58,6 +59,11 @@ class Position:
 
     def like(self, xy: npt.ArrayLike, risk_map: RiskMap) -> str:
         """Another world position [m] on the map, written as this one was typed."""
+        import numpy as np
+
+        from ..maps.coordinates import Coordinates
+        from ..maps.grid_references import mgrs_references, utm_references
+
         if not (self.in_degrees and risk_map.crs):
             x, y = np.asarray(xy, dtype=float).tolist()
             return f'({x:.1f}, {y:.1f})'
@@ -72,6 +78,10 @@ class Position:
 
     def xy(self, risk_map: RiskMap) -> FloatArray:
         """World position [m]; raises InvalidCoordinates."""
+        import numpy as np
+
+        from ..maps.coordinates import Coordinates
+
         if not self.in_degrees:
             return np.array(self.numbers)
         if not risk_map.crs:
@@ -99,20 +109,24 @@ def positions_in(text: str) -> list[Position]:
             raise InvalidCoordinates(f'must be {KINDS}, got {text[at:]}')
         typed, at = text[at: match.end()].strip(), match.end()
         try:
-            a, b = np.asarray(_numbers(kind, *match.groups()), dtype=float).tolist()
+            a, b = map(float, _numbers(kind, *match.groups()))
         except InvalidCoordinates as error:
             raise InvalidCoordinates(f'{typed}: {error}') from error
         found.append(Position((a, b), kind, typed))
     return found
 
 
-def _numbers(kind: str, *parts: str) -> npt.ArrayLike:
+def _numbers(kind: str, *parts: str) -> Iterable[Any]:
     """The numbers of a position (2,) from the groups of its pattern."""
     if kind == 'mgrs':
+        from ..maps.grid_references import from_mgrs
+
         zone, square, east, north, both = parts
         half = (len(both or '') + 1) // 2
         return from_mgrs(zone + square, *((both[:half], both[half:]) if both else (east, north)))
     if kind == 'utm':
+        from ..maps.grid_references import from_utm
+
         zone, letter, east, north = parts
         return from_utm(int(zone), letter.upper(), float(east), float(north))
     if kind == 'metres':
@@ -120,7 +134,7 @@ def _numbers(kind: str, *parts: str) -> npt.ArrayLike:
     if kind == 'sided':
         angles = {(before or after).upper(): _degrees(first or second)
                   for before, first, second, after in (parts[:4], parts[4:])}
-        latitude, longitude = (angles.get(side, -angles.get(other, np.nan))
+        latitude, longitude = (angles.get(side, -angles.get(other, math.nan))
                                for side, other in ('NS', 'EW'))
     else:
         latitude, longitude = map(float, parts)
@@ -193,6 +207,11 @@ def as_typed_places(arguments: argparse.Namespace, text: str) -> str:
 
 
 def _xy(name: str, given: Position, risk_map: RiskMap) -> FloatArray:
+    import numpy as np
+
+    from ..maps.coordinates import Coordinates
+    from ..network.trip_graph import position_errors
+
     if given.is_on(risk_map) or given.in_degrees and not risk_map.crs:
         return given.xy(risk_map)
     (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
@@ -243,6 +262,8 @@ def crs_text(arguments: argparse.Namespace) -> str:
 def in_named_system(risk_map: RiskMap, arguments: argparse.Namespace,
                     console: Console) -> RiskMap:
     """The map of a recording in the system that the arguments name; warns if it differs."""
+    from ..maps.coordinates import agree
+
     crs = crs_text(arguments)
     if crs and risk_map.crs and not agree(crs, risk_map.crs):
         console.warn(f'{crs} takes the place of the recorded coordinate system, {risk_map.crs}')

@@ -11,15 +11,14 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import AmbushPlannerError, shown
-from ..recordings import RecordingFile, UnreadableRecording, read_recording, recordings_in
-from ..recordings.messages import DURATIONS, Channel, fields_from_yaml
-from ..recordings.metadata import typed
-from ..recordings.recording_errors import part
-from ..recordings.schemas import DIAGNOSTICS, INPUT_TYPES, MARKER_NAMES, MARKERS, ROLE_TYPES
 from . import cli, readers
+
+if TYPE_CHECKING:
+    from ..recordings import RecordingFile
+    from ..recordings.messages import Channel
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -121,6 +120,8 @@ class _Replay:
 
     def _files(self) -> Mapping[Path, set[Channel]]:
         """Return the readable files with their channels."""
+        from ..recordings import UnreadableRecording, read_recording, recordings_in
+
         paths = recordings_in(self._options.recordings)
         found = {}
         for path in self._console.progress(paths, 'read'):
@@ -134,6 +135,8 @@ class _Replay:
         return found
 
     def _advertise(self, node: Any, known: set[Channel]) -> None:
+        from ..recordings.schemas import INPUT_TYPES
+
         topics = sorted({channel.topic for channel in known})
         if missing := set(self._options.topics or topics).difference(topics):
             raise NothingToPublish(
@@ -149,6 +152,8 @@ class _Replay:
 
     def _publish(self, files: Iterable[Path]) -> None:
         """Publish everything in time."""
+        from ..recordings import read_recording
+
         for path in files:
             messages = [each for each in read_recording(path).messages
                         if each.channel in self._publishers]
@@ -191,6 +196,10 @@ class _Replay:
 
 def own_channels(file: RecordingFile) -> set[Channel]:
     """Return the channels of a recording; raises UsageError if it holds others than ours do."""
+    from ..recordings.metadata import typed
+    from ..recordings.recording_errors import part
+    from ..recordings.schemas import DIAGNOSTICS, MARKER_NAMES, MARKERS, ROLE_TYPES
+
     roles: Mapping[str, str] = part(file.path, 'topics', lambda: typed(
         file.entries['topics'], Mapping[str, str], 'topics'))
     own = {(kind, topic) for role, topic in roles.items() for kind in ROLE_TYPES.get(role, ())}
@@ -220,6 +229,8 @@ def qos_from_yaml(text: str) -> Any:
     """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
     from rclpy import qos
     from rclpy.duration import Duration
+
+    from ..recordings.messages import DURATIONS, fields_from_yaml
 
     fields = dict(fields_from_yaml(text))
     for name in ('history', 'reliability', 'durability', 'liveliness'):

@@ -19,17 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError, import_extra
+from ..errors import InvalidCoordinates, import_extra
 from .risk_map import to_map_axes, to_world
 
 # Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
 MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
 _TERMS = 8  # of a polynomial, in each direction
-
-
-class InvalidCoordinates(AmbushPlannerError, ValueError):
-    """A coordinate system or a position in it cannot be used."""
 
 
 class Coordinates:

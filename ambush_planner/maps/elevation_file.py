@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from ..arrays import arrays_in
-from ..errors import InvalidRiskMap, import_extra, warn
-from .coordinates import InvalidCoordinates, agree, known_system, metric_system
+from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
+from .coordinates import agree, known_system, metric_system
 from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES

@@ -13,8 +13,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..arrays import arrays_in
-from ..errors import InvalidOption, InvalidRiskMap, warn
-from .coordinates import Coordinates, InvalidCoordinates
+from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
+from .coordinates import Coordinates
 from .elevation import square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
 from .road_joints import noded, segments_of
-from .road_tags import roads_among
+from .road_tags import road_names, roads_among
 from .tables import InvalidFeatures, naming
 from .vector_file import file_and_layer, read_features, single_parts
 
@@ -43,6 +44,12 @@ class RoadGraph:
         Whether speeds are [m/s]; otherwise they are only 0 and 1.
     crs : str
         Coordinate system; '': that of the map.
+    names : tuple of str
+        Names of roads, and of villages and other places.
+    name : (U,) int
+        The name of each piece, by its index in ``names``; -1: none, which is the default.
+    places : (K, 3) float
+        Villages and other places: position, and index of the name.
     """
 
     points: FloatArray
@@ -50,9 +57,15 @@ class RoadGraph:
     speeds: FloatArray
     timed: bool = False
     crs: str = ''
+    names: tuple[str, ...] = ()
+    name: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self) -> None:
-        for name, dtype in (('points', float), ('pairs', np.int64), ('speeds', float)):
+        if not len(self.name):
+            object.__setattr__(self, 'name', np.full(len(self.pairs), -1))
+        for name, dtype in (('points', float), ('pairs', np.int64), ('speeds', float),
+                            ('name', np.int64), ('places', float)):
             object.__setattr__(self, name, frozen_array(getattr(self, name), dtype))
 
     def __repr__(self) -> str:
@@ -111,8 +124,20 @@ def _read(source: str, path: Path, version: tuple[int, int], node_crossings: boo
         if path.suffix.lower() == '.graphml':
             raise InvalidFeatures('convert GraphML with osmnx.save_graph_geopackage('
                                   'osmnx.load_graphml(FILE), directed=True)')
-        return roads_from_lines(str(path), read_features(source, 'LineString'), node_crossings,
-                                **declared)
+        roads = roads_from_lines(str(path), read_features(source, 'LineString'), node_crossings,
+                                 **declared)
+        return _with_places(roads, path) if path.suffix.lower() in ('.osm', '.pbf') else roads
+
+
+def _with_places(roads: RoadGraph, path: Path) -> RoadGraph:
+    """Add the villages and other places of a file of OpenStreetMap."""
+    import pyogrio
+
+    found = pyogrio.read_dataframe(path, layer='points', columns=['name'],
+                                   where='place IS NOT NULL AND name IS NOT NULL')
+    index = len(roads.names) + np.arange(len(found))
+    return replace(roads, names=(*roads.names, *found['name']),
+                   places=np.column_stack((found.geometry.x, found.geometry.y, index)))
 
 
 def lines_of_graph(graph: Any) -> GeoDataFrame:
@@ -203,9 +228,10 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
              'them')
     way, line = np.array([road.way for road in tags]), segments.line
     speed = _speeds(np.array([road.speed for road in tags]), f'{path}: speed_kph')
+    names, name = np.unique(road_names(lines), return_inverse=True)
     return _graph(segments.points / segments.scale, segments.pairs, way[line],
                   None if speed is None else speed[line],
-                  lines.crs.to_wkt() if lines.crs is not None else '')
+                  lines.crs.to_wkt() if lines.crs is not None else '', names.tolist(), name[line])
 
 
 def _speeds(values: FloatArray, name: str) -> FloatArray | None:
@@ -221,8 +247,12 @@ def _speeds(values: FloatArray, name: str) -> FloatArray | None:
 
 
 def _graph(points: FloatArray, segments: IndexArray, way: IndexArray,
-           speed: npt.NDArray[np.float64] | None, crs: str) -> RoadGraph:
-    """Merge equal segments (S, 2), two-way if ``way`` (S,) is 0; the higher speed counts."""
+           speed: npt.NDArray[np.float64] | None, crs: str, names: Sequence[str] = (),
+           name: IndexArray | None = None) -> RoadGraph:
+    """Merge equal segments (S, 2), two-way if ``way`` (S,) is 0; the higher speed counts.
+
+    ``name`` (S,) has their indices in ``names``; the first one counts.
+    """
     if not np.isfinite(points).all():
         raise InvalidFeatures('coordinates must be finite')
     own = np.ones(len(segments)) if speed is None else speed
@@ -231,10 +261,12 @@ def _graph(points: FloatArray, segments: IndexArray, way: IndexArray,
     there = np.where(way >= 0, own, 0.0)
     back = np.where(way <= 0, own, 0.0)
     there, back = np.where(turned, back, there)[real], np.where(turned, there, back)[real]
-    pairs, which = np.unique(np.sort(segments[real], axis=1), axis=0, return_inverse=True)
+    pairs, first, which = np.unique(np.sort(segments[real], axis=1), axis=0, return_index=True,
+                                    return_inverse=True)
     speeds = np.zeros((len(pairs), 2))
     np.maximum.at(speeds[:, 0], which.ravel(), there)
     np.maximum.at(speeds[:, 1], which.ravel(), back)
     if not len(pairs):
         raise InvalidFeatures('no road has a length')
-    return RoadGraph(points, pairs, speeds, speed is not None, crs)
+    return RoadGraph(points, pairs, speeds, speed is not None, crs, tuple(names),
+                     np.full(len(pairs), -1) if name is None else name[real][first])

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
     from pandas import DataFrame
 
+ROUNDABOUT = 'roundabout'
 _NOT = ('', 'no', 'false', 'f', '0', 'minor', 'widening')
 _MISSING = ('none', 'nan', '<na>', 'nat')
 _WHOLE = re.compile(r'[-+]?\d+')
@@ -111,6 +112,26 @@ def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
                 found = pairs.map(lambda each, key=key: str(each.get(key) or ''))
                 texts[key] = texts[key].where(texts[key] != '', found) if key in texts else found
     return texts
+
+
+def road_names(lines: GeoDataFrame) -> list[str]:
+    """Reference and name of each line, such as ``B 55 Main Street``, or ``ROUNDABOUT``."""
+    ref, name, junction = (_words(lines, key) for key in ('ref', 'name', 'junction'))
+    return [ROUNDABOUT if kind in ('roundabout', 'circular') else ' '.join(filter(None, texts))
+            for kind, *texts in zip(junction, ref, name, strict=True)]
+
+
+def _words(lines: GeoDataFrame, key: str) -> list[str]:
+    """The texts of an attribute, '' if missing; osmnx has lists where it has merged ways."""
+    columns = {str(each).lower(): each for each in lines.columns}
+    if key in columns:
+        values = [' / '.join(each) if isinstance(each, list) else each
+                  for each in lines[columns[key]]]
+    else:
+        values = [(re.search(f'"{key}"=>"([^"]*)"', str(each)) or ('', ''))[1]
+                  for each in lines.get('other_tags', [''] * len(lines))]
+    return ['' if each is None or each != each else ' '.join(str(each).split())
+            for each in values]
 
 
 def _text(value: Any) -> str:

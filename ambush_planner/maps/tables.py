@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError
-from .coordinates import InvalidCoordinates
+from ..errors import AmbushPlannerError, InvalidCoordinates
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series

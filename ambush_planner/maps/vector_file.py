@@ -18,12 +18,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import import_extra, warn
+from ..errors import InvalidCoordinates, import_extra, warn
 from ..option_checks import check_at_least
 from .coordinates import (
     WGS84,
     Coordinates,
-    InvalidCoordinates,
     converter,
     from_system,
     horizontal,

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption
+from ..errors import InvalidCoordinates, InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import SOLVERS, StrategyOptions
-from ..maps.coordinates import Coordinates, InvalidCoordinates
+from ..maps.coordinates import Coordinates
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import MAX_LOSS
 from ..maps.road_file import ROAD_OPTIONS, RoadGraph

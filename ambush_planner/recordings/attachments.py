@@ -63,7 +63,7 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_dis
 # Why the search ended.
 _REASON = 'reason'
 _COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, *NUMBERS, *_PLANNED, _REASON)
-_ROADS = ('points', 'pairs', 'speeds', 'timed')
+_ROADS = ('points', 'pairs', 'speeds', 'timed', 'names', 'name', 'places')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
 _OF_FEW = ('shares', 'value', 'lower_bound', 'candidates', 'costs', 'curve')
@@ -207,7 +207,10 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
     if data is None:
         return None
     content = arrays_in(BytesIO(data), _ROADS)
-    return RoadGraph(content['points'], content['pairs'], content['speeds'], bool(content['timed']))
+    named = (tuple(content['names'].tolist()), content['name'], content['places']) if (
+        'names' in content) else ()  # older ones have none
+    return RoadGraph(content['points'], content['pairs'], content['speeds'],
+                     bool(content['timed']), '', *named)
 
 
 def few_file(few: FewRoutes) -> bytes:

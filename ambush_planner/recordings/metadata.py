@@ -26,11 +26,15 @@ class InvalidEntry(AmbushPlannerError):
 
 @dataclass(frozen=True)
 class RecordedTrip:
-    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``."""
+    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``.
+
+    ``names`` are those of start and goal, '' if they have none.
+    """
 
     start: Position
     goal: Position
     stops: tuple[Position, ...] = ()
+    names: tuple[str, str] = ('', '')
 
 
 @dataclass(frozen=True)
@@ -119,9 +123,9 @@ class RecordedPlan:
 class RecordedDay:
     """What a departure drawn from a plan file is for.
 
-    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said), which was drawn after the route if
-    ``slot_drawn``; the index of the route if there are few; the id of an earlier departure for the
-    same day that it ``replaces``, because that one was not driven, and ``why``.
+    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said) in a time ``zone``, which was drawn
+    after the route if ``slot_drawn``; the index of the route if there are few; the id of an earlier
+    departure for the same day that it ``replaces``, because that one was not driven, and ``why``.
     """
 
     date: str
@@ -130,6 +134,7 @@ class RecordedDay:
     few_route: int | None
     replaces: str = ''
     why: str = ''
+    zone: str = ''
 
     def __post_init__(self) -> None:
         _check_form('%Y-%m-%d', self.date)
