@@ -86,10 +86,14 @@ def test_the_scale_bar_is_far_from_start_and_goal(axes, start):
 
 
 def test_few_routes_are_numbered_and_many_are_not(axes):
-    routes = [np.array([(0.0, 0.0), (5.0, k), (10.0, 0.0)]) for k in range(9)]
+    routes = [np.array([(0.0, 0.0), (5.0, k), (10.0, 0.0)]) for k in range(21)]
     figures.draw_routes(axes, routes[:3])
     assert [text.get_text() for text in axes.texts] == ['1', '2', '3']
     assert len({line.get_color() for line in axes.lines}) == 3
+    twenty = Figure().subplots()
+    figures.draw_routes(twenty, routes[:20])
+    assert len(twenty.texts) == 20
+    assert len({(line.get_color(), line.get_linestyle()) for line in twenty.lines}) == 20
     many = Figure().subplots()
     figures.draw_routes(many, routes)
     assert not many.texts and {line.get_color() for line in many.lines} == {colours.ROUTES[0]}
