@@ -10,7 +10,10 @@ on a telephone of 400.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import datetime
 from io import BytesIO
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,7 @@ import numpy.typing as npt
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LightSource, LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
@@ -29,7 +33,7 @@ from matplotlib.transforms import Affine2D
 
 from . import colours
 from .arrays import BoolArray, FloatArray
-from .errors import InvalidCoordinates
+from .errors import InvalidCoordinates, shown
 from .maps.coordinates import Coordinates
 from .maps.risk_map import RiskMap
 from .maps.road_file import RoadGraph
@@ -43,6 +47,7 @@ MAX_CELLS = 2000
 MAX_HATCHED = 500
 WIDTH = 7.0  # inches
 ROAD = '0.4'
+LOSS = 'loss if ambushed here'
 DOTS_PER_INCH = 200
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 # Legend entries.
@@ -229,9 +234,16 @@ def north_arrow(axes: Axes, crs: str | None) -> None:
                   arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
 
 
+def colour_bar(axes: Axes, mappable: ScalarMappable, label: str, place: int = 0,
+               **style: Any) -> None:
+    """Explain a scale next to the axes, as tall as they are; ``place`` counts from the map."""
+    bar = axes.inset_axes((1.09 + 0.2 * place, 0.0, 0.03, 1.0))
+    axes.figure.colorbar(mappable, cax=bar, label=label, **style)
+
+
 def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
-    """Explain the grey scale next to the axes."""
-    figure.colorbar(image, ax=axes, label='loss if ambushed here', **layout)
+    """Explain the colours of risk next to several axes."""
+    figure.colorbar(image, ax=axes, label=LOSS, **layout)
 
 
 def draw_roads(axes: Axes, roads: RoadGraph) -> None:
@@ -242,12 +254,25 @@ def draw_roads(axes: Axes, roads: RoadGraph) -> None:
     axes.add_collection(lines, autolim=False)
 
 
-def as_png(figure: Figure, tight: bool = True) -> bytes:
+def as_png(figure: Figure, name: str = '', sources: Sequence[str] = (),
+           tight: bool = True) -> bytes:
     """Return the picture as a PNG file, without the name of the drawing program.
 
-    A ``tight`` one is cut to what is drawn.
+    A ``tight`` one is cut to what is drawn, and says below its name, what it shows, and when it was
+    drawn.
     """
     stream = BytesIO()
+    if tight:
+        figure.draw_without_rendering()
+        figure.set_layout_engine('none')  # what follows moves nothing
+        for legend in figure.legends:
+            legend.set_bbox_to_anchor((0.0, 0.0, 1.0, 1.0), figure.transFigure)
+        corner = figure.transFigure.inverted().transform(
+            figure.dpi_scale_trans.transform(figure.get_tightbbox().min))
+        what = '; '.join(filter(None, (': '.join(filter(None, (
+            shown(name), ', '.join(map(shown, sources))))),
+            f'drawn {datetime.now():%Y-%m-%d %H:%M}')))
+        figure.text(*(corner - (0.0, 0.01)), fill(what, 90), va='top', fontsize=9, color='0.35')
     figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, metadata={'Software': None},
                    **({'bbox_inches': 'tight', 'pad_inches': 0.12} if tight else {}))
     return stream.getvalue()

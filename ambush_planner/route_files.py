@@ -47,7 +47,7 @@ class Drawn:
     With ``routes_only``, files tell nothing of other routes. Without ``labels``, routes are named
     by their numbers and slots. ``covered`` is the share of departures that an ambush at one of the
     times covers, if these are drawn. ``way_points`` are those of their drivers' cards, for each
-    path, or none.
+    path, or none. ``sources`` are the names of the files of map and roads.
     """
 
     trip: TripStrategy
@@ -59,6 +59,7 @@ class Drawn:
     covered: float = field(default=1.0, kw_only=True)
     routes_only: bool = field(default=False, kw_only=True)
     way_points: Sequence[Sequence[WayPoint]] = field(default=(), kw_only=True)
+    sources: Sequence[str] = field(default=(), kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -147,7 +148,7 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     if suffix == '.png':
         from .map_figures import as_png
 
-        return as_png(drawn.picture())
+        return as_png(drawn.picture(), path.name, drawn.sources)
     if suffix == '.csv':
         return _csv(drawn)
     if suffix == '.geojson':

@@ -25,6 +25,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.commands import hold
+from ambush_planner.commands.hold_figure import hold_figure
 from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
@@ -200,7 +201,7 @@ def test_the_legend_of_a_square_map_ends_above_the_curve():
     unknown = blocked & (np.mgrid[:30, :30][0] > 20)
     risk_map = RiskMap(np.ones((30, 30)), blocked, 1.0, unknown=unknown)
     found = places_to_hold(risk_map, (3.0, 4.0), (27.0, 26.0), RADIUS, 1, OPTIONS)
-    figure = hold.hold_figure(found, RADIUS, risk_map)
+    figure = hold_figure(found, RADIUS, risk_map)
     figure.draw_without_rendering()
     legend = figure.axes[0].get_legend().get_texts()
     (curve,) = (axes for axes in figure.axes if 'places held' in axes.get_xlabel())

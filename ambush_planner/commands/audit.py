@@ -138,7 +138,7 @@ def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
         except NotAuditable as error:
             console.say(f'There is no {PICTURE}: {error}.')
             return
-    write_all_durably({folder / PICTURE: as_png(audit_figure(risk_map, result))})
+    write_all_durably({folder / PICTURE: as_png(audit_figure(risk_map, result), PICTURE)})
     console.secret([folder / PICTURE])
 
 

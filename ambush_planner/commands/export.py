@@ -47,7 +47,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         each.metadata.day for each in departures) else ()
     drawn = Drawn(last.departed_on, risk_map, [each.path_poses for each in departures], times,
                   slots=slots, covered=last.covered,
-                  way_points=[departure_card(each).way_points for each in departures])
+                  way_points=[departure_card(each).way_points for each in departures],
+                  sources=[options.recordings.name])
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

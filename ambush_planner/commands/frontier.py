@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..colours import AMBUSHER
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .planner_parser import planner_parser
+from .planner_parser import planner_parser, source_names
 from .positions import places_on
 
 if TYPE_CHECKING:
@@ -65,7 +65,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
     budgets = planning.strategy
-    write_frontier(arguments.output, rows, budgets.max_detour, budgets.risk_slack)
+    write_frontier(arguments.output, rows, budgets.max_detour, budgets.risk_slack,
+                   source_names(arguments))
     console.line(_as_text(rows))
     files = [cli.place(path) for path in arguments.output]
     console.line('\n' + ', '.join(files))
@@ -74,12 +75,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 
 def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detour: float,
-                   risk_slack: float) -> None:
+                   risk_slack: float, sources: Sequence[str] = ()) -> None:
     """Write tables (.csv) and pictures (.png) with mode 0600."""
     from ..planning.frontier import FrontierRow
 
     write_table(paths, [each.name for each in fields(FrontierRow)], [asdict(row) for row in rows],
-                lambda: frontier_figure(rows, max_detour, risk_slack))
+                lambda: frontier_figure(rows, max_detour, risk_slack), sources)
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:

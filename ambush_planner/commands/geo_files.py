@@ -48,13 +48,13 @@ def check_outputs(paths: Sequence[Path], console: Console) -> None:
 
 
 def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Mapping[str, Any]],
-                figure: Callable[[], Figure]) -> None:
-    """Write a table to .csv files, and its picture to .png files, with mode 0600."""
+                figure: Callable[[], Figure], sources: Sequence[str] = ()) -> None:
+    """Write a table to .csv files, and its picture of ``sources`` to .png files, with mode 0600."""
     from ..map_figures import as_png
     from ..recordings.durable_files import write_all_durably
 
     write_all_durably({path: _as_csv(columns, rows) if path.suffix.lower() == '.csv' else
-                       as_png(figure()) for path in paths})
+                       as_png(figure(), path.name, sources) for path in paths})
 
 
 def _as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:

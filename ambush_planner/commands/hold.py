@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 import argparse
-from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
-from ..colours import AMBUSHER
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .planner_parser import planner_parser
+from .planner_parser import planner_parser, source_names
 from .positions import Position, places_on
 
 if TYPE_CHECKING:
@@ -19,9 +17,6 @@ if TYPE_CHECKING:
     from ..maps.risk_map import RiskMap
     from ..planning.holding import Held, Holding
 
-# Held places in the picture: a green that is none of the routes'.
-HELD = '#35c48c'
-NAME_WIDTH = 12  # characters in a line below the curve
 EPILOG = """\
 PLACES has points with a name: a CSV file with name, and x, y or lat, lon, or a vector file.
 The table (.csv) has a row for each place, the picture (.png) the places on the map.
@@ -73,7 +68,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
     write_table(arguments.output, columns, rows,
-                lambda: hold_figure(found, arguments.radius, risk_map))
+                lambda: _picture(found, arguments.radius, risk_map), source_names(arguments))
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
     if not found.complete:
         console.warn(f'time is up after {limit:g} s: the last place is the best of those tried; '
@@ -82,6 +77,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     console.result['files'] = console.secret(arguments.output)
     sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
+
+
+def _picture(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
+    from .hold_figure import hold_figure  # the table needs no matplotlib
+
+    return hold_figure(found, radius, risk_map)
 
 
 def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
@@ -115,44 +116,6 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
     console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
     console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows,
                       'complete': found.complete}
-
-
-def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
-    """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
-    import numpy as np
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
-
-    from .. import figures, map_figures
-
-    lines = 2 + len(map_figures.ground_key(risk_map))
-    heights = 6.1 + 0.3 * lines, 2.1
-    figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
-    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=heights))
-    figures.draw_strategy(overview, found.strategies[-1], risk_map)
-    held = f'{cli.count(len(found.steps), "place")} held (green)'
-    overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
-                     linespacing=1.4)
-    for step in found.steps:
-        overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
-    points = np.array([step.xy for step in found.steps]).reshape(-1, 2)
-    apart = figures.BADGE * float(np.ptp(overview.get_xlim()))
-    spots = figures.free_spots(points, figures.marks_of(found.strategies[-1]), apart)
-    for k, spot in enumerate(spots):
-        figures.number_badge(overview, k + 1, points[k], HELD, spot)
-    style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
-    curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
-               label='lower bound', **style)
-    curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
-    names = [fill(f'{number} {step.name}', NAME_WIDTH)
-             for number, step in enumerate(found.steps, 1)]
-    curve.set_xticks(range(len(found.strategies)), ['0', *names])
-    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
-              ylabel='mean loss\nby the best ambush')
-    curve.grid(color='0.92')
-    curve.legend(frameon=False)
-    return figure
 
 
 def read_places(source: str, risk_map: RiskMap) -> dict[str, tuple[float, float]]:

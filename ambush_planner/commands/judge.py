@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InvalidOption
 from ..words import distance, percent
 from . import cli, readers
-from .planner_parser import planner_parser
+from .planner_parser import planner_parser, source_names
 from .positions import places_on
 
 if TYPE_CHECKING:
@@ -91,7 +91,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting('solving the game'), warnings.catch_warnings():
         warnings.simplefilter('ignore')  # rounding at values of 0
         habits = judge(risk_map, trips, planning)
-    write_all_durably({output: as_png(judge_figure(habits, risk_map))})
+    write_all_durably({output: as_png(judge_figure(habits, risk_map), output.name,
+                                      source_names(arguments))})
     _tell(habits, risk_map, console)
     for text in concerns(habits.plan, lambda xy: arguments.start[0].like(xy, risk_map)):
         console.warn(text)

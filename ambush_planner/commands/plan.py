@@ -16,7 +16,7 @@ from ..route_files import PLAN, SUFFIXES
 from ..words import distance, duration, over_legs, percent
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .planner_parser import WORDS, planner_parser
+from .planner_parser import WORDS, planner_parser, source_names
 from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
@@ -137,6 +137,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     output = quick if refused else arguments.output
     drawn = (FewDrawn(plan.trip, risk_map, few.paths, (), few) if few else
              draw(plan, arguments.departures if quick else 0, rng))
+    drawn = replace(drawn, sources=source_names(arguments))
     if day:
         slots = () if few else [day.drawn(rng) for _ in drawn.paths]
         drawn = replace(drawn, slots=slots, covered=day.covered)

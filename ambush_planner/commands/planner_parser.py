@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 from .cli import existing, new_parser
 from .positions import add_crs, add_places
@@ -52,6 +53,13 @@ def planner_parser(command: str, description: str, epilog: str, details: str, us
     _add_options(parser, hidden)
     add_crs(parser)
     return parser
+
+
+def source_names(arguments: argparse.Namespace) -> list[str]:
+    """The names of the files that the arguments name: map, roads, tracks and candidates."""
+    named = [str(arguments.map), arguments.roads, *getattr(arguments, 'tracks', ()),
+             getattr(arguments, 'candidates', None)]
+    return [Path(each).name for each in named if each]
 
 
 def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:

@@ -88,7 +88,8 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     if arguments.source.suffix.lower() != '.npz':
         cli.require(('pyproj', 'rasterio'))
     grid = terrain_of(arguments, arguments.source, arguments.roads, console)
-    picture = as_png(layers_figure(grid.risk_map(), ()))
+    picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
+                     [arguments.source.name])
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
@@ -97,6 +98,10 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     console.line(_summary(grid))
     unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
     return _told(files, grid.losses, [] if grid.crs else [unknown], console)
+
+
+def _picture_of(arguments: argparse.Namespace) -> Path:
+    return Path(arguments.output).with_suffix('.png')
 
 
 def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
@@ -112,7 +117,8 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     grid = occupancy_of(joined.risk_map)
     output = arguments.output
     files = _written(output, grid, 'Risk map from layers.',
-                     as_png(layers_figure(joined.risk_map, joined.layers)))
+                     as_png(layers_figure(joined.risk_map, joined.layers),
+                            _picture_of(arguments).name, [arguments.source.name]))
     files.insert(2, output.with_suffix('.npz'))
     files[2].write_bytes(npz_bytes(joined.risk_map))
     files.append(list_sources(files, [arguments.source, *layer_files(
