@@ -189,16 +189,15 @@ def test_a_dry_run_is_a_training_on_card_and_receiver(road_plan, tmp_path):
 
 def test_one_of_few_routes(tmp_path):
     """Without a speed there are no times."""
-    start, stop, goal = (12.5, 147.5), (180.0, 260.0), (387.5, 152.5)
+    start, goal = (12.5, 147.5), (387.5, 152.5)
     ground = risk_from_occupancy(occupancy(), 5.0)
     options = PlanningOptions(network=plain_options(spacing=20.0), game=GameOptions(
         ambush_radius=25.0, secured_radius=0.0))
-    plan = plan_trip(ground, start, goal, options, stops=[stop], routes=3, rng=1)
+    plan = plan_trip(ground, start, goal, options, routes=3, rng=1)
     plan.save(tmp_path / 'few.plan', n=0)
     page, rows = written(tmp_path / 'few.plan', tmp_path, '--route', 1)
     places = np.array([row[1].split() for row in rows], float)
     assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
-    assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
     assert 'No area on the way is secured' in page and len(rows[0]) == 5 and 'km/h' not in page
     count = len(plan.few.paths)
     for options, words in (('', 'name a route with --route N'),
@@ -236,7 +235,8 @@ def test_a_card_fits_one_page_of_a4_and_of_letter(turns, tables, tmp_path):
     route = np.arange(turns + 2)
     network = Network(points[route], np.r_[0.0, np.ones(turns), 0.0], list(pairwise(route)), 0,
                       turns + 1)
-    made = card_page.card_of(network.points, ground, solve(network), (network, route), roads,
+    trip = solve(network).alone
+    made = card_page.card_of(network.points, ground, trip, (trip, (route,)), roads,
                              ('Depot', 'Camp'), 30.0, '06:00', 'Departure 7', '2030-07-01', 'UTC')
     page = card_page.card_page(made, Console('card', as_json=False, quiet=True))
     assert page.count('<table>') == tables and len(rows_of(page)) == turns + 2

@@ -3,6 +3,7 @@
 
 import csv
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.tables import InvalidFeatures
 from ambush_planner.planning import holding
-from ambush_planner.planning.solving import solve_on_network
+from ambush_planner.planning.solving import Ground
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
@@ -117,13 +118,14 @@ def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, ste
     """The clock ends it after some games; each has the time that is left of one limit."""
     limits = []
 
-    def until_then(risk_map, network, options, warm=None):
-        if len(limits) == games:
-            raise TimeLimit('the time is up')
-        limits.append(options.strategy.time_limit)
-        return solve_on_network(risk_map, network, options, warm)
+    class UntilThen(Ground):
+        def solve(self, networks, end, warm=None):
+            if len(limits) == games:
+                raise TimeLimit('the time is up')
+            limits.append(end - time.monotonic())
+            return super().solve(networks, end, warm)
 
-    monkeypatch.setattr(holding, 'solve_on_network', until_then)
+    monkeypatch.setattr(holding, 'Ground', UntilThen)
     options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))
     found = places_to_hold(yard, START, GOAL, RADIUS, 2, options)
     assert not found.complete and len(found.steps) == steps
