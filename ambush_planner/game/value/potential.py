@@ -97,7 +97,6 @@ class Potential:
         self._joined, self._columns = (np.zeros(0, dtype=np.int64) for _ in range(2))
         self._up, self._site_column = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
         self._share_row = np.zeros((count, 0), dtype=np.int64)
-        self._points: list[_Point] = []
         self._blend = np.zeros((0, 0))  # (legs, points)
         self._flows = FaceFlows()
         self._face_first = np.cumsum([0, *(each.count for each in faces)])
@@ -107,6 +106,9 @@ class Potential:
                                                      strict=False)]
         self._start_with_links()
         self._potential = np.zeros(len(self._rows))
+        # The first point: the shortest routes, which are within all budgets.
+        used = np.array([leg.used_budget(self._potential) for leg in self._legs])
+        self._points = [_Point(self._potential, np.zeros((count, 0)), used)]
         self.add_sites(legs.entering, legs.loss)
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -140,8 +142,7 @@ class Potential:
             self._circulations = ()
             self.q = np.zeros(len(certain))
             self.q[certain.argmax()] = 1.0
-        if self._points:
-            self._mix()
+        self._mix()
 
     def tighten(self, gap: float) -> None:
         """Let the next ``solve`` find z to another relative gap."""
@@ -397,12 +398,8 @@ class Potential:
         lp = highs.LP(np.append(np.zeros(size), 1.0), csr_matrix(np.vstack((sites, budgets))),
                       np.append(np.zeros(len(rows)), np.ones(count)), one, np.ones(count))
         try:
-            result = highs.run(lp, 'interior_point', np.inf, False, self._precision / 4.0)
+            result = highs.run(lp, 'simplex', np.inf)
         except SolverFailed:
-            return
-        if result.status == highs.INFEASIBLE:  # until potentials keep all budgets
-            if len(points) > POTENTIAL.points:
-                self._points = points[-POTENTIAL.points :]
             return
         shares = np.maximum(result.x[:-1], 0.0).reshape(count, -1)
         shares /= shares.sum(axis=1, keepdims=True)
