@@ -13,6 +13,7 @@ from itertools import islice, pairwise
 
 import networkx
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -162,10 +163,16 @@ def exact_value(network: Network) -> Fraction:
         return Fraction(0)
 
 
-def meets(network: Network, centres: np.ndarray, radius: float, secured: float) -> np.ndarray:
+def ends_of(network: Network, others: tuple[int, ...] = ()) -> np.ndarray:
+    """Positions (K, 2) of source and target, and of the ``others``, where other legs end."""
+    return np.unique(network.points[[network.source, network.target, *others]], axis=0)
+
+
+def meets(network: Network, centres: np.ndarray, radius: float, secured: float,
+          others: tuple[int, ...] = ()) -> np.ndarray:
     """(K, M): whether an edge comes into the disc of a centre, ``secured`` or more from all ends.
     """
-    edge, begin, end = exposed_parts(network, secured)
+    edge, begin, end = exposed_parts(network, secured, others)
     along, hit = end - begin, np.zeros((len(centres), len(network.edges)), bool)
     if not len(edge):
         return hit
@@ -182,9 +189,10 @@ def meets(network: Network, centres: np.ndarray, radius: float, secured: float) 
     return hit
 
 
-def exposed_parts(network: Network, secured: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def exposed_parts(network: Network, secured: float, others: tuple[int, ...] = ()
+                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The parts of edges ``secured`` or more from all ends: edges (K,), begins, ends (K, 2)."""
-    ends = np.unique(network.points[network.ends], axis=0)
+    ends = ends_of(network, others)
     start = network.points[network.tails]
     along = network.points[network.heads] - start
     length = np.hypot(*along.T)
@@ -209,25 +217,27 @@ def standing_places(risk_map: RiskMap, network: Network, secured: float,
     cells = np.stack((columns, rows), axis=1)[:, None] + offsets
     points = risk_map.to_world(cells.reshape(-1, 2) * risk_map.resolution)
     alpha = np.repeat(risk_map.alpha[rows, columns], len(offsets))
-    ends = np.unique(network.points[network.ends], axis=0)
+    ends = ends_of(network)
     outside = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) > secured
     return points[outside], alpha[outside]
 
 
-def may_wait(network: Network, secured: float) -> np.ndarray:
+def may_wait(network: Network, secured: float, others: tuple[int, ...] = ()) -> np.ndarray:
     """(N,): whether a node is outside the secured area and costs something."""
-    apart = np.linalg.norm(network.points[:, None] - network.points[network.ends], axis=2)
+    apart = np.linalg.norm(network.points[:, None] - ends_of(network, others), axis=2)
     return (network.alpha > 0.0) & ((apart > secured).all(axis=1) | (secured == 0.0))
 
 
-def reached(network: Network, reach: float, secured: float) -> np.ndarray:
+def reached(network: Network, reach: float, secured: float, others: tuple[int, ...] = ()
+            ) -> np.ndarray:
     """(N, M): whether an edge comes into reach of a node outside the secured area, and counts.
 
     Without a reach, it has to lead to the node.
     """
     if reach == 0.0:
         return np.arange(len(network.points))[:, None] == network.heads
-    return meets(network, network.points, reach, secured) & may_wait(network, secured)[:, None]
+    met = meets(network, network.points, reach, secured, others)
+    return met & may_wait(network, secured, others)[:, None]
 
 
 def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
@@ -345,6 +355,33 @@ def least_value(losses: np.ndarray, limits=()) -> float | None:
     return float(found.fun) if found.status == 0 else None
 
 
+def trip_value(alpha: np.ndarray, networks: Sequence[Network], hits: Sequence[np.ndarray],
+               limits: Sequence[float]) -> float:
+    """Least value of any mixtures of routes of the legs, drawn one by one, as one linear program.
+
+    ``hits`` (N, M) of each leg; a route counts once at each node of loss ``alpha`` (N,). Mean
+    lengths are within the ``limits`` of the legs.
+    """
+    columns, lengths, leg = [], [], []
+    for k, (network, near) in enumerate(zip(networks, hits, strict=True)):
+        for route in routes_of(network):
+            columns.append(alpha * near[:, route].any(axis=1))
+            lengths.append(network.lengths[route].sum())
+            leg.append(k)
+    one = (np.arange(len(networks))[:, None] == leg).astype(float)
+    rows = [np.column_stack((np.array(columns).T, -np.ones(len(alpha))))]
+    most = [np.zeros(len(alpha))]
+    for own, limit in zip(one, limits, strict=True):
+        if np.isfinite(limit):
+            rows.append(np.append(own * lengths, 0.0)[None])
+            most.append(np.array([limit]))
+    found = linprog(np.append(np.zeros(len(leg)), 1.0), np.vstack(rows), np.concatenate(most),
+                    np.column_stack((one, np.zeros(len(one)))), np.ones(len(one)),
+                    method='highs-ds')
+    assert found.status == 0, found.message
+    return float(found.fun)
+
+
 def value_is_right(network: Network, value: float, budget: float, slack: float = 0.0) -> bool:
     """Whether a correct solver may find this value within 2e-7 of the budget [m].
 
@@ -382,6 +419,14 @@ def is_acyclic(network: Network, p: np.ndarray) -> bool:
     """Whether the edges with p > 0 form no cycle."""
     graph = networkx.DiGraph(network.edges[p > 0.0].tolist())
     return networkx.is_directed_acyclic_graph(graph)
+
+
+def check_unit_flow(network: Network, p: np.ndarray) -> None:
+    """p (M,) is one unit of flow from source to target, without cycles."""
+    assert p.min() >= 0.0 and p.max() <= 1.0 + 1e-12
+    assert unbalanced(network, p) < 1e-8
+    assert connected_flow(network, p) == pytest.approx(1.0, abs=1e-7)
+    assert is_acyclic(network, p)
 
 
 def connected_flow(network: Network, p: np.ndarray) -> float:
