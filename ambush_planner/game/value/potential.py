@@ -48,6 +48,7 @@ class PotentialSearch(NamedTuple):
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
     points: int = 16  # most potentials of which mixtures are made
     near: float = 0.5  # share of the value below which a site's largest loss is left out of these
+    follow: float = 0.8  # how far the legs' weights go towards the prices of a mixture at once
     stalls: int = 8  # rounds without a better value or bound after which a search ends
 
 
@@ -385,8 +386,8 @@ class Potential:
         """
         count, points = len(self._legs), self._points
         losses = self._loss * np.stack([point.hits for point in points], axis=1)  # legs, points, S
-        near = losses.max(axis=1).sum(axis=0)
-        rows = np.flatnonzero(near >= POTENTIAL.near * near.max(initial=0.0))
+        near, value = losses.max(axis=1).sum(axis=0), losses.sum(axis=0).max(axis=1, initial=0.0)
+        rows = np.flatnonzero(near >= POTENTIAL.near * value.min())
         used = np.stack([point.used for point in points], axis=1)
         size = used.size
         unit = float(near.max(initial=0.0)) or 1.0
@@ -410,7 +411,7 @@ class Potential:
         self._points = [point for point, keep in zip(points, kept, strict=True) if keep]
         self._blend = shares[:, kept]
         if count > 1 and prices.any():
-            self._weights = (self._weights + prices / prices.sum()) / 2.0
+            self._weights += POTENTIAL.follow * (prices / prices.sum() - self._weights)
             for leg, weight in zip(self._legs, self._weights, strict=True):
                 self._flows.change_limits(leg.columns, weight * leg.capacity[leg.real])
 
