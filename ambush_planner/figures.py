@@ -29,7 +29,7 @@ from .maps.risk_map import RiskMap
 from .routes.shared_roads import stripes
 
 if TYPE_CHECKING:
-    from .game.strategy import Strategy
+    from .game.strategy import TripStrategy
 
 PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
 # Minimum probability of edges in pictures, and of sites relative to the likeliest one.
@@ -53,7 +53,7 @@ NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
                  label='the convoy may drive here: the wider, the likelier')
 
 
-def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
+def draw_ground(axes: Axes, trip: TripStrategy, risk_map: RiskMap, title: str,
                 small: bool = False) -> AxesImage:
     """Draw the map with start, stops, goal and secured area of a strategy.
 
@@ -64,8 +64,8 @@ def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str,
         axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
         image = draw_risk_map(axes, risk_map)
     else:
-        image = draw_map(axes, risk_map, title, avoid=places_of(strategy))
-    draw_ends(axes, strategy, named=not small, size=0.5 if small else 1.0)
+        image = draw_map(axes, risk_map, title, avoid=places_of(trip))
+    draw_ends(axes, trip, named=not small, size=0.5 if small else 1.0)
     return image
 
 
@@ -82,11 +82,11 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     return LogNorm(MIN_PROBABILITY, max(largest, 2.0 * MIN_PROBABILITY), clip=True)
 
 
-def draw_network(axes: Axes, strategy: Strategy, below_routes: bool = False) -> LineCollection:
+def draw_network(axes: Axes, trip: TripStrategy, below_routes: bool = False) -> LineCollection:
     """Draw how likely the convoy drives where; below routes in one pale colour."""
-    network = strategy.network
+    edges, p = trip.ground_uses
     pale = {'cmap': ListedColormap([colours.NETWORK])} if below_routes else {}
-    return draw_segments(axes, network.points[network.edges], strategy.shown_probability, **pale)
+    return draw_segments(axes, trip.game.network.points[edges], p, **pale)
 
 
 def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
@@ -104,23 +104,23 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
     return lines
 
 
-def draw_ends(axes: Axes, strategy: Strategy, named: bool = True, size: float = 1.0) -> None:
-    """Mark start, stops and goal of a strategy's network, and its secured area.
+def draw_ends(axes: Axes, trip: TripStrategy, named: bool = True, size: float = 1.0) -> None:
+    """Mark start, stops and goal of a trip, and its secured area.
 
     ``size`` is that of the marks, as a share of the usual area.
     """
-    options = strategy.game.options
+    options = trip.game.options
     held = [(x, y) for x, y, _ in options.held_places]
-    draw_places(axes, places_of(strategy), options.secured_distance, named, size,
-                np.array([*held, *sites_of(strategy)[0]]))
+    draw_places(axes, places_of(trip), options.secured_distance, named, size,
+                np.array([*held, *sites_of(trip)[0]]))
     for x, y, radius in options.held_places:
         _circle(axes, (x, y), radius)
 
 
-def places_of(strategy: Strategy) -> FloatArray:
-    """Start, stops and goal (P, 2) of a strategy's network."""
-    network = strategy.network
-    return network.points[[network.source, *network.stops, network.target]]
+def places_of(trip: TripStrategy) -> FloatArray:
+    """Start, stops and goal (P, 2) [m]."""
+    nodes = [trip.legs[0].network.source, *(leg.network.target for leg in trip.legs)]
+    return trip.game.network.points[nodes]
 
 
 def draw_places(axes: Axes, places: FloatArray, secured_distance: float, named: bool = True,
@@ -232,55 +232,58 @@ def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str,
                                   'edgecolor': colour, 'linewidth': 1.6})
 
 
-def draw_sites(axes: Axes, strategy: Strategy) -> None:
+def draw_sites(axes: Axes, trip: TripStrategy) -> None:
     """Draw where the ambusher waits, each dot's area in proportion to its probability."""
-    places, shares = sites_of(strategy)
+    places, shares = sites_of(trip)
     axes.scatter(*places.T, s=np.maximum(110.0 * shares, 6.0), color=colours.AMBUSHER,
                  edgecolors='white', linewidths=0.3 + 0.4 * np.sqrt(shares), zorder=8)
 
 
-def sites_of(strategy: Strategy) -> tuple[FloatArray, FloatArray]:
+def sites_of(trip: TripStrategy) -> tuple[FloatArray, FloatArray]:
     """Where the ambusher waits (K, 2), and how likely (K,) relative to the likeliest place."""
-    network, q = strategy.network, strategy.ambush_at_places
+    q = trip.ambusher.q
     shown = np.flatnonzero(q > MIN_SITE * q.max())
-    return network.points[network.representatives[shown]], q[shown] / q.max()
+    return trip.game.network.points[shown], q[shown] / q.max()
 
 
-def marks_of(strategy: Strategy) -> FloatArray:
+def marks_of(trip: TripStrategy) -> FloatArray:
     """What numbers must not cover (K, 2): start, stops, goal, and the likelier ambush sites."""
-    sites, shares = sites_of(strategy)
-    return np.concatenate((places_of(strategy), sites[shares > 0.1]))
+    sites, shares = sites_of(trip)
+    return np.concatenate((places_of(trip), sites[shares > 0.1]))
 
 
-def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,
-                  routes: Sequence[FloatArray] = ()) -> Axes:
-    """Draw a strategy on its map, or alone, with ambush sites; on new axes of pyplot if None."""
+def draw_strategy(axes: Axes | None, trip: TripStrategy, risk_map: RiskMap | None = None,
+                  routes: Sequence[FloatArray] = (), covered: float = 1.0) -> Axes:
+    """Draw a trip's strategies on their map, or alone, with ambush sites; None: on new axes.
+
+    ``covered`` is the share of departures that an ambush at one of the times covers.
+    """
     if axes is None:
         from matplotlib import pyplot
 
         _, axes = pyplot.subplots(figsize=(WIDTH, 6.2), layout='compressed')
     figure = axes.figure
-    longer = strategy.expected_length / strategy.shortest_length
-    title = (f'The best ambush causes a mean loss of {strategy.value:#.3g}\n'
+    longer = trip.expected_length / trip.shortest_length
+    title = (f'The best ambush causes a mean loss of {trip.value * covered:#.3g}\n'
              f'Along the network, routes are on average {longer:.2f} times the shortest')
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []
     if risk_map is not None:
-        risk_bar(figure, draw_ground(axes, strategy, risk_map, title), axes, **bars)
+        risk_bar(figure, draw_ground(axes, trip, risk_map, title), axes, **bars)
         key = ground_key(risk_map)
     else:
         axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
-        draw_ends(axes, strategy)
-    edges = draw_network(axes, strategy, below_routes=bool(routes))
+        draw_ends(axes, trip)
+    edges = draw_network(axes, trip, below_routes=bool(routes))
     if routes:
-        lines = draw_routes(axes, routes, marks_of(strategy))
+        lines = draw_routes(axes, routes, marks_of(trip))
         key = [NETWORK, lines, *key]
     else:
         probability_bar(figure, edges, axes, **bars)
-    if strategy.value > 0.0:
-        draw_sites(axes, strategy)
+    if trip.value > 0.0:
+        draw_sites(axes, trip)
         key = [SITES, *key]
-    if strategy.game.secured.radii.max(initial=0.0) > SEEN * np.ptp(axes.get_xlim()):
+    if trip.game.secured.radii.max(initial=0.0) > SEEN * np.ptp(axes.get_xlim()):
         key = [*key, SECURED_AREA]
     drawn = f'{len(routes)} route{"s" * (len(routes) != 1)} drawn'
     axes.legend(key, [drawn if isinstance(each, tuple) else each.get_label() for each in key],

@@ -19,7 +19,7 @@ import numpy as np
 
 from .arrays import FloatArray
 from .errors import InvalidOption
-from .game.strategy import Strategy
+from .game.strategy import TripStrategy
 from .maps.coordinates import WGS84, InvalidCoordinates
 from .maps.risk_map import RiskMap
 from .planning.plan import Plan
@@ -44,17 +44,19 @@ _STRAIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``, perhaps each for a slot.
+    """Paths (L, 2 or 3) [m] drawn from a trip's strategies at ``times``, perhaps for slots.
 
-    Without ``labels``, they are named by their numbers and slots.
+    Without ``labels``, they are named by their numbers and slots. ``covered`` is the share of
+    departures that an ambush at one of the times covers, if these are drawn.
     """
 
-    strategy: Strategy
+    trip: TripStrategy
     risk_map: RiskMap
     paths: Sequence[FloatArray]
     times: Sequence[datetime]
     slots: Sequence[str] = field(default=(), kw_only=True)
     labels: Sequence[str] = field(default=(), kw_only=True)
+    covered: float = field(default=1.0, kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -76,7 +78,7 @@ class Drawn:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
-        return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map)}
+        return {'routes': self.routes, **strategy_tables(self.trip, self.risk_map)}
 
     def picture(self) -> Figure:
         """Draw map, strategy and routes."""
@@ -86,8 +88,8 @@ class Drawn:
         from .map_figures import WIDTH
 
         figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
-        draw_strategy(figure.subplots(), self.strategy, self.risk_map,
-                      [path[:, :2] for path in self.paths])
+        draw_strategy(figure.subplots(), self.trip, self.risk_map,
+                      [path[:, :2] for path in self.paths], self.covered)
         return figure
 
 
@@ -97,7 +99,7 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | int | None = None) -> Dr
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
     times = [datetime.now(timezone.utc)] * n
-    return Drawn(plan.strategy, plan.own_map, plan.paths(n, rng), times)
+    return Drawn(plan.drawn_from, plan.own_map, plan.paths(n, rng), times)
 
 
 def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | None = None) -> None:

@@ -25,7 +25,7 @@ from PIL import Image
 from ambush_planner import GameOptions, PlanningOptions, figures, map_figures, plan_trip
 from ambush_planner.arrays import IndexArray
 from ambush_planner.colours import AMBUSHER, PROBABILITY
-from ambush_planner.game.hits import largest_losses
+from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
@@ -75,36 +75,34 @@ def ground(demo: Section) -> RiskMap:
 def strategy(demo: Section) -> Figure:
     """Where the convoy drives and where the ambusher waits."""
     figure = Figure((6.4, 6.6), layout='compressed')
-    figures.draw_strategy(figure.subplots(), demo.strategy, ground(demo))
+    figures.draw_strategy(figure.subplots(), demo.trip, ground(demo))
     return figure
 
 
 def routes(demo: Section) -> Figure:
     """The demo's own picture."""
     paths = [each.path_poses[:, :2] for each in demo.departures[-8:]]
-    fixed = demo_figures.fixed_routes(demo.strategy)
-    return demo_figures.routes_figure(ground(demo), demo.strategy, paths, fixed)
+    fixed = demo_figures.fixed_routes(demo.trip.legs[0])
+    return demo_figures.routes_figure(ground(demo), demo.trip, paths, fixed)
 
 
 def trip(demo: Section) -> Figure:
-    """One strategy over all legs on the left, departures on the right."""
+    """The strategies of all legs on the left, departures on the right."""
     risk_map = ground(demo)
     plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS)
-    network = plan.network
-    known = evaluate(plan.strategy)['energy_efficient'].v_repeated
+    known = evaluate(plan)['energy_efficient'].v_repeated
     figure = Figure((map_figures.WIDTH, 5.7), layout='compressed')
     left, right = figure.subplots(1, 2)
     for axes, title in (
-        (left, f'One strategy over {network.legs} legs: mean loss {plan.strategy.value:.2f}\n'
+        (left, f'{len(plan.legs)} legs, each drawn on its own: mean loss {plan.value:.2f}\n'
                f'(the shortest trip, once known: {known:.2f})'),
         (right, f'{TRIPS_SHOWN} departures'),
     ):
-        risk = figures.draw_ground(axes, plan.strategy, risk_map, title)
-    edges = figures.draw_segments(left, network.points[network.edges],
-                                  plan.strategy.shown_probability)
-    figures.draw_sites(left, plan.strategy)
+        risk = figures.draw_ground(axes, plan.trip, risk_map, title)
+    edges = figures.draw_network(left, plan.trip)
+    figures.draw_sites(left, plan.trip)
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
-    figures.draw_routes(right, [path[:, :2] for path in paths], figures.places_of(plan.strategy))
+    figures.draw_routes(right, [path[:, :2] for path in paths], figures.places_of(plan.trip))
     right.label_outer()
     figures.probability_bar(figure, edges, left, location='bottom', shrink=0.9)
     map_figures.risk_bar(figure, risk, right, location='bottom', shrink=0.9)
@@ -117,9 +115,9 @@ class Panel:
     """One half of the moving picture: a convoy that drives every day, and its ambusher."""
 
     def __init__(self, axes: Axes, demo: Section, title: str) -> None:
-        self.axes, self.game = axes, demo.strategy.game
+        self.axes, self.game = axes, demo.trip.game
         self.points = self.game.network.points
-        figures.draw_ground(axes, demo.strategy, demo.risk_map, title)
+        figures.draw_ground(axes, demo.trip, demo.risk_map, title)
         axes.set(xticks=[], yticks=[], ylabel='')
         self.text = axes.set_xlabel(' \n ', fontsize=10, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
@@ -173,7 +171,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
 
     Both panels use the game's own hits; the routes and the ambusher's places come from seed 1.
     """
-    chosen, rng = demo.strategy, np.random.default_rng(1)
+    (chosen,), rng = demo.trip.legs, np.random.default_rng(1)
     figure = Figure((map_figures.WIDTH, 5.0), dpi=PIXELS / map_figures.WIDTH, layout='constrained')
     left, right = (
         Panel(axes, demo, title) for axes, title in zip(figure.subplots(1, 2), (
@@ -187,7 +185,8 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     figure.draw_without_rendering()
     figure.set_layout_engine('none')  # labels near the edge would move the panels
     same = energy_efficient_route(chosen.game)
-    worst = int(largest_losses(chosen.game, route_strategy(chosen.network, same))[1][0])
+    game, law = chosen.game, law_of(chosen.game, route_strategy(chosen.network, same))
+    worst = largest_product(game.loss[game.sites], game.entering, law)[1]
     q = chosen.ambush_probability[chosen.game.sites]
     frames, times = [], []
 

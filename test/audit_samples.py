@@ -40,11 +40,11 @@ def parameters(**changes):
 
 
 @cache
-def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
+def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0, held=()):
     risk_map = risk_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
         network=plain_options(spacing=SPACING),
-        game=GameOptions(ambush_radius=reach, secured_radius=SECURED),
+        game=GameOptions(ambush_radius=reach, secured_radius=SECURED, held_places=held),
         strategy=StrategyOptions(solver=solver),
     )
     return plan_trip(risk_map, start, GOAL, options)
@@ -56,7 +56,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, entries=(), stamp
 
     ``changes`` are the bytes of a map_changes.npz.
     """
-    strategy = strategy_file(a_plan.strategy) if strategy is None else strategy
+    strategy = strategy_file(a_plan.trip) if strategy is None else strategy
     stamp = START_NS + number * DAY_NS if stamp_ns is None else stamp_ns
     poses = np.column_stack((a_plan.network.points[route], np.zeros(len(route))))
     risk_map = risk_from_occupancy(occupancy(hill), 5.0)
@@ -66,7 +66,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, entries=(), stamp
     metadata = metadata_entries() | {
         'departure_id': f'00000000-0000-4000-8000-{number:012d}', 'departure': number,
         'parameters': parameters(), 'trip': {'start': start, 'goal': GOAL, 'stops': []},
-        'ends': [start, GOAL], 'route': [int(node) for node in route],
+        'ends': [start, GOAL], 'value': a_plan.value, 'route': [[int(node) for node in route]],
         'route_entropy_source': [source(number)], 'call': new_route_call(stamp), **dict(entries),
     }
     files = {'strategy.npz': strategy, 'map_changes.npz': changes}

@@ -109,10 +109,10 @@ def metadata_entries():
     return {
         'departure_id': 'a5c0', 'departure': 1, 'frame': 'map',
         'versions': {'ambush_planner': '0.1.0', 'python': '3.12.3'},
-        'parameters': {'seed': -1}, 'topics': INPUTS, 'route': [0, 1],
+        'parameters': {'seed': -1}, 'topics': INPUTS, 'route': [[0, 1]],
         'route_entropy_source': [2**255 + 1],
         'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': []},
-        'ends': [[1.5, 2.5], [3.0, 4.0]], 'joined': False,
+        'ends': [[1.5, 2.5], [3.0, 4.0]], 'joined': False, 'value': 0.0,
         'call': new_route_call(START_NS),
     }
 

@@ -10,8 +10,11 @@ import pytest
 from games import paper_example, terrain_network
 from scipy.stats import binom
 
-from ambush_planner import GameOptions, Network, Strategy, StrategyOptions, solve
+from ambush_planner import GameOptions, Network, StrategyOptions, solve
+from ambush_planner.game.game import make_games
 from ambush_planner.game.route_sampler import RouteSampler
+from ambush_planner.game.solver import solve_legs
+from ambush_planner.game.strategy import TripStrategy
 from ambush_planner.recordings.audit import MIN_DEPARTURES, NotAuditable, audit
 from ambush_planner.recordings.metadata import RecordedSlots
 
@@ -21,9 +24,22 @@ FALSE_ALARM = 1e-6
 
 @dataclass
 class Departure:
-    drawn_from: Strategy
-    route: np.ndarray
+    drawn_from: TripStrategy
+    route: tuple[np.ndarray, ...]
     drawn_slot: tuple[str, RecordedSlots] | None = None
+
+    @property
+    def covered(self):
+        return self.drawn_slot[1].covered if self.drawn_slot else 1.0
+
+    @property
+    def value(self):
+        return self.drawn_from.value * self.covered
+
+
+def departed(strategy, route, slot=None):
+    """A departure on a single leg."""
+    return Departure(strategy.alone, (np.asarray(route),), slot)
 
 
 @pytest.fixture(scope='module')
@@ -48,7 +64,7 @@ def two_ways():
 
 
 def run(strategy, routes, **options):
-    return audit([Departure(strategy, np.asarray(route)) for route in routes], **options)
+    return audit([departed(strategy, route) for route in routes], **options)
 
 
 def drawn(strategy, count, seed):
@@ -96,24 +112,24 @@ def test_planners_that_do_not_follow_the_strategy_are_found(terrain, planner, op
 def test_two_strategies_are_tested_each_under_its_own_distribution(terrain, paper):
     other = solve(terrain.network, options=StrategyOptions(max_detour=1.05))
     three = (terrain, paper, other)
-    honest = [Departure(s, route) for s in three for route in drawn(s, 20, 8)]
+    honest = [departed(s, route) for s in three for route in drawn(s, 20, 8)]
     result = audit(honest)
     assert (result.departures, result.strategies) == (60, 3) and not result.finding
     assert result.value == pytest.approx(
         (19 * terrain.value + 20 * paper.value + 20 * other.value) / 59
     )
     assert result.expected.sum() == pytest.approx(20 * sum(s.edge_probability.sum() for s in three))
-    wrong = [Departure(terrain, route) for route in drawn(other, 60, 8)]
+    wrong = [departed(terrain, route) for route in drawn(other, 60, 8)]
     assert audit([*honest, *wrong]).finding
 
 
 def test_times_of_departure_follow_their_shares_or_are_a_finding(terrain):
     """Honest draws of routes, with honest times or with 08:00 every time."""
-    slots = RecordedSlots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1, 1.0, 1.0)
+    slots = RecordedSlots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1)
     routes, rng = drawn(terrain, 20, 3), np.random.default_rng(4)
     fair = [(slots.times[k], slots) for k in rng.choice(4, 20)]
     for times, finding in ((fair, False), ([('08:00', slots)] * 20, True)):
-        result = audit([Departure(terrain, route, slot)
+        result = audit([departed(terrain, route, slot)
                         for route, slot in zip(routes, times, strict=True)])
         assert result.finding == finding, result.p_value
 
@@ -133,8 +149,8 @@ def test_too_few_departures_and_strategies_with_cycles_are_not_audited(paper):
                       [(0, 1), (1, 2), (2, 1), (1, 3)], 0, 3)
     cyclic = solve(network)
     object.__setattr__(cyclic, 'edge_probability', np.array([1.0, 0.5, 0.5, 1.0]))
-    departures = [Departure(paper, route) for route in drawn(paper, 6, 1)]
-    departures.insert(3, Departure(cyclic, np.array([0, 1, 3])))
+    departures = [departed(paper, route) for route in drawn(paper, 6, 1)]
+    departures.insert(3, departed(cyclic, [0, 1, 3]))
     result = audit(departures)
     assert (result.departures, result.left_out, result.strategies) == (6, 1, 1)
 
@@ -148,6 +164,23 @@ def test_an_observer_by_hand(two_ways):
     assert result.observer_losses.tolist() == [0.0, 0.0, 2.0, 2.0, 0.0]
     assert result.observer_loss == pytest.approx(0.8)
     assert result.value == pytest.approx(1.2, rel=1e-5)
+
+
+def test_legs_of_a_trip_are_audited_together(two_ways):
+    """There and back by hand: he waits where both legs passed together cost most so far."""
+    back = Network(two_ways.network.points, two_ways.network.alpha,
+                   two_ways.network.edges[:, ::-1], 3, 0)
+    trip = solve_legs(make_games((two_ways.network, back), GameOptions()), StrategyOptions())
+    ways = [(1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (2, 2)]
+    result = audit([Departure(trip, (np.array([0, out, 3]), np.array([3, home, 0])))
+                    for out, home in ways])
+    # He waits at 1 (4), 1 (6 > 3), 2 (9 > 6), 2 (12 > 8), 2 (12 = 12, or 1).
+    assert result.observer_losses[:4].tolist() == [2.0, 0.0, 3.0, 0.0]
+    assert result.observer_losses[4] in (0.0, 6.0)
+    assert (result.departures, result.strategies, result.impossible) == (6, 1, 0)
+    assert result.expected.sum() == pytest.approx(6 * 2 * 2) and not result.finding
+    swapped = audit([Departure(trip, (np.array([3, 1, 0]), np.array([0, 1, 3])))] * 5)
+    assert swapped.impossible == 5 * 2 * (2 + 2) and swapped.finding
 
 
 def test_watching_honest_draws_brings_about_the_value():

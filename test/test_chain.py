@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """P(hit) of a Markov chain and its derivatives, against the enumeration of all routes."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from games import examples, planar_network, routes_of
@@ -14,6 +17,7 @@ from ambush_planner.game.distribution.chain import MarkovChain
 from ambush_planner.game.distribution.gibbs import acyclic_network
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import hit_probabilities
+from ambush_planner.game.value.face_flows import quiet_model
 from ambush_planner.network.network import Network
 
 
@@ -102,3 +106,24 @@ def test_without_scipys_product_in_place_the_chain_is_the_same(monkeypatch):
     slow_hits, slow_rows = chain.hits_with_derivatives(case.entering)
     assert slow_hits == pytest.approx(hits) and slow_hits.max() > 0.0
     assert slow_rows.toarray() == pytest.approx(rows.toarray())
+
+
+def test_private_parts_of_other_libraries_are_tried_before_they_are_used(monkeypatch):
+    """Of scipy's product: one that reads its input before it writes would be wrong in silence."""
+    assert triangular._goes_by_rows()
+
+    def reads_first(rows, columns, count, first, column, entries, x, y):
+        before = x.reshape(columns, count).copy()
+        for row in range(rows):
+            some = slice(first[row], first[row + 1])
+            y[row * count : (row + 1) * count] += entries[some] @ before[column[some]]
+
+    for changed in (reads_first, lambda: None):
+        monkeypatch.setattr(triangular, 'csr_matvecs', changed)
+        assert not triangular._goes_by_rows()
+    other = SimpleNamespace(Highs=type('Highs', (), {}))
+    assert quiet_model().__name__ != 'Highs'
+    monkeypatch.setitem(sys.modules, 'highspy', other)
+    quiet_model.cache_clear()
+    assert quiet_model() is other.Highs
+    quiet_model.cache_clear()

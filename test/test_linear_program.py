@@ -17,9 +17,11 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import OptimizeResult
 from scipy.sparse import csr_matrix
 
 from ambush_planner import Network, SolverFailed, StrategyOptions, TimeLimit, solve
+from ambush_planner.game.value import highs
 from ambush_planner.game.value.highs import LP, run
 
 ANY = np.inf
@@ -84,6 +86,12 @@ def test_the_interior_point_method_finds_the_shortest_routes(seed):
     strategy = solved(network, 'interior_point', max_detour=1.0)
     assert strategy.expected_length == pytest.approx(strategy.shortest_length, rel=1e-8)
     assert strategy.value == pytest.approx(solved(network, 'simplex', max_detour=1.0).value)
+
+
+def test_the_other_method_solves_what_one_ends_in_an_unknown_state(monkeypatch):
+    unknown = OptimizeResult(status=4, x=None, nit=0, message='model_status is Unknown')
+    monkeypatch.setattr(highs, '_interior_point', lambda *_: unknown)
+    assert solved(paper_example(), 'interior_point').value == pytest.approx(1 / 3, rel=1e-9)
 
 
 @pytest.mark.parametrize('solver', LINEAR)

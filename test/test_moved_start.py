@@ -150,9 +150,9 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     column, row = np.floor(rows[min(at + 15, len(rows) - 5), :2] / 0.25).astype(int)
     newest.values[row - 1:row + 1, column - 1:column + 1] = 100
     leg, ahead = trip.nodes_ahead(place)
-    found = other_rest(ground, newest, (place, GOAL), leg, ahead, rng, 0.1)
+    found = other_rest(ground, newest, (place, GOAL), leg, ahead, [seed], 0.1)
     assume(found is not None)
-    (rest,), path = found
+    (rest,), path = found.route, found.poses
     assert rest[0] == network.source and rest[1] in ahead
     assert rest[-1] == network.target
     used = {(tail, head) for tail, head, p in zip(
@@ -191,7 +191,7 @@ def test_a_departure_that_joined_its_plan_and_was_diverted_has_a_strategy():
     joined = joined_plan(ground, grid, (place, GOAL)).plan
     left = next(nodes for nodes in (joined.strategy.sample_route(rng) for _ in range(100))
                 if nodes[:2].tolist() not in known)
-    rest, _ = other_rest(ground, grid, (place, GOAL), 0, left[2:3], rng, 0.1)
+    rest = other_rest(ground, grid, (place, GOAL), 0, left[2:3], [3]).route
     (whole,) = whole_route((left,), rest)
     (strategy,) = rest_strategy(ground, grid, (whole,), rest).legs
     network, steps = strategy.network, set(pairwise(whole.tolist()))

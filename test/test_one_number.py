@@ -28,8 +28,8 @@ SET = ('--set', 'network.target_nodes=120', 'network.refine=0', 'game.ambush_rad
 @pytest.fixture(scope='module')
 def numbers():
     """Value and lower bound of the plan."""
-    strategy = plan_trip(read_risk_map(YARD), START, GOAL, OPTIONS).strategy
-    return strategy.value, strategy.lower_bound
+    plan = plan_trip(read_risk_map(YARD), START, GOAL, OPTIONS)
+    return plan.value, plan.lower_bound
 
 
 def same(number):
@@ -41,7 +41,7 @@ def test_python(numbers):
     (row,) = plan_trip(risk_map, START, GOAL, OPTIONS).frontier([1.2], [])
     with ThreadPoolExecutor(1) as pool:
         (solved,) = solve_many([Problem(risk_map, START, GOAL, OPTIONS)], pool)
-    read, _ = strategy_from_file(strategy_file(solved.answer.strategy), OPTIONS.game)
+    read, _ = strategy_from_file(strategy_file(solved.answer.trip), OPTIONS.game)
     for each in (row, solved.answer, read):
         assert (each.value, each.lower_bound) == same(numbers)
 

@@ -171,7 +171,7 @@ def test_header_metadata_record_and_attachments(tmp_path):
         (found,) = reader.iter_attachments()
     assert name == 'ambush_planner'
     read = {key: json.loads(text) for key, text in entries.items()}
-    assert read == {'format': 10, **metadata_entries()}
+    assert read == {'format': 11, **metadata_entries()}
     assert {found.name: found.data} == ATTACHMENTS and found.log_time == 0
 
 

@@ -32,7 +32,7 @@ from ambush_planner.recordings import (
     recordings_in,
     source_findings,
 )
-from ambush_planner.recordings.recorded_departure import conditioned, ground_of
+from ambush_planner.recordings.recorded_departure import ground_of
 from ambush_planner.recordings.recording_file import FORMAT, decode
 
 VERIFY = NO_ROS + """
@@ -225,7 +225,7 @@ def test_routes_that_are_still_clear_may_cost_less_than_the_bound_within_the_bud
     newest = replace(on, values=values.copy())
     newest.values[9:11, 15] = 100
     ground = ground_of(plan.strategy, on, OccupancyOptions(), plan.options, risk_map)
-    clear = conditioned(ground, newest)
+    clear = ground.drawn_from(newest)
     assert clear.lower_bound <= clear.value < 0.5 * plan.lower_bound
 
 

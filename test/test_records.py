@@ -37,8 +37,12 @@ from ambush_planner.game.tolerance import Reason
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.concerns import wide_gap
-from ambush_planner.recordings.attachments import NUMBERS, strategy_file, strategy_from_file
-from ambush_planner.recordings.metadata import RecordedSlots
+from ambush_planner.recordings.attachments import (
+    NUMBERS,
+    misstated,
+    strategy_file,
+    strategy_from_file,
+)
 
 OPTIONS = StrategyOptions(max_detour=1.3)
 
@@ -48,20 +52,25 @@ def check(record) -> None:
     assert 0.0 <= record.lower_bound <= record.value, record
 
 
-def check_strategy(strategy, options=OPTIONS) -> None:
-    """Order, reason, and lengths in the network's own unit."""
-    check(strategy)
-    network, close = strategy.network, strategy.value <= strategy.lower_bound * 1.01001
-    assert strategy.reason in get_args(Reason)
-    assert close == (strategy.reason == 'complete') or not strategy.value
-    cost = network.lengths if network.seconds is None else network.seconds
-    assert strategy.expected_length == pytest.approx(strategy.edge_probability @ cost)
-    assert network.travel_unit == ('m' if network.seconds is None else 's')
-    assert strategy.expected_length <= strategy.length_budget * (1.0 + 1e-6)
-    assert evaluate(strategy)['stochastic'].expected_length == strategy.expected_length
-    again, _ = strategy_from_file(strategy_file(strategy), strategy.game.options)
-    assert (again.reason, again.value) == (strategy.reason, pytest.approx(strategy.value))
-    check(again)
+def check_strategy(trip, options=OPTIONS) -> None:
+    """Order, reason, and lengths in the networks' own unit; a file gives the same again."""
+    check(trip)
+    close = trip.value <= trip.lower_bound * 1.01001
+    assert trip.reason in get_args(Reason)
+    assert close == (trip.reason == 'complete') or not trip.value
+    for leg in trip.legs:
+        network = leg.network
+        cost = network.lengths if network.seconds is None else network.seconds
+        assert leg.expected_length == pytest.approx(leg.edge_probability @ cost)
+        assert network.travel_unit == ('m' if network.seconds is None else 's')
+        assert leg.expected_length <= leg.length_budget * (1.0 + 1e-6)
+        assert evaluate(leg)['stochastic'].expected_length == leg.expected_length
+    again, stated = strategy_from_file(strategy_file(trip), trip.game.options)
+    assert (again.reason, again.value) == (trip.reason, pytest.approx(trip.value))
+    assert not [*misstated(again, stated)]
+    for one, other in zip(again.legs, trip.legs, strict=True):
+        check(one)
+        assert (one.value, one.length_price) == pytest.approx((other.value, other.length_price))
 
 
 @examples(6)
@@ -75,11 +84,11 @@ def test_records_of_any_network(data, reach, timed):
             network.lengths)))
     game = GameOptions(ambush_radius=reach)
     strategy = solve(network, game, OPTIONS)
-    check_strategy(strategy)
+    check_strategy(strategy.alone)
     for row in frontier(network, game, (1.0, 1.3), (0.1,)):
         check(row)
         assert row.shortest_length == strategy.shortest_length
-    other = revalue(strategy, strategy.network.alpha * rng.uniform(0.5, 2.0, len(
+    other = revalue(strategy.alone, strategy.network.alpha * rng.uniform(0.5, 2.0, len(
         strategy.network.alpha)))
     assert 0.0 <= other.bound <= other.value
 
@@ -105,9 +114,8 @@ def test_records_of_plans(seed, reach, stops):
         if plan.few:
             check(plan.few)
             assert plan.few.curve[-1][1] == plan.few.value == plan.value
-    check_strategy(plans[0].strategy)
-    assert bool(wide_gap(plans[0])) == (plans[0].strategy.reason != 'complete')
-    check(RecordedSlots.of(('08:00', '09:00', '10:00'), 2, plans[0].value, plans[0].lower_bound))
+    check_strategy(plans[0].trip)
+    assert bool(wide_gap(plans[0])) == (plans[0].trip.reason != 'complete')
     newer = values.copy()
     newer[::3] = 40
     check(ChangedGround(plans[0], on, OccupancyOptions()).assess(replace(on, values=newer)))
@@ -121,7 +129,7 @@ def test_records_of_plans(seed, reach, stops):
         check_strategy(each)
     with ThreadPoolExecutor(2) as pool:
         for solved in solve_many([Problem(risk_map, start, goal, options)] * 2, pool):
-            check_strategy(solved.answer.strategy)
+            check_strategy(solved.answer.trip)
 
 
 def test_a_certificate_never_has_a_bound_above_its_value():
@@ -150,8 +158,10 @@ def test_a_file_that_would_fill_the_memory_is_refused_and_no_other_arrays_are_re
 def test_a_strategy_comes_back_whole(solver, radius):
     network = terrain_network(3)
     theirs = solve(network, GameOptions(ambush_radius=radius), StrategyOptions(solver=solver))
-    ours, stated = strategy_from_file(strategy_file(theirs), GameOptions(ambush_radius=radius))
-    for name in ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg'):
+    trip, stated = strategy_from_file(strategy_file(theirs.alone),
+                                      GameOptions(ambush_radius=radius))
+    (ours,) = trip.legs
+    for name in ('points', 'alpha', 'edges', 'source', 'target'):
         assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
         assert np.array_equal(getattr(ours, name), getattr(theirs, name))

@@ -20,6 +20,7 @@ from ambush_planner import (
     PlanningOptions,
     Problem,
     RiskMap,
+    StrategyOptions,
     plan_trip,
     read_risk_map,
     solve,
@@ -50,11 +51,16 @@ def test_a_length_budget_that_seems_to_be_a_percentage_is_named():
 def test_a_wide_gap_says_what_the_plan_is_worth_and_how_to_allow_more_time():
     made = plan_trip(ground(), START, GOAL, PlanningOptions(
         network=replace(plain_options(spacing=20.0), refine=None)))
-    certificate = replace(made.strategy.certificate, bound=0.8 * made.lower_bound)
-    late = replace(made, strategy=replace(made.strategy, certificate=certificate, reason='time'))
-    text = as_typed(wide_gap(late))
-    assert 'the plan can be used' in text and 'above the best on this network' in text
-    assert text.endswith('allow more time (--set strategy.time_limit=SECONDS)')
+    for share, reason, words in (
+            (0.95, 'time', 'so the plan can be used; the time limit'),
+            (0.8, 'time', 'more than 10% (strategy.max_gap); the time limit'),
+            (0.8, 'stalled', 'and more time would not help')):
+        certificate = replace(made.trip.certificate, bound=share * made.lower_bound)
+        late = replace(made, trip=replace(made.trip, certificate=certificate, reason=reason))
+        text = as_typed(wide_gap(late))
+        assert words in text and 'above the best on this network' in text
+        assert text.endswith('(--set strategy.time_limit=SECONDS)') == (reason == 'time')
+        assert late.gap_is_wide == (share < 0.9)
 
 
 @pytest.mark.parametrize(('reach', 'spacing', 'words'), [
@@ -100,6 +106,20 @@ def test_a_passage_far_from_the_ends_is_named():
     assert 'hits every route' in text and 'hold' not in text
 
 
+def test_a_wide_slack_does_not_make_an_ambush_certain():
+    """Two ways, of loss 1 and 2, are driven equally often: an ambush hits half of the routes."""
+    wide = StrategyOptions(risk_slack=0.55, max_detour=np.inf)
+    network = Network([(0, 0), (50, 9), (50, -9), (99, 0)], [0, 1, 2, 0],
+                      [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    options, found = PlanningOptions(network=plain_options(spacing=1.0), strategy=wide), solve(
+        network, options=wide)
+    made = replace(plan_trip(ground(), START, GOAL, PlanningOptions(
+        network=plain_options(spacing=20.0))), trip=found.alone,
+        options=options, spacing=1.0)
+    assert made.value == pytest.approx(1.0, abs=0.04)
+    assert not any('every' in text for text in concerns(made))
+
+
 def test_geojson_is_cut_at_180_degrees(tmp_path):
     geopandas = pytest.importorskip('geopandas', reason='GeoJSON takes the extra "gis"')
     import shapely
@@ -113,7 +133,7 @@ def test_geojson_is_cut_at_180_degrees(tmp_path):
     start, goal = (tuple(np.add(at, risk_map.origin[:2])) for at in (START, GOAL))
     made = plan_trip(risk_map, start, goal, PlanningOptions(
         network=plain_options(spacing=20.0), game=GameOptions(ambush_radius=20.0)))
-    drawn = Drawn(made.strategy, risk_map, made.paths(3, 0), [datetime.now(timezone.utc)] * 3)
+    drawn = Drawn(made.trip, risk_map, made.paths(3, 0), [datetime.now(timezone.utc)] * 3)
     write_routes([tmp_path / 'A.GeoJSON'], drawn)
     document = json.loads((tmp_path / 'A.GeoJSON').read_text())
     kinds = {each['geometry']['type'] for each in document['features']

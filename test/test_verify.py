@@ -9,17 +9,23 @@ from threading import Event
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from forging import GET_PLAN, NEW_ROUTE, SEEDED, Forger
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.serialization import deserialize_message
 from ros_harness import header, pose, risk_grid, stage
 from waiting import TIMEOUT
 
 from ambush_planner import GameOptions, PlanningOptions, RiskMap, StrategyOptions, plan_trip
+from ambush_planner.commands import report_words
 from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
+from ambush_planner.recordings.attachments import misstated, strategy_file, strategy_from_file
+from ambush_planner.recordings.audit import audit
 from ambush_planner.recordings.metadata import RecordedTrip
+from ambush_planner.recordings.report_data import sections_of
 from ambush_planner.recordings.verify import network_problems, replan_problems
 from ambush_planner.worker.process import WorkerProcess
 
@@ -52,15 +58,16 @@ def shift_path(message):
 
 def other_route(forger):
     """A route that the strategy draws from another source."""
-    strategy = read_departure(forger.path).strategy
-    routes = (strategy.sample_route(np.random.default_rng(k)).tolist() for k in itertools.count())
+    (strategy,) = read_departure(forger.path).trip.legs
+    routes = ([strategy.sample_route(np.random.default_rng(k)).tolist()]
+              for k in itertools.count())
     forger.entries['route'] = next(each for each in routes if each != forger.entries['route'])
 
 
 def other_probabilities(forger):
     """A strategy of one sure route: a flow, but of a larger value than the optimal one."""
-    strategy = read_departure(forger.path).strategy
-    pairs = set(itertools.pairwise(forger.entries['route']))
+    (strategy,) = read_departure(forger.path).trip.legs
+    pairs = set(itertools.pairwise(forger.entries['route'][0]))
     used = [tuple(edge) in pairs for edge in strategy.network.edges.tolist()]
     forger.set_arrays(edge_probability=np.array(used, dtype=float))
 
@@ -81,6 +88,8 @@ FORGERIES = {
     'a path moved': (GET_PLAN, lambda f: f.edit('path', shift_path), 'path: it does not follow'),
     'other probabilities': (NEW_ROUTE, other_probabilities, 'strategy'),
     'value understated': (NEW_ROUTE, lambda f: scaled(f, 'value', 0.9), 'its value is stated as'),
+    'a cheaper departure': (NEW_ROUTE, lambda f: f.entries.update(value=0.9 * f.entries['value']),
+                            'value: the departure is stated to cost'),
     'bound overstated': (NEW_ROUTE, lambda f: scaled(f, 'lower_bound', 1.01),
                          'its lower_bound is stated as'),
     'another ambusher': (NEW_ROUTE, lambda f: f.set_arrays(
@@ -171,10 +180,10 @@ def test_damaged_files_are_named_and_do_not_hide_others(files, tmp_path, capsys)
 
 def test_another_value_is_found_by_solving_again(files):
     departure = read_departure(files[NEW_ROUTE])
-    strategy, planning = departure.strategy, departure.parameters.planning
-    assert replan_problems(strategy, planning) == []
-    lower = Certificate(0.95 * strategy.value, 0.95 * strategy.lower_bound)
-    (problem,) = replan_problems(replace(strategy, certificate=lower), planning)
+    trip, planning = departure.trip, departure.parameters.planning
+    assert replan_problems(trip, planning) == []
+    lower = Certificate(0.95 * trip.value, 0.95 * trip.lower_bound)
+    (problem,) = replan_problems(replace(trip, certificate=lower), planning)
     assert 'solved again' in problem
 
 
@@ -213,6 +222,14 @@ def test_a_start_from_initialpose_and_remapped_names(tmp_path, capsys):
     holds(path, capsys)
 
 
+def published_value(path):
+    """The value that the node's diagnostics had at a departure."""
+    file = read_recording(path)
+    (message,) = [each for each in file.messages if each.topic == '/diagnostics']
+    status = deserialize_message(message.data, DiagnosticArray).status[0]
+    return float(next(each.value for each in status.values if each.key == 'departure_value'))
+
+
 def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
     """Start and goal move a little and an obstacle appears: routes are drawn until clear."""
     go_on, solve = Event(), WorkerProcess.solve
@@ -230,28 +247,38 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
         grid = risk_grid()
         values = np.array(grid.data, dtype=np.int8).reshape(20, 20)
         values[12:16, 5:7] = 100
-        values[0, 0] = 77
+        values[7:12, 11:14] = 95
         grid.data = values.ravel().tolist()
         client.publish('alpha_map', grid)
         client.diagnostics(stale='yes')
-        for k in range(3):
+        for k in range(5):
             assert client.get_plan(pose(1.5 + 0.04 * k, 5.4), pose(8.5, 5.5 + 0.05 * k)).poses
         go_on.set()
     files = recordings_in(tmp_path)
     departures = [read_departure(path) for path in files]
-    assert [each.newest is each.planned_on for each in departures] == [True] + 3 * [False]
+    assert [each.newest is each.planned_on for each in departures] == [True] + 5 * [False]
     for each in departures[1:]:
         assert np.array_equal(each.newest.values, values)
-        lost = each.drawn_from.edge_probability < each.strategy.edge_probability
-        assert lost.any() and each.drawn_from.value != each.strategy.value
-    holds(tmp_path, capsys)
+        lost = (each.drawn_from.legs[0].edge_probability
+                < each.trip.legs[0].edge_probability)
+        assert lost.any() and each.value > 1.05 * each.trip.value
+    lines = [line for line in holds(tmp_path, capsys).splitlines() if 'value' in line]
+    for path, each, line in zip(files, departures, lines, strict=True):
+        published = published_value(path)
+        assert (each.value, each.metadata.value) == pytest.approx([published] * 2, rel=1e-8)
+        assert float(line.split('value ')[1]) == pytest.approx(published, rel=1e-5)
+        section, = sections_of([each])
+        assert report_words.tiles(section)[0][0] == f'{published:.3g}'
+    # The observer's losses are those of that map, too, so he cannot cause more than this for long.
+    assert audit(departures, resamples=49).value == pytest.approx(
+        np.mean([each.value for each in departures[1:]]))
     forger = Forger(files[-1])
     other_route(forger)
     code, out = verified(forger.save(tmp_path / 'forged.mcap'), capsys)
     assert code == 1 and 'route: the recorded entropy draws another' in out
 
 
-def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
+def test_networks_of_whole_routes_are_rebuilt_with_the_sites_of_a_warm_start():
     """Two pairs of gates with one pass between them: routes remember by which gate they came."""
     alpha, obstacles = np.full((40, 60), 0.5), np.zeros((40, 60), bool)
     alpha[:, 26:34] = 0.05
@@ -264,14 +291,18 @@ def test_layers_are_rebuilt_after_the_sites_of_a_warm_start():
         game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
         strategy=StrategyOptions(max_detour=1.5))
     warm = WarmStart(np.array([(25.3, 31.1)]), np.zeros((0, 3)))
-    bounds: list[float] = []
+    values: list[float] = []
     plan = plan_trip(risk_map, start, goal, options, warm=warm,
-                     progress=lambda value, bound: bounds.append(bound))
-    assert min(bounds) > 0.0, 'what is proved stays proved'
+                     progress=lambda _, value: values.append(value))
+    assert values == sorted(values, reverse=True), 'a finished plan stays in hand'
     assert plan.strategy.reason == 'complete' and plan.value < 2.1
-    assert len(plan.network.points) > plan.network.place_count
-    trip = RecordedTrip(start, goal)
-    assert network_problems(plan.strategy, risk_map, options, trip) == []
+    assert plan.strategy.mixture
+    said = RecordedTrip(start, goal)
+    assert network_problems(plan.trip, risk_map, options, said) == []
+    again, stated = strategy_from_file(strategy_file(plan.trip), options.game)
+    assert not [*misstated(again, stated)] and again.value == plan.value
+    assert network_problems(again, risk_map, options, said) == []
+    assert np.array_equal(*(each.sample_route(3) for each in (*again.legs, *plan.legs)))
     moved = replace(plan.network, alpha=plan.network.alpha * 2.0)
-    other = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
-    assert network_problems(other, risk_map, options, trip)
+    leg = replace(plan.strategy, game=replace(plan.strategy.game, network=moved))
+    assert network_problems(replace(plan.trip, legs=(leg,)), risk_map, options, said)

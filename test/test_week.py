@@ -18,21 +18,23 @@ from test_path_mixtures import GOAL, START, ground
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
-from ambush_planner.game.distribution.chain import chain_of
-from ambush_planner.maps.risk_map_file import npz_bytes
+from ambush_planner.game.strategy import with_certificate
 from ambush_planner.maps.road_file import RoadGraph
-from ambush_planner.planning.few_strategy import few_strategy
-from ambush_planner.recordings import read_departure
+from ambush_planner.planning.concerns import concerns, plan_numbers
+from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.planning.path_mixtures import PathMixtures
+from ambush_planner.recordings import read_departure, read_departures
 from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
 from ambush_planner.recordings.recording_file import encode, read_recording
 from ambush_planner.recordings.verify import Verifier
+from ambush_planner.route_files import Drawn
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=3.0), game=GameOptions(ambush_radius=2.5))
-SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1, 0.6, 0.5)
+SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1)
 
 
 def roads():
@@ -67,15 +69,22 @@ PLANS = {
 }
 
 
+class Plans(dict):
+    """Plan files by name, each with what was planned; made when they are first asked for."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __missing__(self, name):
+        plan, file = PLANS[name](), self.folder / f'{name}.plan'
+        file.write_bytes(plan_bytes(saved_plan(plan, slots=SLOTS)))
+        self[name] = plan, file
+        return self[name]
+
+
 @pytest.fixture(scope='module')
 def plans(tmp_path_factory):
-    """Plan files by name, each with what was planned."""
-    folder, made = tmp_path_factory.mktemp('plans'), {}
-    for name, make in PLANS.items():
-        plan, file = make(), folder / f'{name}.plan'
-        file.write_bytes(plan_bytes(saved_plan(plan, slots=SLOTS)))
-        made[name] = plan, file
-    return made
+    return Plans(tmp_path_factory.mktemp('plans'))
 
 
 def copy_of(plans, name, folder):
@@ -94,7 +103,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
     # The same entropy draws the same from the plan and from its file.
     one, other = (draw_departure(each, source=2**255 + 7) for each in (
         saved_plan(plan, slots=SLOTS), read))
-    assert np.array_equal(one.nodes, other.nodes) and one.slot == other.slot
+    assert all(map(np.array_equal, one.route, other.route)) and one.slot == other.slot
     assert one.poses == pytest.approx(other.poses, abs=1e-9)
     done = run_here(draw, file, '--days', 6, '--date', '2030-01-01')
     assert done.code == 0, done.err
@@ -115,11 +124,18 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         assert done.code == 0, (command, done.out, done.err)
     assert '2030-01-06 ' in (tmp_path / 'all.csv').read_text(), 'the day that it is for'
     said = ' '.join(run_here(audit, folder).out.split())
-    assert f"the plan's value, {plan.value / 2:.3g}, is for one who does not" in said
+    assert f'at most the value, {plan.value / 2:.3g}, on average' in said, 'one number everywhere'
     page = (tmp_path / 'out' / 'report.html').read_text()
-    assert f'<b>{SLOTS.value:.3g}</b>' in page, 'the value that the plan was printed with'
+    assert f'<b>{plan.value / 2:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
     assert 'Verified: all 6 recordings' in page
+    last = read_departures(found, pytest.fail)[-1]
+    picture = Drawn(last.departed_on, last.risk_map, [], [], covered=last.covered).picture()
+    for text in (page, picture.axes[0].get_title('left')):
+        assert f'mean loss of at most {plan.value / 2:.3g} ' in text or (
+            f'mean loss of {plan.value / 2:#.3g}\n' in text)
+    measures = page.split('these random routes and times</th>')[1].split('</tr>')[0]
+    assert f'<td>{plan.value / 2:.3g}</td>' in measures, 'the table of planners, too'
 
 
 def test_other_readers_take_the_recordings(plans, tmp_path):
@@ -137,14 +153,28 @@ def test_other_readers_take_the_recordings(plans, tmp_path):
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):
     plan, _ = plans['few']
-    mixture, routes = few_strategy(plan.strategy, plan.few)
-    assert mixture.value == plan.few.value and mixture.lower_bound == plan.lower_bound
+    (mixture,), few = plan.few.trip.legs, plan.few
+    judged = PathMixtures(plan.own_map, plan, few.paths).judged(few.shares)
+    assert (mixture.value, *few.worst_xy) == pytest.approx((judged.value, *judged.worst_xy))
     drawn = mixture.sample_routes(4000, np.random.default_rng(1))
-    for route, nodes, share in zip(routes, plan.few.routes, plan.few.shares, strict=True):
-        count = sum(np.array_equal(each, route) for each in drawn)
+    for k, (path, share) in enumerate(zip(few.paths, few.shares, strict=True)):
+        count = sum(np.array_equal(each, *few.nodes(k)) for each in drawn)
         assert abs(count / 4000 - share) < 0.04
-        assert np.array_equal(mixture.network.points[route], plan.network.points[nodes])
-    assert chain_of(mixture.network, mixture.edge_probability) is not None
+        assert np.isin(mixture.network.points[few.nodes(k)[0]], path[:, :2]).all()
+
+
+def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
+    """And so are its concerns: here one route is the best mixture, and one place hits it."""
+    plan, _ = plans['few']
+    numbers, row = plan_numbers(plan), evaluate(plan)['stochastic']
+    assert plan._summary()['value'] == f'{plan.few.value:.4g}'
+    assert float(numbers['value']) == pytest.approx(plan.few.value)
+    assert float(numbers['expected_length']) == pytest.approx(plan.driven_length)
+    assert (row.v_repeated, row.expected_length) == pytest.approx((plan.value, plan.driven_length))
+    best = plan.drawn_from.game.network.points[plan.bottleneck.sites]
+    np.testing.assert_allclose(best, [plan.few.worst_xy])
+    one = replace(plan, few=plan_trip(ground(), START, GOAL, OPTIONS, routes=1, rng=1).few)
+    assert 'every route' in ' '.join(concerns(one)) and 'every' not in ' '.join(concerns(plan))
 
 
 def test_the_week_needs_no_ros(plans, tmp_path):
@@ -271,8 +301,8 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
                         (tmp_path, 'Is a directory')):
         done = run_here(draw, path)
         assert done.code == 3 and words in done.err and done.err.count('\n') == 1
-    done = run_here(verify, file)
-    assert 'it is a plan: ambush draw makes a departure of it' in done.out + done.err
+    done = run_here(audit, file)
+    assert 'it is a plan: ambush draw makes a departure of it' in ' '.join(done.out.split())
     done = run_here(card, file, '-o', tmp_path / 'c.html')
     assert done.code == 2 and 'is a plan, not a departure: draw one with' in done.err
     done = run_here(card, file, '-o', tmp_path / 'c.html', '--route', 1)
@@ -293,32 +323,30 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
     assert done.code == 3 and "this version reads '1'" in done.err
 
 
-def test_a_map_that_changed_and_a_clock_that_went_back_are_named(plans, tmp_path, monkeypatch):
-    (tmp_path / 'm.npz').write_bytes(npz_bytes(ground()))
-    file = tmp_path / 'w.plan'
-    file.write_bytes(plan_bytes(saved_plan(plans['routes'][0], map_file=tmp_path / 'm.npz')))
-    assert 'has changed' not in run_here(draw, file).err
-    with (tmp_path / 'm.npz').open('ab') as stream:
-        stream.write(b' ')
-    done = run_here(draw, file, '--earlier', 'driven')
-    assert done.code == 0 and 'm.npz has changed since it was planned on' in done.err
+def test_a_clock_that_went_back_and_a_day_before_others_are_named(plans, tmp_path, monkeypatch):
+    file = copy_of(plans, 'few', tmp_path)
+    done = run_here(draw, file, '--date', '2020-01-01')
+    assert done.code == 0 and '2020-01-01 has passed: today is 20' in done.err
+    assert run_here(draw, file).code == 0
     now = time.time_ns()
     monkeypatch.setattr(time, 'time_ns', lambda: now - 2 * 86_400 * 10**9)
     done = run_here(draw, file)
     assert done.code == 2 and 'set the clock, or name the day with --date' in done.err
     assert run_here(draw, file, '--date', '2040-01-01').code == 0
-    done = run_here(draw, file, '--date', '2020-01-01')
-    assert done.code == 0 and '2020-01-01 has passed: today is 20' in done.err
+    late = (file, '--date', '2020-01-02')
+    done = run_here(draw, *late)
+    assert done.code == 2 and 'departures after it were drawn, up to 0003_2040-01-01' in done.err
+    assert run_here(draw, *late, '--late-entry').code == 0
 
 
 def test_a_bound_whose_proof_had_no_time_may_be_low(plans, tmp_path):
     """When the time is up, the bound is stated that was proved by then."""
     plan, _ = plans['routes']
-    certificate = plan.strategy.certificate
+    certificate = plan.trip.certificate
     for factor, words in ((0.9, ''), (1.001, 'it was edited: its lower_bound is stated as')):
         bound = replace(certificate, bound=factor * certificate.bound)
         file = tmp_path / 'w.plan'
-        file.write_bytes(plan_bytes(saved_plan(replace(plan, strategy=replace(
-            plan.strategy, certificate=bound)))))
+        file.write_bytes(plan_bytes(saved_plan(replace(
+            plan, trip=with_certificate(plan.trip, bound)))))
         done = run_here(draw, file, '--dry-run')
         assert done.code == (3 if words else 0) and words in done.err

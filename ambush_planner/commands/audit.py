@@ -9,6 +9,7 @@ from pathlib import Path
 from ..recordings import RecordedDeparture, source_findings
 from ..recordings.audit import Audit, NotAuditable, audit
 from ..recordings.durable_files import write_all_durably
+from ..recordings.recorded_departures import drawn_twice
 from . import cli, readers
 from .report_words import leaving
 
@@ -30,7 +31,7 @@ You need at least five departures from strategies without cycles. -o DIR writes 
 the convoy should have driven, where it did, and the loss that the observer would have caused. The
 picture shows secret routes, so it has mode 0600 and a new folder 0700.
 --json: {"verdict", "departures", "left_out", "findings", "p_value", "impossible", "value",
-"observer_loss", "observer_range", "unreadable", "struck": [FILE]}
+"observer_loss", "observer_range", "unreadable", "struck": {FILE: WHY}}
 """
 
 
@@ -50,12 +51,13 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         f'{each.path.name} was drawn with a fixed seed, so it can be predicted'
         for each in departures if each.parameters.values['seed'] >= 0
     ]
+    copies, again = drawn_twice((each.path, each.metadata) for each in departures)
+    findings += copies
     try:
         result = audit(departures)
     except NotAuditable as error:
-        return None, findings, [f'Not enough data: {error}.']
-    values = [each.value for each in departures if each.drawn_slot]
-    timed = bool(values)
+        return None, findings, [f'Not enough data: {error}.', *(f'{each}.' for each in again)]
+    timed = any(each.drawn_slot for each in departures)
     if result.impossible:
         findings.append(f'{result.impossible} steps or ends of routes cannot have been drawn: '
                         'the recorded routes are not those that were planned')
@@ -73,9 +75,6 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         f'departures give {low:.3g} to {high:.3g} in nine cases of ten, so this is {usual}. Over '
         f'many departures, he can cause at most the value, {result.value:.3g}, on average.',
     ]
-    if timed:
-        notes[-1] += (" He is taken to know the times: the plan's value, "
-                      f'{sum(values) / len(values):.3g}, is for one who does not.')
     if not findings:
         used = 'the stretches' + ' and times of departure' * timed
         notes.insert(0, f'Nothing suspicious: the convoy used {used} as often as published '
@@ -83,6 +82,7 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
     if result.left_out:
         notes.append('Not audited, because their strategies have cycles: '
                      f'{cli.count(result.left_out, "departure")}.')
+    notes += [f'{each}.' for each in again]
     return result, findings, notes
 
 
@@ -104,7 +104,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         'departures': len(departures), 'findings': findings,
         **{name: getattr(result, name, None) for name in NUMBERS},
         'unreadable': [str(error) for error in unreadable],
-        'struck': [*map(cli.place, struck)],
+        'struck': readers.struck_json(struck),
     }
     if options.output and result:
         _draw(options.output, departures, result, console)

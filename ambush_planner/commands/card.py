@@ -69,8 +69,8 @@ def _recorded(arguments: argparse.Namespace) -> Card:
                              'departure, so name its recording (.mcap)')
     departure = read_departure(arguments.departure)
     day = departure.metadata.day
-    return card_of(departure.path_poses, departure.risk_map, departure.strategy,
-                   (departure.drawn_from.network, departure.route), arguments.speed,
+    return card_of(departure.path_poses, departure.risk_map, departure.trip,
+                   (departure.drawn_from, departure.route), arguments.speed,
                    arguments.start_time or (day.slot if day else ''), day.date if day else '')
 
 
@@ -83,8 +83,8 @@ def _chosen(arguments: argparse.Namespace) -> Card:
     if not 1 <= arguments.route <= (count := len(plan.few.paths)):
         raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
     k = arguments.route - 1
-    return card_of(plan.few.paths[k], plan.own_map, plan.strategy,
-                   (plan.network, plan.few.routes[k]), arguments.speed, arguments.start_time)
+    return card_of(plan.few.paths[k], plan.own_map, plan.trip,
+                   (plan.trip, plan.few.routes[k]), arguments.speed, arguments.start_time)
 
 
 main = cli.command(parser, _work)

@@ -20,12 +20,11 @@ from .. import figures, map_figures
 from ..arrays import FloatArray, IndexArray
 from ..colours import PROBABILITY
 from ..game.route_sampler import route_edges
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..maps.coordinates import Coordinates
 from ..maps.grid_references import mgrs_references, true_bearings, utm_references
 from ..maps.risk_map import RiskMap
-from ..network.network import Network
-from ..planning.plan import path_lengths
+from ..planning.plan import Route, path_lengths
 from ..routes.legs import bearings, distances_along, secured_stretches, way_points
 from ..words import distance, duration, ends, rounded
 from .cli import Console, number, resource
@@ -84,24 +83,26 @@ class Card:
                 else f'{minutes:.1f}')
 
 
-def card_of(path: FloatArray, risk_map: RiskMap, strategy: Strategy,
-            drawn: tuple[Network, IndexArray], speed: float | None, start: str | None,
+def card_of(path: FloatArray, risk_map: RiskMap, trip: TripStrategy,
+            drawn: tuple[TripStrategy, Route], speed: float | None, start: str | None,
             day: str = '') -> Card:
-    """The card of a path (L, 2 or 3): ``drawn`` is its route (K,) and the network of that.
+    """The card of a path (L, 2 or 3): ``drawn`` is its route, and the strategies of that.
 
-    Without a ``speed``, the network's speeds give the mean one; ``start`` is HH:MM, if it is known.
+    Without a ``speed``, the networks' speeds give the mean one; ``start`` is HH:MM, if it is known.
     """
-    return Card(path[:, :2], risk_map, figures.places_of(strategy),
-                strategy.game.options.secured_distance,
+    return Card(path[:, :2], risk_map, figures.places_of(trip),
+                trip.game.options.secured_distance,
                 speed or _mean_speed(*drawn, float(path_lengths([path])[0])),
                 datetime.strptime(start, '%H:%M') if start else None, day)
 
 
-def _mean_speed(network: Network, nodes: IndexArray, length: float) -> float | None:
-    """The mean speed [km/h] over a route (K,), None if the network has no speeds."""
-    if network.seconds is None:
+def _mean_speed(trip: TripStrategy, route: Route, length: float) -> float | None:
+    """The mean speed [km/h] over a route, None if the networks have no speeds."""
+    if trip.game.network.seconds is None:
         return None
-    return 3.6 * length / float(network.seconds[route_edges(network, nodes)].sum())
+    steps = [leg.network.travel_costs[route_edges(leg.network, nodes)].sum()
+             for leg, nodes in zip(trip.legs, route, strict=True)]
+    return 3.6 * length / float(sum(steps))
 
 
 def add_speed(parser: argparse.ArgumentParser) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import stat
 import sys
 import threading
 import time
@@ -56,9 +57,12 @@ class Console:
         self.say(f'Warning: {text}.')
 
     def secret(self, paths: Iterable[Path], what: str = '') -> list[str]:
-        """Print which files were written, and with what, that only this user can read."""
+        """Print which files were written, and with what, and who can read them."""
+        paths = list(paths)
         files = [place(path) for path in paths]
-        self.line(f'{", ".join(files)}: {what}secret, so only this user can read '
+        shared = [path for path in paths if path.stat().st_mode & stat.S_IRGRP]
+        readers = f'the group {shared[0].group()}' if shared else 'this user'
+        self.line(f'{", ".join(files)}: {what}secret, so only {readers} can read '
                   f'{"it" if len(files) == 1 else "them"}.')
         return files
 
@@ -99,17 +103,15 @@ class Console:
         return show
 
     @contextmanager
-    def waiting(self, what: str) -> Iterator[Callable[[float, float], None]]:
+    def waiting(self, what: str) -> Iterator[Callable[[str, float], None]]:
         """After two seconds, print what is still running; repeat at doubling intervals.
 
-        Yields a function that takes the value and the bound so far.
+        Yields a function that takes the phase, and the value so far, which is printed if finite.
         """
         done, so_far = threading.Event(), ['']
 
-        def progress(value: float, bound: float) -> None:
-            so_far[0] = f' lower bound {bound:.4g}'
-            if 0.0 < bound <= value < math.inf:
-                so_far[0] += f', value {value:.4g}, gap {value / bound - 1.0:.1%}'
+        def progress(phase: str, value: float) -> None:
+            so_far[0] = f' {phase}' + (f', value so far {value:.4g}' if value < math.inf else '')
 
         def tell() -> None:
             pause = 2.0

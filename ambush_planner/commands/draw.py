@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 
-from ..recordings import plan_departures
+from ..planning.concerns import wide_gap
+from ..recordings import plan_departures, sources
 from ..recordings.durable_files import write_all_durably
 from ..recordings.metadata import Metadata, RecordedDay
 from ..recordings.plan_file import SavedPlan, read_plan
@@ -32,9 +33,14 @@ PLAN is a file of ambush plan -o PLAN. The recording is in the folder PLAN.depar
 which verify, audit, report, judge, export and card read. FILE is the driver's card (.html) or the
 route for his receiver (.gpx); nothing in it tells of other routes. With --days, the day is in
 the name of each file, as in card_2026-11-30.html, and the console does not tell the routes.
-If a departure for the same day and slot was drawn before, say with --earlier whether it was driven;
-on a terminal, the command asks. One that was not driven does not count in audit and report.
-If a file cannot be written, nothing is, and nothing has been drawn.
+If a departure for the same day and slot was drawn before, from this plan or from one next to it for
+the same trip, say with --earlier whether it was driven; on a terminal, the command asks. One that
+was not driven does not count in audit and report; they name it, and --why.
+The exit code is 1, and nothing is drawn, if map, roads or layers of the plan have changed.
+If a file cannot be written, nothing is, and nothing has been drawn. If the plan's gap is wide, it
+warns and the exit code is 1.
+"""
+DETAILS = """\
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
 "recording"}]}
 """
@@ -42,7 +48,10 @@ If a file cannot be written, nothing is, and nothing has been drawn.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('draw', DESCRIPTION, EPILOG)
+    made = cli.new_parser(
+        'draw', DESCRIPTION, EPILOG,
+        ('-o', '--date', '--days', '--slot', '--speed', '--earlier', '--why', '--dry-run'), DETAILS,
+        'ambush draw PLAN [options]')
     made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
     made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
                       metavar='FILE', help='card.html or route.gpx')
@@ -55,6 +64,14 @@ def parser() -> argparse.ArgumentParser:
     add_speed(made)
     made.add_argument('--earlier', choices=('driven', 'unused'), help='whether the departure that '
                       'was drawn before for the same day was driven')
+    made.add_argument('--why', default='', metavar='TEXT',
+                      help='why that departure was not driven, with --earlier unused')
+    made.add_argument('--late-entry', action='store_true',
+                      help='enter a departure for a day before that of others')
+    made.add_argument('--map', type=Path, metavar='FILE', help="the plan's map, if it was moved")
+    made.add_argument('--roads', type=Path, metavar='FILE', help='its roads, if they were moved')
+    made.add_argument('--ground-unchanged', action='store_true', help='draw even if map, roads or '
+                      'layers have changed or are gone: the ground is as it was')
     made.add_argument('--dry-run', action='store_true',
                       help='record nothing: for training, as such draws do not count')
     return made
@@ -69,10 +86,13 @@ def _date(text: str) -> date:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     require_for(arguments.output)
+    if arguments.why and arguments.earlier != 'unused':
+        raise cli.UsageError('--why is the reason of --earlier unused')
     saved = read_plan(arguments.plan)
-    if saved.source and saved.map_has_changed:
-        console.warn(f'{cli.place(Path(saved.source.path))} has changed since it was planned on; '
-                     'if the ground has changed, plan again')
+    if not _ground_is_the_same(arguments, saved, console):
+        return cli.Exit.FINDING
+    if saved.plan.gap_is_wide:
+        console.warn(wide_gap(saved.plan))
     today = date.today()
     first = arguments.date or today
     if arguments.slot and saved.slots:
@@ -81,23 +101,46 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                          f'{", ".join(saved.slots.times)}')
         console.warn(f'the time of departure is not drawn, so the value is {saved.plan.value:.4g}, '
                      f'that of a known time, instead of {saved.value:.4g}')
-    if first < today:
-        console.warn(f"{first} has passed: today is {today} by this computer's clock")
-    dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
     folder = plan_departures.departures_folder(arguments.plan)
+    if first < today:
+        passed = f"{first} has passed: today is {today} by this computer's clock"
+        later = [path.stem for _, day, path in plan_departures.names_in(folder)
+                 if day > first.isoformat()]
+        if later and not arguments.late_entry:
+            raise cli.UsageError(f'{passed}, and departures after it were drawn, up to '
+                                 f'{later[-1]}; to enter one that was left out, add --late-entry')
+        console.warn(passed)
+    dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
     if arguments.dry_run:
         return _finish(arguments, console, saved, folder, dates, {})
     with plan_departures.locked(folder):
-        replaced = _replaced(arguments, folder, dates)
+        replaced = _replaced(arguments, saved, folder, dates)
         return _finish(arguments, console, saved, folder, dates, replaced)
 
 
-def _replaced(arguments: argparse.Namespace, folder: Path,
+def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
+                        console: cli.Console) -> bool:
+    """Whether the plan's sources are as they were, or the user says that the ground is."""
+    files = {sources.MAP: arguments.map, sources.ROADS: arguments.roads}
+    changed = sources.changes(saved.sources, arguments.plan.parent, files)
+    if not changed or arguments.ground_unchanged:
+        for text in changed:
+            console.warn(f'{text}; you say that the ground has not changed')
+        return True
+    for text in changed:
+        console.error(text)
+    console.say('Nothing was drawn. If the ground has changed, plan again to a new name, and see '
+                'which departures are affected with ambush verify FOLDER --map MAP [--roads FILE]. '
+                'Else name a file that was moved with --map or --roads, or add --ground-unchanged.')
+    return False
+
+
+def _replaced(arguments: argparse.Namespace, saved: SavedPlan, folder: Path,
               dates: list[str]) -> dict[str, str]:
     """Dates and ids of the departures that were drawn before, but not driven; raises UsageError."""
     _check_clock(folder, arguments.date)
     slot = arguments.slot
-    again = [(day, said) for day, said in plan_departures.earlier_departures(folder, dates)
+    again = [(day, said) for day, said in plan_departures.earlier_departures(saved, folder, dates)
              if not (slot and day.slot) or slot == day.slot]
     if not again:
         return {}
@@ -144,7 +187,8 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         if not arguments.dry_run:
             path = folder / plan_departures.file_name(number + k, day)
             last, files[path] = plan_departures.departure_bytes(
-                saved, drawn, number + k, day, time.time_ns(), last, replaced.get(day, ''))
+                saved, drawn, number + k, day, time.time_ns(), last, replaced.get(day, ''),
+                arguments.why if day in replaced else '')
             row['recording'] = cli.place(path)
         rows.append(row)
     try:
@@ -161,7 +205,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     if arguments.dry_run:
         console.say('Nothing was recorded: do not drive this.')
     console.result = {'files': [cli.place(path) for path in files], 'departures': rows}
-    return cli.Exit.HOLDS
+    return cli.Exit.FINDING if saved.plan.gap_is_wide else cli.Exit.HOLDS
 
 
 def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
@@ -171,12 +215,12 @@ def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPl
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
         if path.suffix.lower() == '.html':
-            card = card_of(drawn.poses, plan.own_map, plan.strategy, (plan.network, drawn.nodes),
+            card = card_of(drawn.poses, plan.own_map, plan.trip, (plan.trip, drawn.route),
                            arguments.speed, drawn.slot, day)
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
-            yield path, content_of(path, Drawn(plan.strategy, plan.own_map, [drawn.poses], times,
+            yield path, content_of(path, Drawn(plan.drawn_from, plan.own_map, [drawn.poses], times,
                                                labels=[name]))
 
 

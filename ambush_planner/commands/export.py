@@ -40,12 +40,12 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.error('no recording could be read, so nothing was exported')
         return cli.Exit.UNREADABLE
     last = departures[-1]
-    risk_map = replace(last.risk_map, crs=crs_text(options) or last.risk_map.crs)
+    risk_map = replace(last.newest_risk_map, crs=crs_text(options) or last.risk_map.crs)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
     slots = [leaving(each) for each in departures] if any(
         each.metadata.day for each in departures) else ()
-    drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times,
-                  slots=slots)
+    drawn = Drawn(last.departed_on, risk_map, [each.path_poses for each in departures], times,
+                  slots=slots, covered=last.covered)
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

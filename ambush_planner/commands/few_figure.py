@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -36,11 +37,11 @@ def few_figure(drawn: FewDrawn) -> Figure:
                   else (figure.subfigures(), None))
     grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
     overview = top.add_subplot(grid[:, 0])
-    title = f'Mean loss {drawn.few.value:#.3g}'
-    risk = figures.draw_ground(overview, drawn.strategy, drawn.risk_map, title)
+    title = f'Mean loss {drawn.few.value * drawn.covered:#.3g}'
+    risk = figures.draw_ground(overview, drawn.trip, drawn.risk_map, title)
     map_figures.risk_bar(top, risk, overview, location='bottom', shrink=0.6, aspect=30)
     _key(drawn, top.add_subplot(grid[0, 1]))
-    _curve(top.add_subplot(grid[1, 1]), drawn.few)
+    _curve(top.add_subplot(grid[1, 1]), drawn.few, drawn.covered)
     paths = [path[:, :2] for path in drawn.paths]
     figures.draw_stripes(overview, paths, [_style(k) for k in range(len(paths))])
     for k, place in enumerate(figures.badge_places(paths, drawn.few.worst_xy)):
@@ -48,7 +49,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
     overview.plot(*drawn.few.worst_xy, zorder=9, **_WORST)
     for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
         if k < panels:
-            figures.draw_ground(axes, drawn.strategy, drawn.risk_map, drawn.names[k], small=True)
+            figures.draw_ground(axes, drawn.trip, drawn.risk_map, drawn.names[k], small=True)
             figures.draw_stripes(axes, [paths[k]], [_style(k)])
         else:
             axes.set_axis_off()
@@ -74,12 +75,13 @@ def _key(drawn: FewDrawn, axes: Axes) -> None:
     axes.set_axis_off()
 
 
-def _curve(axes: Axes, few: FewRoutes) -> None:
+def _curve(axes: Axes, few: FewRoutes, covered: float) -> None:
     """The value over the number of routes, and what all candidates could reach."""
-    axes.plot(*zip(*few.curve, strict=True), color=AMBUSHER, marker='o', markersize=4)
-    axes.axhline(few.lower_bound, color='0.45', linestyle=':')
-    low = few.lower_bound < 0.3 * max(value for _, value in few.curve)
-    axes.annotate(f'all {few.candidates} paths', (0.0, few.lower_bound),
+    counts, values = np.transpose(few.curve)
+    axes.plot(counts, covered * values, color=AMBUSHER, marker='o', markersize=4)
+    axes.axhline(covered * few.lower_bound, color='0.45', linestyle=':')
+    low = few.lower_bound < 0.3 * values.max()
+    axes.annotate(f'all {few.candidates} paths', (0.0, covered * few.lower_bound),
                   xycoords=('axes fraction', 'data'), xytext=(3, 3 if low else -3),
                   textcoords='offset points', va='bottom' if low else 'top', color='0.35',
                   fontsize='small', path_effects=map_figures.HALO)

@@ -44,7 +44,7 @@ class FewDrawn(Drawn):
     def tables(self) -> Mapping[str, Any]:
         """A layer for each route, then secured area and forbidden ground."""
         layers = {f'route_{k + 1}': self.routes.iloc[[k]] for k in range(len(self.paths))}
-        tables = strategy_tables(self.strategy, self.risk_map)
+        tables = strategy_tables(self.trip, self.risk_map)
         return {**layers, **{name: tables[name] for name in _ALSO if name in tables}}
 
     def picture(self) -> Figure:
@@ -54,27 +54,32 @@ class FewDrawn(Drawn):
         return few_figure(self)
 
 
-def tell_few(plan: Plan, few: FewRoutes, asked: int, console: Console) -> None:
-    """Print the value and how to draw, and put all but the paths into the result."""
+def tell_few(plan: Plan, few: FewRoutes, asked: int, covered: float, console: Console) -> None:
+    """Print the value and how to draw, and put all but the paths into the result.
+
+    ``covered`` is the share of departures that an ambush at one of the times covers.
+    """
     draws, count = random_draws(plan), len(few.paths)
     if count < asked:
         console.say(f'{count} routes suffice: more do not lower the value.')
-    console.line('value by routes ' + ', '.join(f'{k}: {value:.4g}' for k, value in few.curve))
-    console.line(_as_text(plan, few, draws))
+    curve = [(k, covered * value) for k, value in few.curve]
+    console.line('value by routes ' + ', '.join(f'{k}: {value:.4g}' for k, value in curve))
+    console.line(_as_text(plan, few, draws, covered))
     console.result['few'] = {
-        'value': few.value, 'lower_bound': few.lower_bound, 'candidates': few.candidates,
-        'worst_xy': few.worst_xy.tolist(),
-        'shares': few.shares.tolist(), 'costs': few.costs.tolist(), 'curve': few.curve,
-        'draws': {draw.name: {'value': draw.value, 'outcomes': draw.ranges} for draw in draws},
+        'value': covered * few.value, 'lower_bound': covered * few.lower_bound,
+        'candidates': few.candidates, 'worst_xy': few.worst_xy.tolist(),
+        'shares': few.shares.tolist(), 'costs': few.costs.tolist(), 'curve': curve,
+        'draws': {draw.name: {'value': covered * draw.value, 'outcomes': draw.ranges}
+                  for draw in draws},
     }
 
 
-def _as_text(plan: Plan, few: FewRoutes, draws: Sequence[RandomDraw]) -> str:
+def _as_text(plan: Plan, few: FewRoutes, draws: Sequence[RandomDraw], covered: float) -> str:
     """A table of the routes, and of what stands for them; its last row has the values."""
     columns = [['route', *map(str, range(1, len(few.paths) + 1)), 'value'],
-               ['share', *map(percent, few.shares), f'{few.value:.4g}'],
+               ['share', *map(percent, few.shares), f'{covered * few.value:.4g}'],
                ['length', *(travel(cost, plan.network.travel_unit) for cost in few.costs), '']]
-    columns += [[draw.name, *draw.ranges, f'{draw.value:.4g}'] for draw in draws]
+    columns += [[draw.name, *draw.ranges, f'{covered * draw.value:.4g}'] for draw in draws]
     width = [max(map(len, column)) for column in columns]
     lines = ['  '.join(text.rjust(size) for text, size in zip(row, width, strict=True))
              for row in zip(*columns, strict=True)]

@@ -78,14 +78,14 @@ def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detou
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:
-    """Return a table for a terminal, with length and exposure relative to the least."""
+    """Return a table for a terminal, with the length relative to the shortest."""
     head = ('detour', 'slack', 'value', 'gap', 'length', 'exposure', 'route entropy')
     lines = [''.join(f'{name:>14}' for name in head)]
     for row in rows:
         gap = (row.value - row.lower_bound) / row.value if row.value > 0.0 else 0.0
         numbers = f'  {row.error}' if row.error else (
             f'{row.value:14.4g}{gap:14.1e}{row.expected_length / row.shortest_length:14.3f}'
-            f'{_relative_exposure(row):14.3f}{row.route_entropy:14.2f}'
+            f'{row.expected_exposure:14.4g}{row.route_entropy:14.2f}'
         )
         lines.append(f'{row.max_detour:14g}{row.risk_slack:14g}{numbers}')
     return '\n'.join(lines)
@@ -110,7 +110,7 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
         bound = value.plot(x, [row.lower_bound for row in solved], color='0.45', linestyle=':',
                            **style)
         lines = value.plot(x, [row.value for row in solved], color=AMBUSHER, **style)
-        exposure.plot(x, [_relative_exposure(row) for row in solved], color=convoy, **style)
+        exposure.plot(x, [row.expected_exposure for row in solved], color=convoy, **style)
         entropy.plot(x, [row.route_entropy / math.log(10.0) for row in solved], color=convoy,
                      **style)
         for axes in (value, exposure, entropy):
@@ -121,7 +121,7 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
                        xytext=(4, -14), textcoords='offset points', path_effects=HALO)
         value.set_title(title, loc='left')
     for axes, label in zip(panels[:, 0], (
-        'mean loss\nby the best ambush', 'danger on the way, relative\nto the least risky route',
+        'mean loss\nby the best ambush', 'danger on the way\n(mean loss x m)',
         'equally likely routes\n(a power of 10)',
     ), strict=True):
         axes.set_ylabel(label)
@@ -131,12 +131,6 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
     panels[2, 1].set_xlabel('slack: share of the value given up')
     panels[0, 0].legend([*lines, *bound], ['value', 'lower bound'], frameon=False)
     return figure
-
-
-def _relative_exposure(row: FrontierRow) -> float:
-    """Return the exposure over the least possible one; NaN if that is 0."""
-    least = row.least_exposure
-    return row.expected_exposure / least if least > 0.0 else math.nan
 
 
 main = cli.command(parser, _work)

@@ -36,8 +36,9 @@ _LEGEND = (
 
 def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     """The trips as driven, their best shares, and the optimal strategy, side by side."""
-    strategy, driven, best = habits.plan.strategy, habits.driven, habits.best
-    edges, p = strategy.network.points[strategy.network.edges], strategy.shown_probability
+    trip, driven, best = habits.plan.trip, habits.driven, habits.best
+    ground, p = trip.ground_uses
+    edges = trip.game.network.points[ground]
     paths, used = [trip.xy for trip in habits.trips], best.shares[best.shares >= MIN_SHARE]
     seen = np.concatenate((*paths, *edges[p >= MIN_SHARE]))
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
@@ -55,27 +56,27 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
         (panels[1], 'the same, reweighted', best.value, float(best.shares @ habits.lengths),
          f'{_less(best.value, driven.value)}\nthe best {len(used)} of the {len(paths)} trips\n'
          f'shares {100 * used.min():.0f} to {100 * used.max():.0f} %'),
-        (panels[2], 'optimal', strategy.value, habits.plan.driven_length,
-         f'{_less(strategy.value, driven.value)}\na fresh route each time\n'
-         f'no strategy is below {strategy.lower_bound:.3g}'),
+        (panels[2], 'optimal', trip.value, habits.plan.driven_length,
+         f'{_less(trip.value, driven.value)}\na fresh route each time\n'
+         f'no strategy is below {trip.lower_bound:.3g}'),
     ):
         map_figures.frame(axes, risk_map, name, (low, high), ticks=2)
         risk = map_figures.draw_risk_map(axes, risk_map)
-        figures.draw_ends(axes, strategy, named=False, size=MARKS)
-        map_figures.scale_bar(axes, figures.places_of(strategy))
+        figures.draw_ends(axes, trip, named=False, size=MARKS)
+        map_figures.scale_bar(axes, figures.places_of(trip))
         axes.label_outer()
         axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),
                       textcoords='offset points', fontsize=28, weight='bold', color=AMBUSHER)
     for axes, mixture in zip(panels, (driven, best), strict=False):
         _draw_lines(axes, paths, mixture.shares, mixture.hit)
-        axes.add_patch(Circle(mixture.worst_xy, strategy.game.options.ambush_radius, linewidth=2.0,
+        axes.add_patch(Circle(mixture.worst_xy, trip.game.options.ambush_radius, linewidth=2.0,
                               facecolor=f'{AMBUSHER}55', edgecolor=AMBUSHER, zorder=9))
     _draw_lines(panels[2], list(edges), p, np.zeros(len(p), dtype=bool))
-    figures.draw_sites(panels[2], strategy)
+    figures.draw_sites(panels[2], trip)
     map_figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
                      anchor=(0.0, 1.0))
-    shown = [*_LEGEND, *[figures.SECURED_AREA] * bool(strategy.game.secured.radii.any()),
+    shown = [*_LEGEND, *[figures.SECURED_AREA] * bool(trip.game.secured.radii.any()),
              *map_figures.ground_key(risk_map)]
     figure.legend(handles=shown, ncols=2, loc='outside lower left', frameon=False)
     return figure

@@ -12,15 +12,20 @@ from itertools import pairwise
 import numpy as np
 
 from ..maps.risk_map_file import read_risk_map
-from ..planning.concerns import assumptions, concerns, is_sound
+from ..planning.ambush_costs import best_ambush
+from ..planning.concerns import assumptions, concerns
 from ..planning.evaluation import evaluate
 from ..planning.few_routes import MAX_ROUTES
+from ..planning.options import PlanningOptions
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
 from ..recordings.metadata import RecordedSlots
+from ..recordings.plan_departures import departures_folder, names_in
 from ..recordings.plan_file import saved_plan
+from ..recordings.sources import sources_of
 from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
-from ..words import distance, duration, percent
+from ..words import best_ambush as in_words
+from ..words import distance, duration, over_legs, percent
 from . import cli
 from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
@@ -36,6 +41,8 @@ Plan on a map. Save the plan and draw from it each day, or draw routes for a qui
 EPILOG = """\
 FILE.plan saves the plan, for ambush draw; .gpx .gpkg .geojson .csv and .png
 have the routes that -n draws. All are secret, and only you can read them.
+If value and lower bound are more than 10 % apart (strategy.max_gap), the exit code is 1, and no
+FILE.plan is saved unless --accept-gap says so.
 """
 DETAILS = f"""\
 The node and ambush card read FILE.plan, too.
@@ -45,10 +52,10 @@ shows each. The table on the console has the faces of one or two dice (a first a
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
-"shortest_length", "driven_length", "shortest_route_loss",
-"refinement": [{{"nodes", "value", "seconds"}}], "seconds", "few": null,
-or with --routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve",
-"draws"}}, "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
+"shortest_length", "driven_length", "shortest_route_loss", "best_ambush": {{"xy", "hit"}},
+"refinement": [{{"nodes", "value", "seconds"}}], "seconds", "first_hit_value", "few": null, or with
+--routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve", "draws"}},
+"slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """
 
 
@@ -71,6 +78,10 @@ def parser() -> argparse.ArgumentParser:
                       help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
                       help='number of consecutive slots that an ambush lasts (default: 1)')
+    made.add_argument('--accept-gap', action='store_true', help='save FILE.plan even if a much '
+                      'better plan may exist')
+    made.add_argument('--overwrite', action='store_true',
+                      help='overwrite a plan from which departures were drawn')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     made.add_argument('-v', '--verbose', action='store_true', help='also print the lower bound '
@@ -88,20 +99,23 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
+    _check_departures(arguments)
     check_outputs(arguments.output, console)
     risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
                 if arguments.terrain else read_risk_map(arguments.map, of_map))
     rng = np.random.default_rng(arguments.seed)
     start, goal, stops = places_on(arguments, risk_map)
     limit = planning.strategy.time_limit
-    what = f'solving the game, at most {limit:g} s (strategy.time_limit)'
+    what = f'at most {limit:g} s (strategy.time_limit)'
     with console.waiting(what) as progress, warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
         plan = plan_trip(risk_map, start, goal, planning, stops=stops, progress=progress,
                          routes=arguments.routes, rng=rng)
+    plan = replace(plan, options=replace(plan.options, max_gap=PlanningOptions.max_gap))
+    refused = plan.gap_is_wide and not arguments.accept_gap
     day = None
     if slots:
-        day = RecordedSlots.of(slots, arguments.window, plan.value, plan.lower_bound)
+        day = RecordedSlots.of(slots, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -110,40 +124,64 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                      'use it for tests only')
     few = plan.few
     quick = [path for path in arguments.output if path.suffix.lower() != PLAN]
-    drawn = (FewDrawn(plan.strategy, risk_map, few.paths, (), few) if few else
+    output = quick if refused else arguments.output
+    drawn = (FewDrawn(plan.trip, risk_map, few.paths, (), few) if few else
              draw(plan, arguments.departures if quick else 0, rng))
-    if day and few is None:
-        drawn = replace(drawn, slots=[day.drawn(rng) for _ in drawn.paths])
-    write_routes(arguments.output, drawn,
-                 saved_plan(plan, of_map, day, None if arguments.terrain else arguments.map)
-                 if len(quick) < len(arguments.output) else None)
+    if day:
+        slots = () if few else [day.drawn(rng) for _ in drawn.paths]
+        drawn = replace(drawn, slots=slots, covered=day.covered)
+    plans = [path for path in output if path not in quick]
+    write_routes(output, drawn, saved_plan(
+        plan, of_map, day, sources_of(plans[0].parent, arguments.map, planning.network.graph),
+    ) if plans else None)
     _tell(plan, day, arguments, console)
     if few:
-        tell_few(plan, few, arguments.routes, console)
+        tell_few(plan, few, arguments.routes, day.covered if day else 1.0, console)
     if day:
-        _tell_slots(day, drawn, console)
+        _tell_slots(plan, day, drawn, console)
     for text in concerns(plan):
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
-    tell_outputs(arguments.output, drawn, console)
-    return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
+    if len(output) < len(arguments.output):
+        console.error('no plan was saved: a much better one may exist; --accept-gap saves it '
+                      'nevertheless')
+    tell_outputs(output, drawn, console)
+    return cli.Exit.HOLDS if plan.value > 0.0 and not plan.gap_is_wide else cli.Exit.FINDING
+
+
+def _check_departures(arguments: argparse.Namespace) -> None:
+    """Raise UsageError if a plan with departures would be overwritten, unless that is asked for."""
+    for path in arguments.output:
+        if path.suffix.lower() != PLAN or arguments.overwrite:
+            continue
+        folder = departures_folder(path)
+        if path.exists() and (drawn := names_in(folder)):
+            raise cli.UsageError(
+                f'{cli.place(path)} is a plan from which {cli.count(len(drawn), "departure")} were '
+                f'drawn ({cli.place(folder)}): plan to a new name, or add --overwrite; the '
+                'recordings keep the plan that they were drawn from')
 
 
 def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
-    strategy, few = plan.strategy, plan.few
-    value, bound = ((day.value, day.lower_bound) if day
-                    else (plan.value, plan.lower_bound))
-    shortest = evaluate(strategy)['energy_efficient'].v_repeated
-    console.fact('value', f'{value:.4g}: mean loss per departure if the ambusher plays optimally '
-                 'and knows everything except the draw')
+    trip, few = plan.drawn_from, plan.few
+    covered = day.covered if day else 1.0
+    value, bound = plan.value * covered, plan.lower_bound * covered
+    shortest = evaluate(plan)['energy_efficient'].v_repeated
+    summed = f', {over_legs(len(trip.legs), trip.first_hit_value * covered)}' * (len(trip.legs) > 1)
+    console.fact('value', f'{value:.4g}: mean loss per departure{summed} if the ambusher plays '
+                 'optimally and knows everything except the draw')
+    best = best_ambush(trip, plan.own_map)
+    if best:
+        place = arguments.start[0].like(best.xy, plan.own_map)
+        console.fact('in words', in_words(best.hit, place, covered))
     console.fact('shortest route', f'{shortest:.4g}, once it is known')
-    ratio = f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest'
-    if strategy.network.travel_unit == 's':
-        console.fact('mean time', f'{duration(strategy.expected_length)}, {ratio}; '
+    ratio = f'{trip.expected_length / trip.shortest_length:.2f} times the shortest'
+    if plan.network.travel_unit == 's':
+        console.fact('mean time', f'{duration(trip.expected_length)}, {ratio}; '
                      f'{distance(plan.driven_length)}')
     else:
         console.fact('mean length', f'{distance(plan.driven_length)} as driven' + (
-            '' if few else f' (along the network {distance(strategy.expected_length)}, {ratio})'))
+            '' if few else f' (along the network {distance(trip.expected_length)}, {ratio})'))
     if few:
         price = few.value / few.lower_bound if few.lower_bound else math.inf
         console.fact('few routes', f'{price:.2f} times the value of all {few.candidates} paths '
@@ -154,8 +192,8 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
         console.fact('lower bound', f'{bound:.4g}: ' + (
             'no mixture of the paths that were tried has a smaller value' if few else
             'no planner can guarantee less on this network of '
-            f'{strategy.network.place_count} nodes'))
-        if len(plan.refinement) > 1:
+            f'{len(plan.network.points)} nodes'))
+        if len(plan.refinement) > 1 and not few:
             values = ', '.join(f'{each.value:.4g}' for each in plan.refinement)
             known = ', at a known time' * bool(day)
             console.fact('refined', f'{values} after each round{known}, before the final strategy')
@@ -164,20 +202,21 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
     console.result = {
         'refinement': [each._asdict() for each in plan.refinement],
         'seconds': round(console.seconds, 1),
-        'value': value, 'lower_bound': bound,
-        'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
+        'value': value, 'lower_bound': bound, 'best_ambush': best and best._asdict(),
+        'expected_length': trip.expected_length, 'shortest_length': trip.shortest_length,
         'driven_length': plan.driven_length, 'shortest_route_loss': shortest,
-        'few': None, 'slots': None,
+        'first_hit_value': trip.first_hit_value * covered, 'few': None, 'slots': None,
     }
 
 
-def _tell_slots(day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+def _tell_slots(plan: Plan, day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
     shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:
         console.fact('departures', ', '.join(drawn.slots))
-    console.result['slots'] = {'value': day.value, 'lower_bound': day.lower_bound,
-                               'shares': shares, 'drawn': list(drawn.slots)}
+    console.result['slots'] = {
+        'value': plan.value * day.covered, 'lower_bound': plan.lower_bound * day.covered,
+        'shares': shares, 'drawn': list(drawn.slots)}
 
 
 main = cli.command(parser, _work)

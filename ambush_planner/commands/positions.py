@@ -64,6 +64,14 @@ class Position:
             return False
 
 
+def written(xy: npt.ArrayLike, risk_map: RiskMap) -> str:
+    """A world position [m] as latitude and longitude, or if these are unknown as (x, y)."""
+    try:
+        return Position((0.0, 0.0), True).like(xy, risk_map)
+    except InvalidCoordinates:
+        return Position((0.0, 0.0), False).like(xy, risk_map)
+
+
 class _Positions(argparse.Action):
     """Parse ``X Y``, ``LAT,LON`` and MGRS references, one or several, and append them."""
 

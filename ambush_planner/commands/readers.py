@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from ..recordings import RecordedDeparture, UnreadableRecording, read_departures, recordings_in
@@ -21,19 +21,26 @@ def reader_parser(command: str, description: str, epilog: str) -> argparse.Argum
 
 
 def read_all(place: Path, console: Console) -> tuple[
-        list[RecordedDeparture], list[UnreadableRecording], list[Path]]:
-    """Return the departures below ``place`` in order of time, errors, and the files struck."""
+        list[RecordedDeparture], list[UnreadableRecording], dict[Path, str]]:
+    """Return the departures below ``place`` in order of time, errors, and files struck, and why."""
     errors: list[UnreadableRecording] = []
-    struck: list[Path] = []
+    struck: dict[Path, str] = {}
     departures = read_departures(console.progress(recordings_in(place), 'read'), errors.append,
-                                 lambda each: struck.append(each.path))
-    return departures, errors, sorted(struck)
+                                 lambda each, why: struck.update({each.path: why}))
+    return departures, errors, dict(sorted(struck.items()))
 
 
-def struck_note(struck: Sequence[Path], total: int) -> str:
-    """Say which of all departures were struck."""
-    return (f'Struck as unused: {", ".join(each.stem for each in struck)} ({len(struck)} of '
-            f'{total}). A planner who draws until he likes the route does this: ask why.')
+def struck_note(struck: Mapping[Path, str], total: int) -> str:
+    """Say which of all departures were struck, and why; those without a reason are suspicious."""
+    names = ', '.join(each.stem + (f' ({why})' if why else '') for each, why in struck.items())
+    doubt = ('' if all(struck.values()) else
+             ' A planner who draws until he likes the route does this: ask why.')
+    return f'Struck as unused: {names} ({len(struck)} of {total}).{doubt}'
+
+
+def struck_json(struck: Mapping[Path, str]) -> dict[str, str]:
+    """Return the files struck, and why."""
+    return {place(path): why for path, why in struck.items()}
 
 
 def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:

@@ -23,7 +23,8 @@ shown at the pointer. The list of departures links their recordings. The page ne
 only script is inline. It shows secret routes: its mode is 0600, that of a new folder 0700. With
 --verify it also says what ambush verify and ambush audit find; the exit code is 1 if a recording
 fails verification.
---json: {"verdict", "page", "departures", "sections", "unreadable", "verified", "struck": [FILE]}
+--json: {"verdict", "page", "departures", "sections", "unreadable", "verified",
+"struck": {FILE: WHY}}
 """
 
 
@@ -67,7 +68,7 @@ def write_report(place: Path, output: Path, verify: bool,
         'page': cli.place(output / PAGE) if departures else None, 'departures': len(departures),
         'sections': len(sections), 'unreadable': len(unreadable),
         'verified': code == cli.Exit.HOLDS if verify else None,
-        'struck': [*map(cli.place, struck)],
+        'struck': readers.struck_json(struck),
     }
     return code, sections
 

@@ -2,13 +2,14 @@
 // The maps of a report: pan, zoom, layers, single departures, a reading at the pointer.
 // Positions are metres from the risk map's corner, along the world's axes.
 
-const LEAST = 1e-3; // Edges with smaller probabilities are not drawn.
+const LEAST = 1e-3; // Of all shown probabilities, and of the shares of the value that are no 0.
 const CLASSES = 12; // Number of colours and widths of edges.
 const OBSTACLE = 255;
+const [FULL, SECURED, NOBODY] = [250, 254, 255]; // codes of costs, as in report_data.py
 const PRINTED = [480, 5]; // Width of a printed map in CSS pixels, and dots for each of them.
 const TYPES = {
-  cells: Uint8Array, points: Float32Array, edges: Uint32Array, chances: Float32Array,
-  shown: Float32Array, sites: Float32Array, routes: Float32Array,
+  cells: Uint8Array, costs: Uint8Array, segments: Float32Array, shown: Float32Array,
+  sites: Float32Array, routes: Float32Array,
 };
 
 async function unpack(text, Type) {
@@ -33,7 +34,7 @@ function between(ramp, share) {
 }
 
 const pixel = ([red, green, blue]) => (255 << 24 | blue << 16 | green << 8 | red) >>> 0;
-const digits = (number) => Number(number.toPrecision(3)).toString();
+const digits = (number, count = 3) => Number(number.toPrecision(count)).toString();
 
 class View {
   constructor(figure, data) {
@@ -51,7 +52,6 @@ class View {
     this.ground = this.#paint(true);
     this.bare = this.#paint(false);
     this.stretches = this.#stretches();
-    this.leaving = this.#leaving();
     this.lines = this.#lines();
     this.#listen();
     this.showAll();
@@ -76,7 +76,7 @@ class View {
 
   // Stretches in use by how likely they are, layers as one: a path, colour and width for each class.
   #stretches() {
-    const { points, edges, shown } = this.data;
+    const { segments, shown } = this.data;
     const most = shown.reduce((a, b) => Math.max(a, b), 2 * LEAST);
     const ramp = colours('chances');
     const classes = Array.from({ length: CLASSES }, (_, k) => {
@@ -84,21 +84,12 @@ class View {
       return { path: new Path2D(), colour, width: 0.5 + 2.5 * share ** 2 };
     });
     shown.forEach((p, k) => {
-      if (p < LEAST) return;
       const share = Math.log(p / LEAST) / Math.log(most / LEAST);
       const { path } = classes[Math.min(Math.floor(share * CLASSES), CLASSES - 1)];
-      const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
-      path.moveTo(points[i], points[i + 1]);
-      path.lineTo(points[j], points[j + 1]);
+      path.moveTo(segments[4 * k], segments[4 * k + 1]);
+      path.lineTo(segments[4 * k + 2], segments[4 * k + 3]);
     });
     return classes;
-  }
-
-  // Sum of the chances of the stretches that begin at each node.
-  #leaving() {
-    const { points, edges, chances } = this.data, sums = new Float64Array(points.length / 2);
-    chances.forEach((p, k) => { sums[edges[2 * k]] += p; });
-    return sums;
   }
 
   // The pieces of the routes.
@@ -113,80 +104,12 @@ class View {
     });
   }
 
-  // What an ambush at a place costs: the loss there times the share of departures that it hits.
-  measure(x, y) {
-    const { reach, secured, ends } = this.data;
-    const [u, v] = reach > 0 ? [x, y] : this.#nearest(x, y);
-    const hit = this.data.ordered ? this.#hit(u, v) : this.#entering(u, v);
-    const near = Math.min(...ends.map(([a, b]) => Math.hypot(u - a, v - b)));
-    const loss = this.#loss(u, v);
-    return { here: this.#loss(x, y), loss, hit, cost: loss * hit, secured: near <= secured };
-  }
-
-  // Loss by the map: NaN in obstacles, undefined off the map.
-  #loss(x, y) {
-    const { yaw, cell, columns, rows, cells, levels } = this.data;
-    const column = Math.floor((x * Math.cos(yaw) + y * Math.sin(yaw)) / cell);
-    const row = Math.floor((y * Math.cos(yaw) - x * Math.sin(yaw)) / cell);
-    if (column < 0 || row < 0 || column >= columns || row >= rows) return undefined;
-    const level = cells[row * columns + column];
-    return level === OBSTACLE ? NaN : levels[level];
-  }
-
-  // Chance that a departure comes into the disc outside the secured area, once: what has not met
-  // it is passed on along the stretches, which are in the order of the way.
-  #hit(x, y) {
-    const { edges, chances, source, target } = this.data, unhit = new Float64Array(this.leaving.length);
-    unhit[source] = 1;
-    chances.forEach((p, k) => {
-      const [i, j] = [edges[2 * k], edges[2 * k + 1]];
-      if (unhit[i] > 0 && !this.#meets(k, x, y)) unhit[j] += unhit[i] * p / this.leaving[i];
-    });
-    return 1 - unhit[target];
-  }
-
-  // How often departures on ways with circles come into the disc: stretches that begin outside it.
-  #entering(x, y) {
-    const { points, edges, chances, reach } = this.data;
-    return chances.reduce((sum, p, k) => {
-      const i = 2 * edges[2 * k], outside = Math.hypot(points[i] - x, points[i + 1] - y) > reach;
-      return outside && this.#meets(k, x, y) ? sum + p : sum;
-    }, 0);
-  }
-
-  // Whether the part of a stretch outside the secured area comes into the disc; ends there, without one.
-  #meets(k, x, y) {
-    const { points, edges, reach, shelter, ends } = this.data;
-    const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
-    if (!(reach > 0)) return points[j] === x && points[j + 1] === y;
-    const [a, b] = [points[i], points[i + 1]], [c, d] = [points[j] - a, points[j + 1] - b];
-    const squared = c * c + d * d || 1;
-    const inside = (u, v, radius) => { // from where to where, in shares of the stretch
-      const middle = ((u - a) * c + (v - b) * d) / squared;
-      const off = Math.hypot(a + middle * c - u, b + middle * d - v);
-      const half = Math.sqrt(Math.max(radius * radius - off * off, 0) / squared);
-      return off <= radius ? [middle - half, middle + half] : [1, 0];
-    };
-    const [first, last] = inside(x, y, reach);
-    let parts = [[Math.max(first, 0), Math.min(last, 1)]].filter(([from, to]) => from <= to);
-    if (!parts.length || shelter <= 0) return parts.length > 0;
-    ends.forEach(([u, v]) => {
-      const [low, high] = inside(u, v, shelter);
-      if (low > high) return;
-      parts = parts.flatMap(([from, to]) => [[from, Math.min(to, low)], [Math.max(from, high), to]])
-        .filter(([from, to]) => from < to);
-    });
-    return parts.length > 0;
-  }
-
-  #nearest(x, y) {
-    const { points } = this.data;
-    let [best, least] = [0, Infinity];
-    for (let k = 0; k < points.length; k += 2) {
-      const far = (points[k] - x) ** 2 + (points[k + 1] - y) ** 2;
-      if (far < least) [best, least] = [k, far];
-    }
-    return [points[best], points[best + 1]];
+  // The value at a place of a raster of squares: undefined off the map.
+  #at(raster, side, columns, x, y) {
+    const { yaw } = this.data;
+    const column = Math.floor((x * Math.cos(yaw) + y * Math.sin(yaw)) / side);
+    const row = Math.floor((y * Math.cos(yaw) - x * Math.sin(yaw)) / side);
+    return column < 0 || row < 0 || column >= columns ? undefined : raster[row * columns + column];
   }
 
   showAll() {
@@ -234,7 +157,7 @@ class View {
 
   #draw() {
     this.drawing = 0;
-    const { pen, data, scale, fine } = this, { yaw, cell, columns, rows, secured } = data;
+    const { pen, data, scale, fine } = this, { yaw, cell, columns, rows, discs } = data;
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     pen.setTransform(fine * scale, 0, 0, -fine * scale,
@@ -249,12 +172,10 @@ class View {
     if (this.layers.chances.checked) {
       for (const { path, colour, width } of this.stretches) this.#stroke(path, colour, width);
     }
-    if (secured > 0) {
-      for (const [x, y] of data.ends) this.#stroke(disc(x, y, secured), 'white', 4);
-      pen.setLineDash([7 / scale, 5 / scale]);
-      for (const [x, y] of data.ends) this.#stroke(disc(x, y, secured), 'black', 2);
-      pen.setLineDash([]);
-    }
+    for (const each of discs) this.#stroke(disc(...each), 'white', 4);
+    pen.setLineDash([7 / scale, 5 / scale]);
+    for (const each of discs) this.#stroke(disc(...each), 'black', 2);
+    pen.setLineDash([]);
     if (this.layers.routes.checked) this.#drawRoutes();
     if (this.layers.sites.checked) this.#drawSites();
     data.ends.forEach(([x, y], k) => this.#drawEnd(x, y, ['start', 'goal'][k] || `stop ${k - 1}`));
@@ -400,24 +321,23 @@ class View {
 
   // What an ambush at a place would cost, in words.
   words(x, y) {
-    const { reach, value, origin, cell } = this.data, found = this.measure(x, y);
-    if (found.here === undefined) return 'Outside the map';
+    const { value, origin, cell, cells, columns, levels } = this.data;
+    const level = this.#at(cells, cell, columns, x, y);
+    if (level === undefined) return 'Outside the map';
     const [u, v] = [x + origin[0], y + origin[1]], places = cell < 1 ? 1 : 0;
-    const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
-    const share = found.hit < LEAST ? 'practically no' : `${digits(100 * found.hit)} % of`;
-    const risk = Number.isNaN(found.here) ? '' : `risk ${digits(found.here)}; `;
-    return `${this.#verdict(found)}\n${risk}the best ambush costs ${digits(value)}\n`
-      + `${share} departures ${pass}\n`
+    const risk = level === OBSTACLE ? '' : `risk ${digits(levels[level])}; `;
+    return `${this.#verdict(x, y)}\n${risk}the best ambush costs ${digits(value)}\n`
       + `x ${u.toFixed(places)} m, y ${v.toFixed(places)} m`
       + (this.#latLon(u, v) || []).map((each, k) => (k ? ', ' : '\n') + each.toFixed(5)).join('');
   }
 
-  #verdict({ secured, cost }) {
-    if (secured && this.data.secured > 0) return 'Secured area: nobody can wait here';
-    if (secured) return 'Start, stops and goal: nobody can wait here';
-    if (Number.isNaN(cost)) return 'Obstacle';
-    const loss = cost < LEAST * this.data.value ? 'practically nothing' : digits(cost);
-    return `An ambush here costs ${loss} on average`;
+  #verdict(x, y) {
+    const { costs, block, blocks, reach, most_cost: most, value } = this.data;
+    const code = this.#at(costs, block, blocks, x, y), cost = most * code / FULL;
+    if (code === SECURED) return 'Secured area: nobody can wait here';
+    if (code === NOBODY) return 'Obstacle';
+    const loss = cost < 2 * LEAST * value ? 'practically nothing' : digits(cost, 2);
+    return `An ambush ${reach > 0 ? 'here' : 'at the nearest node'} costs ${loss} on average`;
   }
 
   // Show the reach and the reading at a place of the canvas; the reading never covers the place.
@@ -542,6 +462,7 @@ async function show(figure) {
     const data = JSON.parse(figure.querySelector('script').textContent);
     for (const [name, Type] of Object.entries(TYPES)) data[name] = await unpack(data[name], Type);
     figure.view = new View(figure, data);
+    figure.classList.add('live');
   } catch (error) {
     figure.querySelector('figcaption').textContent = `This browser cannot show the map: ${error}`;
     throw error;

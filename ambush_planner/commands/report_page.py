@@ -21,7 +21,7 @@ from urllib.parse import quote
 from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
 from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
-from ..words import distance, ends, percent, rounded
+from ..words import percent, rounded
 from . import report_words as words
 from .cli import count, resource
 
@@ -105,9 +105,9 @@ def _audit(checks: Checks | None, departures: int) -> str:
 
 
 def _section(section: Section, folder: Path, name: str) -> str:
-    departures, strategy = section.departures, section.strategy
+    departures, trip = section.departures, section.trip
     times = dict.fromkeys(words.leaving(departures[k]) for k in (0, -1))
-    warnings, several = [], len({id(each.strategy) for each in departures})
+    warnings, several = [], len({id(each.trip) for each in departures})
     if any(each.parameters.values['seed'] >= 0 for each in departures):
         warnings.append(FIXED_SEED)
     try:
@@ -117,28 +117,38 @@ def _section(section: Section, folder: Path, name: str) -> str:
         data = map_data(section, with_degrees=False)
     data['colours'] = colours(section)
     left, bottom, right, top = data['box']
+    ratio = min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO)
     settings = words.settings(section)
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
         warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
-        ratio=f'{min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO):.3f}',
+        ratio=f'{ratio:.3f}', picture=_picture(section, ratio),
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
         tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
                       for number, text in words.tiles(section)),
         least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
-        likeliest=percent(float(strategy.shown_probability.max(initial=0.0))),
+        likeliest=percent(float(trip.ground_uses[1].max(initial=0.0))),
         **{name: '' if there else 'hidden' for name, there in (
-            ('waits', strategy.value > 0.0), ('holds', data['secured'] > 0.0),
+            ('waits', trip.value > 0.0), ('holds', data['discs']),
             ('blocks', section.risk_map.obstacles.any()))},
-        secured=distance(data['secured']), ends=ends(len(strategy.network.stops)),
         north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),
-        measures=_table(words.measures(strategy), 'first'),
+        measures=_table(words.measures(section), 'first'),
         quantities=_table([(), *words.quantities(section)]),
         changed=sum(bool(default) for _, _, default in settings),
         settings=_table([('setting', 'value', 'default'), *settings]),
     )
+
+
+def _picture(section: Section, ratio: float) -> str:
+    """The map as a picture for those who run no scripts; nothing without matplotlib."""
+    try:
+        from .report_picture import map_picture
+    except ModuleNotFoundError:
+        return ''
+    return ('<img alt="Map of risk, probabilities, ambush sites and routes" src="data:image/jpeg;'
+            f'base64,{b64encode(map_picture(section, ratio)).decode()}">')
 
 
 def _paragraphs(texts: Iterable[str]) -> str:

@@ -4,16 +4,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from ..arrays import NEGLIGIBLE
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..parameters.table import PARAMETERS
-from ..planning.evaluation import evaluate
 from ..planning.plan import path_lengths
 from ..recordings import RecordedDeparture
 from ..recordings.report_data import Section
-from ..words import distance, ends, percent, rounded, travel
+from ..words import (
+    best_ambush,
+    count,
+    distance,
+    ends,
+    of_departures,
+    over_legs,
+    percent,
+    rounded,
+    travel,
+)
 from .console import when
+from .positions import written
 
 PLANNERS = {
     'stochastic': 'these random routes',
@@ -28,33 +39,45 @@ def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee, and what that assumes."""
     return [
         _guarantee(section), _optimality(section),
-        ' '.join(filter(None, (_assumptions(section.strategy), secured(section)))),
+        ' '.join(filter(None, (_assumptions(section.trip), secured(section)))),
         'Losses are in the units of the risk map: they compare how bad an ambush is at different '
         'places.',
     ]
 
 
 def _guarantee(section: Section) -> str:
-    strategy, (value, _) = section.strategy, section.bounds
-    anywhere = strategy.game.options.widened > 0.0
+    trip, (value, _) = section.trip, section.bounds
+    anywhere = trip.game.options.widened > 0.0
     where = 'Wherever' if anywhere else 'At whichever node of the network'
-    outside = (f', except on the secured area around {ends(len(strategy.network.stops))}'
+    outside = (f', except on the secured area around {ends(len(trip.legs) - 1)}'
                if secured(section) else '')
     timed = section.slots is not None
     when_known = (' He can wait at one time of departure only; if he knows the time, it is at most '
-                  f'{rounded(strategy.value)}.') * timed
+                  f'{rounded(trip.value)}.') * timed
+    several = len(trip.legs) > 1
+    covered = section.departures[-1].covered
+    summed = f', {over_legs(len(trip.legs), trip.first_hit_value * covered)},' * several
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
-            f'{rounded(value)} per departure, even if he knows the map, the probabilities '
+            f'{rounded(value)} per departure{summed}, even if he knows the map, the probabilities '
             f'and all earlier routes.{when_known} This assumes that he does not know the next '
             f'route{" and time" * timed}; an informant who tells him whether the convoy passes '
-            'raises the mean loss at most twofold.')
+            f'raises the mean loss at most twofold. {_in_words(section)}')
+
+
+def _in_words(section: Section) -> str:
+    if section.best is None:
+        return 'No ambush causes a loss.'
+    text = best_ambush(section.best.hit, written(section.best.xy, section.risk_map),
+                       section.departures[-1].covered)
+    return f'In other words, {text}.'
 
 
 def _optimality(section: Section) -> str:
-    strategy, (value, bound) = section.strategy, section.bounds
-    unit = strategy.network.travel_unit
-    length = ('' if strategy.length_budget == math.inf else
-              f' with a mean length of at most {travel(strategy.length_budget, unit)}')
+    trip, (value, bound) = section.trip, section.bounds
+    unit = trip.game.network.travel_unit
+    budgets = [leg.length_budget for leg in trip.legs]
+    length = ('' if max(budgets) == math.inf else
+              f' with a mean length of at most {_limits(budgets, unit)}')
     gap = (value - bound) / value if value > 0.0 else 0.0
     near = f'within {percent(gap)} of ' if gap > OPTIMAL else ''
     return (f'No other probabilities on this network{length} can promise less than '
@@ -63,8 +86,8 @@ def _optimality(section: Section) -> str:
             'this page.')
 
 
-def _assumptions(strategy: Strategy) -> str:
-    game, radius = strategy.game, strategy.game.options.ambush_radius
+def _assumptions(trip: TripStrategy) -> str:
+    game, radius = trip.game, trip.game.options.ambush_radius
     hits = (f'every route that passes within {distance(game.reach)} (his reach of '
             f'{distance(radius)}, and {distance(game.reach - radius)} by which the path and his '
             'place may be off)' if radius > 0.0 else
@@ -75,75 +98,85 @@ def _assumptions(strategy: Strategy) -> str:
 
 def secured(section: Section) -> str:
     """The assumption about the secured area; '' if there is none."""
-    radius = section.strategy.game.options.secured_distance
-    asked = section.departures[-1].parameters.planning.game.secured_radius
+    radius = section.trip.game.options.secured_distance
+    game = section.departures[-1].parameters.planning.game
+    asked, held = game.secured_radius, len(game.held_places)
     if not radius > 0.0:
         return ''
     margin = ''
     if asked is not None and round(asked - radius) > 0:
         margin = f' ({distance(asked)}, less how far start and goal may move)'
+    more = f', nor at {count(held, "held place")}' if held else ''
     return (f'A secured area is assumed: nobody can wait within {distance(radius)} of '
-            f'{ends(len(section.strategy.network.stops))}{margin}.')
+            f'{ends(len(section.trip.legs) - 1)}{margin}{more}.')
 
 
 def tiles(section: Section) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
-    strategy, rows = section.strategy, evaluate(section.strategy)
-    fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
+    trip, fixed = section.trip, section.measures['energy_efficient']
     different = len({each.path_poses.round(1).tobytes() for each in section.departures})
     driven = path_lengths([each.path_poses for each in section.departures])
-    ratio = rounded(strategy.expected_length / strategy.shortest_length)
-    unit = 'time' if strategy.network.travel_unit == 's' else 'length'
+    ratio = rounded(trip.expected_length / trip.shortest_length)
+    unit = 'time' if trip.game.network.travel_unit == 's' else 'length'
     timed = section.slots is not None
     return [
         (rounded(section.bounds[0]), 'mean loss per departure from the best ambush'
          f'{" (at one time)" * timed}, instead of {rounded(fixed.v_repeated)} if you always take '
          'the shortest route'),
-        (percent(chance), f'of departures are hit by the best ambush{" at the right time" * timed},'
-         f' instead of {percent(fixed.p_repeated)} on a fixed route that he has learnt'),
+        _hits_tile(section),
         (f'{different} of {len(section.departures)}', 'departures took different routes'),
         (distance(float(driven.mean())), 'driven per departure, on average; the mean '
          f'{unit} along the network is {ratio} times the shortest'),
     ]
 
 
-def measures(strategy: Strategy) -> list[tuple[str, ...]]:
+def _hits_tile(section: Section) -> tuple[str, str]:
+    if section.best is None:
+        return 'no departure', 'meets an ambush that causes a loss'
+    return (of_departures(section.best.hit * section.departures[-1].covered),
+            f'hit by the best ambush, at {written(section.best.xy, section.risk_map)}, instead of '
+            'every one once he has learnt a habit')
+
+
+def measures(section: Section) -> list[tuple[str, ...]]:
     """Head and rows of the comparison of planners (the paper's table III: E, P_1, P_inf, V_inf)."""
     head = ('the convoy drives', 'mean along the network', 'hit by the ambusher on the map',
             'hit once the habit is known', 'mean loss once it is known')
+    timed = section.slots is not None
     return [head, *(
-        (PLANNERS[name], travel(row.expected_length, strategy.network.travel_unit),
+        (PLANNERS[name] + ' and times' * (timed and name == 'stochastic'),
+         travel(row.expected_length, section.trip.game.network.travel_unit),
          percent(row.p_first), percent(row.p_repeated), rounded(row.v_repeated))
-        for name, row in evaluate(strategy).items()
+        for name, row in section.measures.items()
     )]
 
 
 def quantities(section: Section) -> list[tuple[str, str]]:
     """Further measures of the strategy by name."""
-    strategy, (value, bound) = section.strategy, section.bounds
-    network, budget, unit = strategy.network, strategy.length_budget, strategy.network.travel_unit
-    waits = strategy.ambush_at_places
-    sites = int((waits > NEGLIGIBLE * waits.max()).sum()) if strategy.value > 0.0 else 0
+    trip, (value, bound) = section.trip, section.bounds
+    network, unit, waits = trip.game.network, trip.game.network.travel_unit, trip.ambusher.q
+    budgets = [leg.length_budget for leg in trip.legs]
+    sites = int((waits > NEGLIGIBLE * waits.max()).sum()) if trip.value > 0.0 else 0
     return [
         ('mean loss, at most (value)', rounded(value, 4)),
         ('no planner can promise less than', rounded(bound, 4)),
-        ('mean along the network', travel(strategy.expected_length, unit)),
-        ('shortest route along it', travel(strategy.shortest_length, unit)),
-        ('limit of that mean', travel(budget, unit) if math.isfinite(budget) else 'none'),
-        ('as hard to guess as one of', f'{_routes(strategy)} equally likely routes'),
-        ('network', f'{network.place_count:,} nodes, {network.stretches:,} edges'),
+        ('mean along the network', travel(trip.expected_length, unit)),
+        ('shortest route along it', travel(trip.shortest_length, unit)),
+        ('limit of that mean', _limits(budgets, unit) if math.isfinite(max(budgets)) else 'none'),
+        ('as hard to guess as one of', f'{_routes(trip)} equally likely routes'),
+        ('network', f'{len(network.points):,} nodes, {len(trip.ground_uses[0]):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
     ]
 
 
 def departures(section: Section) -> list[tuple[str, ...]]:
     """Head and rows of the list of departures, in order of time; the loss only if it varies."""
-    varies = len({id(each.strategy) for each in section.departures}) > 1
+    varies = len({id(each.departed_on) for each in section.departures}) > 1
     rows = []
     for number, each in enumerate(section.departures, start=1):
         (length,) = path_lengths([each.path_poses])
         rows.append((str(number), leaving(each)[:len('2000-01-01 00:00')],
-                     distance(float(length)), *([rounded(each.strategy.value)] * varies)))
+                     distance(float(length)), *([rounded(each.value)] * varies)))
     time = 'day' if section.departures[-1].metadata.day else 'time (UTC)'
     return [('route', time, 'length', *(['mean loss'] * varies)), *rows]
 
@@ -172,7 +205,12 @@ def settings(section: Section) -> list[tuple[str, str, str]]:
     return sorted(rows, key=lambda row: not row[2])
 
 
-def _routes(strategy: Strategy) -> str:
+def _limits(budgets: Sequence[float], unit: str) -> str:
+    """The length budgets of the legs."""
+    return ', '.join(travel(each, unit) for each in budgets) + ' on its leg' * (len(budgets) > 1)
+
+
+def _routes(trip: TripStrategy) -> str:
     """The effective number of routes."""
-    power = strategy.route_entropy / math.log(10.0)
-    return f'{math.exp(strategy.route_entropy):,.0f}' if power < 6.0 else f'about 10^{power:.0f}'
+    power = trip.route_entropy / math.log(10.0)
+    return f'{math.exp(trip.route_entropy):,.0f}' if power < 6.0 else f'about 10^{power:.0f}'

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from ..map_figures import as_png
-from ..maps.map_file import write_map
+from ..maps.map_file import read_yaml, write_map
 from ..maps.occupancy import OccupancyMap
-from ..maps.risk_layers import risk_from_layers
+from ..maps.risk_layers import InvalidLayers, risk_from_layers
 from ..maps.risk_map import LOSSES, RiskMap
 from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
+from ..recordings.sources import layer_files, list_sources
 from . import cli
 from .positions import add_crs, crs_text
 from .risk_figure import layers_figure
@@ -32,6 +33,7 @@ A DEM is a GeoTIFF of heights, or an npz file. LAYERS.yaml has a line for each l
 as terrain, villages, roads and incidents; docs/risk_layers.md explains them.
 It writes MAP.yaml and MAP.pgm for map_server, a picture, MAP.png, and, if the coordinate system is
 known, a GeoTIFF, MAP.tif, with its style for QGIS; of layers also MAP.npz with the exact losses.
+MAP.sources.json has the files that it was made from by name and hash, for ambush draw.
 """
 DETAILS = """\
 DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
@@ -90,6 +92,8 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
+    files.append(list_sources(files, [each for each in (arguments.source, arguments.roads)
+                                      if each]))
     console.line(_summary(grid))
     unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
     return _told(files, grid.losses, [] if grid.crs else [unknown], console)
@@ -103,6 +107,8 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                      as_png(layers_figure(joined.risk_map, joined.layers)))
     files.insert(2, output.with_suffix('.npz'))
     files[2].write_bytes(npz_bytes(joined.risk_map))
+    files.append(list_sources(files, [arguments.source, *layer_files(
+        read_yaml(arguments.source, InvalidLayers), arguments.source.parent)]))
     if grid.losses != LOSSES:
         least, most = grid.losses
         console.line('losses go beyond {:g} to {:g}: '.format(*LOSSES)

@@ -7,6 +7,7 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from ..errors import shown
@@ -14,9 +15,10 @@ from ..recordings import recordings_in
 from ..recordings.metadata import Metadata
 from ..recordings.recorded_departures import together
 from ..recordings.verify import Verdict, Verifier
-from ..words import rounded
+from ..words import distance, rounded
 from . import cli, readers
 from .console import when
+from .positions import written
 
 EPILOG = """\
 For each departure, checks the file's checksums, rebuilds the network from the recorded map and
@@ -24,7 +26,9 @@ parameters, recomputes the certificate from the recorded probabilities alone (it
 and that no strategy within the budgets has less than the lower bound), and redraws route and path
 from the recorded entropy. Also finds random sources that are too short or repeat in the folder,
 copies of a recording, and recordings that others, or the folder's list, say are missing.
---replan also solves each game again, without a warm start, and compares the values.
+--replan also solves each game again, without a warm start, and compares the values. With --map or
+--roads, the ground as it is now: is each departure clear there, and what does the best ambush cost?
+The exit code is 1 if one is not clear. A plan file can be verified, too.
 
 Not checked: whether the newest recordings were deleted, whether the plan is yours, and whether the
 drawn route was driven; markers, diagnostics, request and response, times, and the poses of start
@@ -33,9 +37,14 @@ how to sign a folder.
 
 Output: one line per departure with its problems below it, then the plans if there are several, and
 departures that were struck as unused; progress on standard error.
---json: {"verdict", "departures": [{"file", "number", "holds", "value", "problems", "notes"}],
-"findings", "notes", "plans": [{"made", "value", "departures"}], "struck": [FILE]}
+--json: {"verdict", "departures": [{"file", "number", "holds", "value", "problems", "notes",
+"now": null, or with --map or --roads {"clear", "value", "clear_share", "blocked_at"}}],
+"findings", "notes", "plans": [{"made", "value", "departures"}], "struck": {FILE: WHY}}
 """
+
+
+# Share of clear routes from which all are called clear.
+CLEAR = 0.9995
 
 
 def parser() -> argparse.ArgumentParser:
@@ -45,33 +54,50 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument('--replan', action='store_true',
                       help='solve each game again and compare the values')
+    made.add_argument('--map', type=Path, metavar='MAP',
+                      help='is each departure clear on this map, and what does it cost now?')
+    made.add_argument('--roads', type=Path, metavar='FILE', help='and on these roads')
     return made
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     paths = recordings_in(options.recordings)
     console.say(f'verifying {cli.count(len(paths), "recording")}')
-    verifier = Verifier(options.replan)
+    verifier = Verifier(options.replan, options.map, options.roads)
     verdicts = [verifier.verify(path) for path in console.progress(paths, 'verified')]
     for verdict in verdicts:
-        line = f'{"holds" if verdict.holds else "FAILS"}  {shown(verdict.path.name)}'
+        word = 'holds' if verdict.holds else 'CLOSED' if verdict.denied else 'FAILS'
+        line = f'{word:<5}  {shown(verdict.path.name)}'
         if said := verdict.metadata:
             diverted = f' diverted ({said.diversion.number})' if said.diversion else ''
             line += (f': departure {said.departure}{diverted}, {verdict.nodes} nodes, '
                      f'value {_value(verdict, said)}')
+        if plan := verdict.plan:
+            line += (f': plan of {when(plan.plan.made_ns)}, {verdict.nodes} nodes, '
+                     f'value {verdict.value:.4g}')
         console.line(line)
-        _print_below(console, verdict.problems, verdict.notes)
+        _print_below(console, [*verdict.problems, *_now(verdict)], verdict.notes)
     findings, notes = together(verdicts)
     if findings:
         console.line('FAILS')
     _print_below(console, findings, notes)
-    failing = [verdict for verdict in verdicts if not verdict.holds]
-    departures = cli.count(len(verdicts), 'departure')
+    known = [(each, each.metadata) for each in verdicts if each.metadata]
+    replaced = {said.day.replaces: said.day.why for _, said in known if said.day}
+    struck = {each.path: replaced[said.departure_id] for each, said in known
+              if said.departure_id in replaced}
+    blocked = [verdict for verdict in verdicts
+               if _is_blocked(verdict) and verdict.path not in struck]
+    failing = [verdict for verdict in verdicts if not (verdict.holds or verdict.denied)]
+    denied = [verdict for verdict in verdicts if verdict.denied]
+    departures = cli.count(len(verdicts), 'plan' if verdicts[0].plan else 'departure')
+    if denied:
+        console.line(f'{len(denied)} of {departures}: no permission to read')
     if failing:
         console.line(f'{len(failing)} of {departures}: not consistent')
+    elif denied:
+        console.line(f'{len(verdicts) - len(denied)} of {departures}: all hold')
     else:
         console.line(f'{departures}: {"each holds, but not together" if findings else "all hold"}')
-    known = [(each, each.metadata) for each in verdicts if each.metadata]
     plans = Counter((said.plan.made_ns, said.plan.id, each.plan_value)
                     for each, said in known if said.plan)
     if len(plans) > 1:
@@ -79,19 +105,19 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
                               for (made, _, value), number in sorted(plans.items()))
         console.item(f'{cli.count(plans.total(), "departure")} of {len(plans)} plans: {each_plan}',
                      0)
-    replaced = {said.day.replaces for _, said in known if said.day}
-    struck = [each.path for each, said in known if said.departure_id in replaced]
+    if options.map or options.roads:
+        console.line(f'{len(blocked)} of {departures}: not clear on the new ground')
     if struck:
         console.item(readers.struck_note(struck, len(verdicts)), 0)
     console.result = {
         'departures': [*map(_as_json, verdicts)], 'findings': findings, 'notes': notes,
         'plans': [{'made': when(made), 'value': value, 'departures': number}
                   for (made, _, value), number in sorted(plans.items())],
-        'struck': [*map(cli.place, struck)],
+        'struck': readers.struck_json(struck),
     }
-    if findings or any(verdict.readable for verdict in failing):
+    if findings or blocked or any(verdict.readable for verdict in failing):
         return cli.Exit.FINDING
-    return cli.Exit.UNREADABLE if failing else cli.Exit.HOLDS
+    return cli.Exit.UNREADABLE if failing or denied else cli.Exit.HOLDS
 
 
 def _value(verdict: Verdict, said: Metadata) -> str:
@@ -102,17 +128,44 @@ def _value(verdict: Verdict, said: Metadata) -> str:
     return f'{verdict.plan_value:.4g} ({verdict.value:.4g} if he knows the time)'
 
 
+def _is_blocked(verdict: Verdict) -> bool:
+    """Whether the path is blocked on the new ground; of a plan, whether some routes are."""
+    now = verdict.now
+    return bool(now and (now.clear_share < CLEAR if verdict.plan else now.blocked))
+
+
+def _now(verdict: Verdict) -> list[str]:
+    """What is clear on the new ground, and what it costs there."""
+    if (now := verdict.now) is None:
+        return []
+    costs = (f'value {now.value:.4g}, before {now.before:.4g}' if now.clear_share > 0.0 else
+             'no route of its plan is clear')
+    if 0.0 < now.clear_share < CLEAR:
+        costs += f', on the {now.clear_share:.0%} of the routes of its plan that are clear'
+    if verdict.plan:
+        return [f'now: {costs}']
+    if now.blocked is None:
+        return [f'now: clear; {costs}']
+    more = now.blocked.places - 1
+    others = f' and in {cli.count(more, "more place")}' * bool(more)
+    return [f'now: BLOCKED at {written(now.blocked.xy, now.risk_map)}, '
+            f'{distance(now.blocked.along)} from the start{others}; {costs}']
+
+
 def _print_below(console: cli.Console, problems: Sequence[str], notes: Sequence[str]) -> None:
     for text in (*problems, *(f'({note})' for note in notes)):
         console.item(text)
 
 
 def _as_json(verdict: Verdict) -> dict[str, Any]:
+    now = verdict.now
     return {
         'file': cli.place(verdict.path), 'holds': verdict.holds,
         'number': verdict.metadata.departure if verdict.metadata else 0,
         'value': verdict.value if math.isfinite(verdict.value) else None,
-        'problems': verdict.problems, 'notes': verdict.notes,
+        'problems': verdict.problems, 'notes': verdict.notes, 'now': now and {
+            'clear': not _is_blocked(verdict), 'value': now.value, 'clear_share': now.clear_share,
+            'blocked_at': now.blocked and now.blocked.xy},
     }
 
 

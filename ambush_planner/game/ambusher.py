@@ -57,8 +57,7 @@ class Ambush(NamedTuple):
     circulations: tuple[Circulation, ...] = ()
 
     def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
-        """The same in a game with the ``kept`` ones of all sites (S',), of which S are the first.
-        """
+        """The same in a game with the ``kept`` ones of all sites (S',), which begin with S."""
         node = np.full(len(kept), -1)
         node[kept] = game.sites
         q = np.append(self.q, np.zeros(len(kept) - len(self.q)))[kept]

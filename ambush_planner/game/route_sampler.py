@@ -105,7 +105,7 @@ class MixtureSampler:
     def __init__(self, network: Network, mixture: RouteMixture) -> None:
         self._nodes = [frozen_array(np.append(network.source, network.heads[route]), np.int64)
                        for route in mixture.routes]
-        self._ends = np.cumsum(mixture.shares)
+        self._edges, self._ends = mixture.routes, np.cumsum(mixture.shares)
 
     def draw(self, rng: np.random.Generator) -> IndexArray:
         """Return one route (K,): node indices, source first, target last."""
@@ -113,8 +113,16 @@ class MixtureSampler:
 
     def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
         """Return ``n`` routes."""
+        return [self._nodes[k] for k in self._drawn(n, rng)]
+
+    def draw_steps(self, n: int, rng: np.random.Generator) -> tuple[IndexArray, IndexArray]:
+        """Draw ``n`` routes: the route (0..n - 1) and the edge of each step (S,)."""
+        edges = [self._edges[k] for k in self._drawn(n, rng)]
+        return np.repeat(np.arange(n), list(map(len, edges))), np.concatenate(edges)
+
+    def _drawn(self, n: int, rng: np.random.Generator) -> list[int]:
         drawn = np.searchsorted(self._ends, rng.random(n) * self._ends[-1], side='right')
-        return [self._nodes[k] for k in np.minimum(drawn, len(self._nodes) - 1).tolist()]
+        return [int(k) for k in np.minimum(drawn, len(self._nodes) - 1)]
 
 
 def route_edges(network: Network, route: IndexArray) -> IndexArray:

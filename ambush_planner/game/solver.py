@@ -49,6 +49,9 @@ from .value.linear_program import linear_program_strategy
 from .value.potential import Potential
 from .value.routes import ROUTES, Routes
 
+# Least share of the routes that is called every route.
+ALL_ROUTES = 0.99
+
 
 class Stages(NamedTuple):
     """The constants of the stages."""
@@ -127,7 +130,7 @@ def solve(network: Network, game: GameOptions | None = None,
     options = options or StrategyOptions()
     found = _in_time(solve_legs(make_games((network,), game or GameOptions()), options), options)
     (strategy,) = found.legs
-    certain = certain_sites(strategy, options.tolerance)
+    certain = certain_sites(strategy)
     if not strategy.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
              'secured area (secured_radius)')
@@ -137,12 +140,12 @@ def solve(network: Network, game: GameOptions | None = None,
     return strategy
 
 
-def certain_sites(strategy: Strategy, tolerance: float) -> FloatArray:
-    """The nodes (K,) where the ambusher waits and, up to the tolerance, every route is hit."""
+def certain_sites(strategy: Strategy) -> FloatArray:
+    """The nodes (K,) where the ambusher waits and (nearly) every route is hit."""
     game = strategy.game
     rows = np.flatnonzero(strategy.ambush_probability[game.sites] > 0.0)
     hits = strategy.law.meets(game.entering[rows])
-    return np.asarray(game.sites[rows[hits >= 1.0 - tolerance]])
+    return np.asarray(game.sites[rows[hits >= ALL_ROUTES]])
 
 
 def solve_legs(games: tuple[Game, ...], options: StrategyOptions,

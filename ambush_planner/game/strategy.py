@@ -217,7 +217,12 @@ class Strategy(Shown):
         """Draw edges by probability and ambush sites on matplotlib axes; returns the axes."""
         from ..figures import draw_strategy
 
-        return draw_strategy(axes, self, risk_map)
+        return draw_strategy(axes, self.alone, risk_map)
+
+    @cached_property
+    def alone(self) -> TripStrategy:
+        """The trip of this leg alone."""
+        return TripStrategy((self,), self.certificate, self.entropy_bound, self.reason)
 
     @property
     def network(self) -> Network:
@@ -225,7 +230,8 @@ class Strategy(Shown):
         return self.game.network
 
     @cached_property
-    def _sampler(self) -> RouteSampler | MixtureSampler:
+    def sampler(self) -> RouteSampler | MixtureSampler:
+        """What draws the routes."""
         if self.mixture:
             return MixtureSampler(self.network, self.mixture)
         return RouteSampler(self.network, self.edge_probability)
@@ -235,12 +241,12 @@ class Strategy(Shown):
 
         ``rng`` is a generator, or a seed for tests; None: the operating system's entropy.
         """
-        return self._sampler.draw(np.random.default_rng(rng))
+        return self.sampler.draw(np.random.default_rng(rng))
 
     def sample_routes(self, n: int,
                       rng: np.random.Generator | int | None = None) -> list[IndexArray]:
         """Draw ``n`` routes at once, as ``sample_route`` does but much faster."""
-        return self._sampler.draw_many(n, np.random.default_rng(rng))
+        return self.sampler.draw_many(n, np.random.default_rng(rng))
 
     def mean_direction(self) -> FloatArray:
         """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.

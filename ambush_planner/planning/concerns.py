@@ -79,6 +79,8 @@ def _secured_share(plan: Plan) -> float:
 def _coarse(plan: Plan) -> list[str]:
     """Say that a finer network could have a lower value: refinement was short, or there is none."""
     reach, spacing, rounds = plan.options.game.ambush_radius, plan.spacing, plan.refinement
+    if plan.few:
+        return []
     if len(rounds) > 1 and rounds[-1].value < (1.0 - LEAST_FALL) * rounds[-2].value:
         return [f'the last round of refinement brought {rounds[-2].value:.4g} to '
                 f'{rounds[-1].value:.4g}; with more rounds or time the value can be lower still']
@@ -100,11 +102,14 @@ def wide_gap(plan: Plan) -> str:
         return ''
     wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
     if strategy.lower_bound > 0.0:
-        wide = (f'the gap is {strategy.gap / strategy.lower_bound:.1%}: the plan can be used, and '
-                f'its value, {strategy.value:.4g}, is at most that much above the best on this '
-                f'network (lower bound {strategy.lower_bound:.4g})')
+        usable = (f'more than {plan.options.max_gap:.0%} (strategy.max_gap)' if plan.gap_is_wide
+                  else 'so the plan can be used')
+        wide = (f'the value, {strategy.value:.4g}, is at most '
+                f'{strategy.gap / strategy.lower_bound:.1%} above the best on this network (lower '
+                f'bound {strategy.lower_bound:.4g}), {usable}')
+    whole = 'of the plan that the routes were chosen from, ' if plan.few else ''
     may_help = '; fewer stops may help' if len(plan.stops_xy) else ''
-    return f'{wide}; {_WHY[strategy.reason]}{may_help}'
+    return f'{whole}{wide}; {_WHY[strategy.reason]}{may_help}'
 
 
 def _long_routes(plan: Plan) -> str:
@@ -118,12 +123,12 @@ def _long_routes(plan: Plan) -> str:
 
 def _secured_area(plan: Plan) -> str:
     """Whether the secured area decides too much: the value, or whether there is one."""
-    bottleneck, game = plan.bottleneck, plan.trip.game
+    bottleneck, game = plan.bottleneck, plan.drawn_from.game
     secured = game.options.secured_distance
     if not len(game.sites):
         return (f'the value is 0: nobody can wait within {distance(secured)} of {_ends(plan)}, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
-    if not plan.trip.value > 0.0:
+    if not plan.drawn_from.value > 0.0:
         return 'the value is 0: some routes pass no ambush that causes a loss; check the map'
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
@@ -132,7 +137,7 @@ def _secured_area(plan: Plan) -> str:
     if place := _covers_all(plan):
         remedy = (f'hold {distance(enough)} there (game.secured_radius -1), or '
                   if hold else '')
-        return (f'{place}: an ambush there always succeeds and costs {plan.trip.value:.4g}; '
+        return (f'{place}: an ambush there always succeeds and costs {plan.drawn_from.value:.4g}; '
                 f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
     if hold and asked is not None and game.reach > 0.0:
         return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
@@ -142,7 +147,7 @@ def _secured_area(plan: Plan) -> str:
         return ''
     count, near = len(bottleneck.sites), bottleneck.near_ends
     return (
-        f'the value {plan.trip.value:.4g} is decided at {count} nodes, '
+        f'the value {plan.drawn_from.value:.4g} is decided at {count} nodes, '
         f'{"all" if near == count else f"{near} of them"} within {distance(bottleneck.distance)} '
         'of start, stops or goal; a larger secured area there (game.secured_radius) may lower it'
     )
@@ -152,9 +157,8 @@ def _covers_all(plan: Plan) -> str:
     """Which single place lies on every route of a leg, '' if none does."""
     if not is_sound(plan):
         return ''
-    tolerance = plan.options.strategy.tolerance
-    for k, leg in enumerate(plan.legs):
-        sites = certain_sites(leg, tolerance)
+    for k, leg in enumerate(plan.drawn_from.legs):
+        sites = certain_sites(leg)
         if not len(sites):
             continue
         ends = np.array(plan.ends_xy)
@@ -175,24 +179,24 @@ def _is_chance(game: Game) -> bool:
 
 
 def _strategy_number(name: str, plan: Plan) -> str:
-    return f'{getattr(plan.trip, name):.9g}'
+    return f'{getattr(plan.drawn_from, name):.9g}'
 
 
 _NUMBERS: dict[str, Callable[[Plan], str]] = {
     **{name: partial(_strategy_number, name) for name in (
         'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
         'expected_length', 'shortest_length')},
-    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.trip.game)
+    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.drawn_from.game)
                               else 'mean loss'),
     'value_holds_at': lambda plan: ('anywhere in free ground' if holds_anywhere(plan.options)
                                     else "the network's nodes"),
-    'secured_radius': lambda plan: f'{plan.trip.game.options.secured_distance:.9g}',
+    'secured_radius': lambda plan: f'{plan.drawn_from.game.options.secured_distance:.9g}',
     'nodes': lambda plan: str(len(plan.network.points)),
-    'edges': lambda plan: str(len(plan.trip.ground_uses[0])),
+    'edges': lambda plan: str(len(plan.drawn_from.ground_uses[0])),
     'refined': lambda plan: ' '.join(f'{each.value:.4g}' for each in plan.refinement),
     'deciding_sites': lambda plan: str(len(plan.bottleneck.sites)),
     'deciding_sites_near_ends': lambda plan: str(plan.bottleneck.near_ends),
-    'search_ended': lambda plan: plan.trip.reason,
+    'search_ended': lambda plan: plan.drawn_from.reason,
     'stops': lambda plan: str(len(plan.stops_xy)),
     'solve_seconds': lambda plan: f'{plan.seconds:.3f}',
 }

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray
 from ..game.game import Game
-from ..game.hits import law_of, meeting_probability, worst_loss
+from ..game.hits import Law, LegLaws, largest_product, law_of
+from ..game.legs import Legs
 from ..game.route_sampler import route_strategy, shortest_route
-from ..game.strategy import Strategy
+from ..game.strategy import Strategy, TripStrategy
 from .plan import Plan
 
 # Relative difference up to which sums of alpha are ties.
@@ -25,7 +28,7 @@ class Measures:
     ``expected_length`` is E [m, or s if the network has driving times]; ``p_first`` is P_1, the
     probability of an ambush by the equilibrium ambusher; ``p_repeated`` and ``v_repeated`` are
     P_inf and V_inf, probability and mean loss of an ambush by one who has learnt the planner's
-    strategy.
+    strategy. Losses of a trip with stops are added up over its legs.
     """
 
     planner: str
@@ -55,14 +58,23 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     >>> round(evaluate(solve(network))['energy_efficient'].v_repeated, 3)
     1.0
     """
-    strategy = planned.strategy if isinstance(planned, Plan) else planned
-    game, q = strategy.game, strategy.ambush_probability
-    p_first = meeting_probability(game, strategy.law, q)
-    stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)
+    if isinstance(planned, Plan):
+        return compared(planned.drawn_from, planned.trip)
+    return compared(planned.alone, planned.alone)
+
+
+def compared(drawn: TripStrategy, whole: TripStrategy) -> dict[str, Measures]:
+    """Compare strategies with the planners that always drive one route of a leg's whole network.
+
+    The strategies are the same unless departures are ``drawn`` from few routes.
+    """
+    legs = drawn.joint
+    p_first = _meets(legs, [leg.law for leg in drawn.legs], drawn.ambusher.q)
+    stochastic = Measures('stochastic', drawn.expected_length, p_first, p_first, drawn.value)
     return {
         'stochastic': stochastic,
-        'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),
-        'risk_avoidance': _fixed('risk_avoidance', game, risk_avoiding_route(game), q),
+        'energy_efficient': _fixed('energy_efficient', whole, energy_efficient_route),
+        'risk_avoidance': _fixed('risk_avoidance', whole, risk_avoiding_route),
     }
 
 
@@ -78,9 +90,21 @@ def risk_avoiding_route(game: Game) -> IndexArray:
     return shortest_route(game.network, np.flatnonzero(tied))
 
 
-def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
-    p = route_strategy(game.network, route)
-    worst = worst_loss(game, p)
-    p_first = meeting_probability(game, law_of(game, p), q)
-    return Measures(planner, float(p @ game.network.travel_costs), p_first,
+def _fixed(planner: str, trip: TripStrategy, choose: Callable[[Game], IndexArray]) -> Measures:
+    legs = trip.joint
+    flows = [route_strategy(game.network, choose(game)) for game in legs.games]
+    laws = [law_of(game, p) for game, p in zip(legs.games, flows, strict=True)]
+    worst, _ = largest_product(legs.loss, legs.entering, LegLaws(legs, laws))
+    length = sum(float(p @ game.network.travel_costs)
+                 for game, p in zip(legs.games, flows, strict=True))
+    return Measures(planner, length, _meets(legs, laws, trip.ambusher.q),
                     1.0 if worst > 0.0 else 0.0, worst)
+
+
+def _meets(legs: Legs, laws: Sequence[Law], q: FloatArray) -> float:
+    """P(the ambusher who waits by q (N,) hits any leg), the paper's equation 8."""
+    at_sites = q[legs.games[0].sites]
+    rows = np.flatnonzero(at_sites > 0.0)
+    missed = [1.0 - law.meets(own) for law, own in zip(
+        laws, legs.rows_by_leg(csr_matrix(legs.entering[rows])), strict=True)]
+    return float(at_sites[rows] @ (1.0 - np.prod(missed, axis=0)))

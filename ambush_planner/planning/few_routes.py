@@ -24,10 +24,11 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
 from ..game.route_sampler import route_edges
+from ..game.strategy import TripStrategy
 from ..routes.driven_path import driven_paths
 from .best_shares import BestShares, SharesLP
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan, path_lengths
+from .plan import Plan, Route, path_lengths
 
 # Maximum number of routes; with more, draw from the plan itself.
 MAX_ROUTES = 100
@@ -64,14 +65,11 @@ class FewRoutes:
         The driven paths, as ``Plan.paths`` has them.
     shares : (K,)
         How likely each is driven; the largest first.
-    value : float
-        Mean loss by the worst ambusher who knows all of this, anywhere on the map.
-    worst_xy : (2,)
-        Where that is [m].
-    lower_bound : float
-        No mixture of the ``candidates`` has a smaller value: paths as they are driven, from which
-        these were chosen. The plan's own bound is that of another game, in which convoys may stray
-        from their routes by the tube.
+    trip : TripStrategy
+        The mixture, on a network of the paths side by side. Its ambusher waits at the worst place
+        anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``: paths as
+        they are driven, from which these were chosen. The plan's own bound is that of another game,
+        in which convoys may stray from their routes by the tube.
     candidates : int
         Their number.
     costs : (K,)
@@ -84,13 +82,33 @@ class FewRoutes:
 
     paths: tuple[FloatArray, ...]
     shares: FloatArray
-    value: float
-    worst_xy: FloatArray
-    lower_bound: float
+    trip: TripStrategy
     candidates: int
     costs: FloatArray
     curve: tuple[tuple[int, float], ...]
-    routes: tuple[IndexArray, ...]
+    routes: tuple[Route, ...]
+
+    @property
+    def value(self) -> float:
+        """Mean loss by the worst ambusher who knows all of this."""
+        return self.trip.value
+
+    @property
+    def lower_bound(self) -> float:
+        """No mixture of the candidates has a smaller value."""
+        return self.trip.lower_bound
+
+    @property
+    def worst_xy(self) -> FloatArray:
+        """The worst place (2,) [m]."""
+        network, q = self.trip.game.network, self.trip.ambusher.q
+        return np.asarray(network.points[q.argmax()])
+
+    def nodes(self, k: int) -> Route:
+        """The nodes of a route in the network of ``trip``."""
+        network = self.trip.game.network
+        first = np.flatnonzero(network.tails == network.source)
+        return (np.append(network.source, np.split(network.heads, first[1:])[k]),)
 
     def draw(self, rng: np.random.Generator) -> int:
         """Draw the index of a departure's route."""
@@ -121,7 +139,7 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
                             f'drawn routes, {len(routes)} are different; got {most}')
     try:
         routes, costs = _promising(plan, routes, max(CANDIDATES, most), deadline)
-        paths = driven_paths(plan.corridors, routes, plan.spacing,
+        paths = driven_paths(plan.corridors[0], routes, plan.spacing,
                              plan.options.drive.turning_radius)
         if plan.network.seconds is None:
             costs = path_lengths(paths)
@@ -131,21 +149,29 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     except TimeLimit as late:
         raise TimeLimit('the time limit (strategy.time_limit) passed before a mixture of few '
                         'routes was found; allow more time', plan.strategy) from late
-    mixture = found[most]
-    chosen = np.argsort(-mixture.shares, kind='stable')[: np.count_nonzero(mixture.shares)]
-    return FewRoutes(tuple(paths[k] for k in chosen),
-                     frozen_array(mixture.shares[chosen], np.float64),
-                     mixture.value, mixture.worst_xy, min(search.bound, mixture.value),
-                     len(paths), frozen_array(costs[chosen], np.float64),
-                     tuple({min(size, len(chosen)): each.value  # more do not lower it
-                            for size, each in found.items()}.items()),
-                     tuple(frozen_array(routes[k], np.int64) for k in chosen))
+    all_shares = found[most].shares
+    chosen = np.argsort(-all_shares, kind='stable')[: np.count_nonzero(all_shares)]
+    few = tuple(paths[k] for k in chosen)
+    shares, spent = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
+    trip = mixed(plan, few, shares, search.bound, spent)
+    curve = {min(size, len(chosen)): each.value for size, each in found.items()}  # no more needed
+    curve[len(chosen)] = trip.value
+    return FewRoutes(few, shares, trip, len(paths), spent, tuple(curve.items()),
+                     tuple((frozen_array(routes[k], np.int64),) for k in chosen))
+
+
+def mixed(plan: Plan, paths: Sequence[FloatArray], shares: FloatArray, bound: float,
+          costs: FloatArray) -> TripStrategy:
+    """The strategy of a plan's few paths with their shares and costs (K,), as FewRoutes has it."""
+    timed = plan.network.seconds is not None
+    return PathMixtures(plan.own_map, plan, paths).strategy(shares, bound,
+                                                            costs if timed else None)
 
 
 def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:
     """Different routes among ``DRAWN``."""
     drawn = plan.strategy.sample_routes(DRAWN, rng)
-    return list({plan.network.places[route].tobytes(): route for route in drawn}.values())
+    return list({route.tobytes(): route for route in drawn}.values())
 
 
 def _promising(plan: Plan, routes: list[IndexArray], most: int,

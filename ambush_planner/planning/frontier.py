@@ -8,15 +8,14 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions, make_games
-from ..game.tolerance import within
 from ..game.solver import solve_legs
 from ..game.strategy import StrategyOptions, TripStrategy
+from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from .options import PlanningOptions, is_graded

@@ -35,6 +35,7 @@ from ..routes.corridors import secured_in_map_axes
 from ..routes.driven_path import Ends
 from .changed_ground import MIN_CLEAR, Assessment, ChangedGround
 from .conditioning import ConditionedStrategy
+from .departure import DrawnRoute
 from .plan import Plan, Route, departure_path
 
 # Radius of the region around a plan's start in which a convoy may be that joins its routes, and
@@ -99,18 +100,18 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
 
 
 def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, leg: int,
-               ahead: IndexArray, rng: np.random.Generator,
-               spacing: float) -> tuple[Route, FloatArray] | None:
+               ahead: IndexArray, source: Sequence[int],
+               spacing: float = 0.0) -> DrawnRoute | None:
     """Draw another rest of the routes that the convoy at ``ends[0]`` [m] is on, in a ``leg``.
 
     The rest of the leg is drawn on condition that it begins at the first of the nodes ``ahead``
     (K,) from which it can be driven on the newest map; the convoy drives straight there. The legs
     after it are drawn again.
 
-    Returns the routes of this leg and those after it, with the source of the leg in place of the
-    convoy, and their path (L, 3), at most ``spacing`` [m] apart; None if no rest is clear.
+    ``source`` and ``spacing`` are those of ``draw_route``. The route is that of this leg and those
+    after it, with the source of the leg in place of the convoy. None if no rest is clear.
     """
-    network = ground.plan.legs[leg].network
+    rng, network = np.random.default_rng(source), ground.plan.legs[leg].network
     lost, place = ground.by_leg(ground.compare(newest).lost)[leg], np.array([ends[0]])
     for node in ahead.tolist():
         at = network.points[[node]]
@@ -121,7 +122,8 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, leg: int
         if rest is not None and later is not None:
             route = (np.concatenate(([network.source], rest)), *later)
             fitted = ground.fitted(newest, ends, np.array([node]), leg)
-            return route, departure_path(fitted, route, spacing, ends)
+            path = departure_path(fitted, route, spacing or fitted.spacing, ends)
+            return DrawnRoute(route, path, None, rng)
     return None
 
 

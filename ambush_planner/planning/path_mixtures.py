@@ -17,9 +17,14 @@ from scipy.sparse import csr_matrix, vstack
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
+from ..game.ambusher import Ambusher
+from ..game.budget import Budget
 from ..game.distribution.chain import chain_of
 from ..game.game import GameOptions, make_game
+from ..game.legs import Legs
+from ..game.strategy import TripStrategy, make_strategies
 from ..maps.risk_map import RiskMap
+from ..network.hiding_places import with_places
 from ..network.network import Network
 from .best_shares import SharesLP
 from .cell_losses import CellLosses, CellSearch
@@ -61,6 +66,7 @@ class PathMixtures:
         options = solved.options
         check_judged(options)
         self._network, self._uses = _network_of(plan, paths)
+        self._plan = plan
         stops = ((x, y, options.secured_distance or AT_STOP) for x, y in plan.stops_xy)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error,
@@ -86,6 +92,25 @@ class PathMixtures:
         return PathMixture(frozen_array(shares, np.float64), float(losses[worst]),
                            frozen_array(self._points[worst], np.float64),
                            frozen_array(self._hit[worst].toarray()[0], np.bool_))
+
+    def strategy(self, shares: FloatArray, bound: float,
+                 costs: FloatArray | None = None) -> TripStrategy:
+        """The mixture with given shares (K,) as a strategy, which has the value of ``judged``.
+
+        Its ambusher waits at the worst place. ``costs`` (K,) are driving times [s] of the paths, if
+        the plan has them.
+        """
+        value, known = self.judged(shares).value, self._network
+        seconds = None
+        if costs is not None:
+            lengths = known.lengths @ self._uses
+            seconds = known.lengths * (self._uses @ (costs / lengths))
+        network = with_places(replace(known, seconds=seconds), self._points, self._loss)
+        game, q = make_game(network, self._game.options), np.zeros(len(network.points))
+        q[len(known.points) + int((self._loss * (self._hit @ shares)).argmax())] = 1.0
+        legs = Legs((game,), (Budget(game, math.inf, self._plan.trip.shortest_length),))
+        return make_strategies(legs, self._uses @ shares, [None], Ambusher(q, (0.0,)),
+                               np.array([min(bound, value)]))
 
     def best(self, costs: FloatArray, deadline: float = math.inf) -> PathMixture:
         """The shares of least value, up to ``MAX_GAP``.

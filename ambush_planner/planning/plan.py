@@ -17,7 +17,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck
-from ..game.strategy import Strategy, TripStrategy
+from ..game.strategy import Strategy, TripStrategy, within_slack
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
@@ -113,9 +113,8 @@ class Plan(Shown):
 
     def of_leg(self, number: int) -> Plan:
         """The plan of one leg alone."""
-        leg = self.legs[number]
-        trip = TripStrategy((leg,), leg.certificate, leg.entropy_bound, leg.reason)
-        return replace(self, trip=trip, corridors=(self.corridors[number],), few=None)
+        return replace(self, trip=self.legs[number].alone, corridors=(self.corridors[number],),
+                       few=None)
 
     def legs_from(self, first: int) -> Plan:
         """The plan of the legs from ``first`` on."""
@@ -124,10 +123,18 @@ class Plan(Shown):
         return replace(self, trip=replace(self.trip, legs=self.legs[first:]),
                        corridors=self.corridors[first:])
 
+    @property
+    def drawn_from(self) -> TripStrategy:
+        """The strategies that departures are drawn from: the plan's, or those of its few routes.
+
+        Every number of the plan is of these.
+        """
+        return self.few.trip if self.few else self.trip
+
     @cached_property
     def bottleneck(self) -> Bottleneck:
         """The sites that decide the value."""
-        return find_bottleneck(self.trip)
+        return find_bottleneck(self.drawn_from)
 
     @property
     def own_map(self) -> RiskMap:
@@ -142,7 +149,7 @@ class Plan(Shown):
 
         Of a trip with stops, the sum over its legs at one place.
         """
-        return self.few.value if self.few else self.trip.value
+        return self.drawn_from.value
 
     @property
     def lower_bound(self) -> float:
@@ -150,15 +157,17 @@ class Plan(Shown):
 
         If departures draw from a few routes: no mixture of the paths that these were chosen from.
         """
-        return self.few.lower_bound if self.few else self.trip.lower_bound
+        return self.drawn_from.lower_bound
 
     @property
     def gap_is_wide(self) -> bool:
-        """Whether the gap is over ``max_gap``: then departures should not be drawn from it."""
-        return self.value - self.lower_bound > self.options.max_gap * self.value
+        """Whether the strategies' gap is over ``max_gap``: better ones may exist."""
+        trip, options = self.trip, self.options
+        return (trip.gap > options.max_gap * trip.value
+                and not within_slack(trip, options.strategy))
 
     def _summary(self) -> dict[str, str]:
-        trip = self.trip
+        trip = self.drawn_from
         stops = {'stops': str(len(self.stops_xy))} if self.stops_xy else {}
         return {'value': f'{self.value:.4g}', 'lower bound': f'{self.lower_bound:.4g}', **stops,
                 'mean length': f'{trip.expected_length:.0f} {self.network.travel_unit}',
@@ -176,7 +185,7 @@ class Plan(Shown):
         """
         from ..figures import draw_strategy
 
-        return draw_strategy(axes, self.trip, self.risk_map)
+        return draw_strategy(axes, self.drawn_from, self.risk_map)
 
     def paths(self, n: int,
               rng: np.random.Generator | int | None = None) -> list[FloatArray]:
@@ -234,7 +243,7 @@ class Plan(Shown):
     def _tables(self) -> Any:
         from .route_layers import strategy_tables
 
-        return strategy_tables(self.trip, self.own_map)
+        return strategy_tables(self.drawn_from, self.own_map)
 
     def to_networkx(self) -> Any:
         """The network as a directed graph of networkx.
@@ -245,7 +254,8 @@ class Plan(Shown):
         """
         import networkx
 
-        network, strategy, graph = self.network, self.strategy, networkx.DiGraph()
+        (strategy,), graph = self.drawn_from.legs, networkx.DiGraph()
+        network = strategy.network
         graph.add_nodes_from(
             (k, {'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
             for k, ((x, y), loss, q) in enumerate(zip(

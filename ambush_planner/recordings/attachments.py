@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The attachments of a recording, npz files.
 
-``strategy.npz`` holds the strategy with its network, ``map_changes.npz`` the cells that changed
-since the departure was planned, ``roads.npz`` the roads of the method graph in the map's
-coordinates. Of plans that were made without ROS, ``map.npz`` holds the risk map, and ``few.npz``
-the few routes that departures draw from, if they do.
+``strategy.npz`` holds the strategies of all legs with their networks, ``map_changes.npz`` the
+cells that changed since the departure was planned, ``roads.npz`` the roads of the method graph in
+the map's coordinates. Of plans that were made without ROS, ``map.npz`` holds the risk map, and
+``few.npz`` the few routes that departures draw from, if they do.
 """
 
 from __future__ import annotations
@@ -22,104 +22,154 @@ import numpy.typing as npt
 from ..arrays import ROUNDING, arrays_in, frozen_array
 from ..game.ambusher import Ambusher
 from ..game.budget import Budget
-from ..game.certificate.certificate import lower_bound
+from ..game.certificate.certificate import lower_bounds
+from ..game.distribution.chain import RouteMixture
 from ..game.faces import Circulation
-from ..game.game import GameOptions, make_game
+from ..game.game import GameOptions, make_games
+from ..game.legs import Legs
+from ..game.strategy import TripStrategy, make_strategies
 from ..game.tolerance import Reason
-from ..game.strategy import Strategy, strategy_of
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
-from ..planning.few_routes import FewRoutes
+from ..planning.few_routes import FewRoutes, mixed
+from ..planning.plan import Plan
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
 MAP_FILE, FEW_FILE = 'map.npz', 'few.npz'
-NUMBERS = (
-    'value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
-    'expected_length', 'expected_exposure', 'least_exposure', 'edge_entropy', 'route_entropy',
-)
+NUMBERS = ('value', 'lower_bound', 'expected_length', 'expected_exposure', 'edge_entropy',
+           'route_entropy')
 # Rounding between releases of numpy and scipy, relative and absolute.
 _SAME = 1e-9
-_NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg', 'refined')
+# What all legs have in common: nodes, where the ambusher waits, and the number of legs (before
+# format 11 there was one).
+_NODES, _Q, _LEGS = ('points', 'alpha'), 'ambush_probability', 'legs'
+# Of graded networks.
+_REFINED = 'refined'
+# Of each leg. Names of a later leg end with its number, from 1.
+_NETWORK, _P = ('edges', 'source', 'target'), 'edge_probability'
 # Of networks with driving times, or with lengths over the ground.
 _ON_ROADS = ('seconds', 'ground_length')
-_PROBABILITIES = ('edge_probability', 'ambush_probability')
-# What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
-_PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_distance'}
-# For which leg the ambusher waits at each site, on trips.
-_BY_LEG = 'by_leg'
+_BUDGET = ('length_budget', 'shortest_length', 'length_price')
 # The flows of the ambusher's circulation, if he has one.
 _CIRCULATION = ('through', 'site', 'face', 'flow')
+# The edges of whole routes, if these are drawn, how many each has, and their shares.
+_MIXTURE = ('route_edges', 'route_counts', 'route_shares')
+_OF_LEG = (*_NETWORK, _P, *_ON_ROADS, *_BUDGET, *_CIRCULATION, *_MIXTURE)
+# What a leg loses at least against the ambusher.
+_LEG_BOUNDS = 'leg_bounds'
+# What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
+_PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_distance'}
+# Why the search ended.
+_REASON = 'reason'
+_COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, *NUMBERS, *_PLANNED, _REASON)
 _ROADS = ('points', 'pairs', 'speeds', 'timed')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
-_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), 'shares', 'value', 'worst_xy',
-        'lower_bound', 'candidates', 'costs', 'curve')
-# Why the search ended.
-_REASON = 'reason'
+_OF_FEW = ('shares', 'value', 'lower_bound', 'candidates', 'costs', 'curve')
+_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW)
 
 
-def strategy_file(strategy: Strategy) -> bytes:
-    """Return the strategy and its network as an npz file."""
-    network, ambusher = strategy.network, strategy.ambusher
+def strategy_file(trip: TripStrategy) -> bytes:
+    """Return the strategies of a trip's legs and their networks as an npz file."""
+    network = trip.game.network
     arrays: dict[str, Any] = {
-        **{name: getattr(network, name) for name in (*_NETWORK, *_ON_ROADS)},
-        **{name: getattr(strategy, name) for name in (*_PROBABILITIES, *NUMBERS)},
-        **{name: getattr(strategy.game.options, each) for name, each in _PLANNED.items()},
-        _BY_LEG: ambusher.by_leg, _REASON: strategy.reason,
+        **{name: getattr(network, name) for name in (*_NODES, _REFINED)},
+        **{name: getattr(trip, name) for name in NUMBERS},
+        **{name: getattr(trip.game.options, each) for name, each in _PLANNED.items()},
+        _Q: trip.ambusher.q, _LEGS: len(trip.legs), _REASON: trip.reason,
+        _LEG_BOUNDS: [leg.lower_bound for leg in trip.legs],
     }
-    if ambusher.circulation is not None:
-        arrays |= {name: getattr(ambusher.circulation, name) for name in _CIRCULATION}
+    for k, leg in enumerate(trip.legs):
+        own = {**{name: getattr(leg.network, name) for name in (*_NETWORK, *_ON_ROADS)},
+               **{name: getattr(leg, name) for name in (_P, *_BUDGET)}}
+        for circulation in leg.ambusher.circulations:
+            own |= {name: getattr(circulation, name) for name in _CIRCULATION}
+        if leg.mixture:
+            routes = leg.mixture.routes
+            own |= dict(zip(_MIXTURE, (np.concatenate(routes), list(map(len, routes)),
+                                       leg.mixture.shares), strict=True))
+        arrays |= {_named(name, k): array for name, array in own.items()}
     return _npz({name: array for name, array in arrays.items() if array is not None})
 
 
-def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Mapping[str, float]]:
-    """Return the strategy in the bytes of a ``strategy.npz``, and the numbers stated there.
+def _named(name: str, leg: int) -> str:
+    return f'{name}_{leg}' if leg else name
+
+
+def strategy_from_file(data: bytes, options: GameOptions) -> tuple[TripStrategy,
+                                                                   Mapping[str, float]]:
+    """Return the strategies in the bytes of a ``strategy.npz``, and the numbers stated there.
 
     ``options`` are the game's. Everything that follows from the probabilities, including the
     certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations are
     not recorded.
     """
-    content = arrays_in(BytesIO(data), (*_NETWORK, *_ON_ROADS, *_PROBABILITIES, *NUMBERS,
-                                        *_PLANNED, *_CIRCULATION, _BY_LEG, _REASON))
-    ground_length = content.get('ground_length')
-    network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
-                      int(content['target']), content['places'], content['leg'],
-                      content.get('seconds'), content['refined'],
-                      None if ground_length is None else float(ground_length))
-    planned: dict[str, Any] = {name: float(content[name]) for name in _PLANNED}
-    game = make_game(network, replace(options, **planned))
-    stated = {name: float(content[name]) for name in NUMBERS}
-    p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)
-    if len(p) != len(network.edges) or not ((p >= 0.0).all() and (q >= 0.0).all()):
-        raise ValueError('its probabilities are not those of its network')
-    budget = replace(Budget.length(game, math.inf), limit=stated['length_budget'])
-    circulation = Circulation(*(content[name] for name in _CIRCULATION)) if (
-        _CIRCULATION[0] in content) else None
-    ambusher = Ambusher(q, stated['length_price'],
-                        content.get(_BY_LEG), circulation)
-    # A bound of what was stated is enough: a larger one can take seconds.
-    enough = (1.0 - ROUNDING / 10.0) * stated['lower_bound']
-    bound = lower_bound(game, ambusher, budget, enough=enough)
-    strategy = strategy_of(game, p, ambusher, budget, bound)
-    reason = str(content[_REASON])
+    common = arrays_in(BytesIO(data), _COMMON)
+    own = [arrays_in(BytesIO(data), [_named(name, k) for name in _OF_LEG])
+           for k in range(int(common.get(_LEGS, 1)))]
+    content = [{name: each[_named(name, k)] for name in _OF_LEG if _named(name, k) in each}
+               for k, each in enumerate(own)]
+    reason = str(common[_REASON])
     if reason not in get_args(Reason):
         raise ValueError(f'{reason!r} is no reason why a search ends')
-    return replace(strategy, reason=cast(Reason, reason)), stated
+    networks = [_network_in(common, each) for each in content]
+    planned: dict[str, Any] = {name: float(common[name]) for name in _PLANNED}
+    games = make_games(networks, replace(options, **planned))
+    budgets = [Budget(game, float(each[_BUDGET[0]]), float(each[_BUDGET[1]]))
+               for game, each in zip(games, content, strict=True)]
+    legs = Legs(games, tuple(budgets))
+    p = [frozen_array(each[_P], np.float64) for each in content]
+    if any(len(each) != len(network.edges) for each, network in zip(p, networks, strict=True)):
+        raise ValueError('its probabilities are not those of its network')
+    ambusher = Ambusher(frozen_array(common[_Q], np.float64),
+                        tuple(float(each[_BUDGET[2]]) for each in content),
+                        tuple(Circulation(*(each[name] for name in _CIRCULATION))
+                              for each in content if _CIRCULATION[0] in each))
+    stated = {name: float(common[name]) for name in NUMBERS}
+    # Bounds of what was stated are enough: larger ones can take seconds.
+    enough = (1.0 - ROUNDING / 10.0) * common.get(_LEG_BOUNDS, np.array([stated['lower_bound']]))
+    trip = make_strategies(legs, np.concatenate(p), [_mixture_in(each) for each in content],
+                           ambusher, lower_bounds(legs, ambusher, targets=enough), reason=reason)
+    return replace(trip, reason=cast(Reason, reason)), stated
 
 
-def misstated(strategy: Strategy,
+def _network_in(common: Mapping[str, Any], own: Mapping[str, Any]) -> Network:
+    """The network of a leg."""
+    length = own.get('ground_length')
+    return Network(common['points'], common['alpha'], own['edges'], int(own['source']),
+                   int(own['target']), own.get('seconds'), common.get(_REFINED),
+                   None if length is None else float(length))
+
+
+def _mixture_in(own: Mapping[str, Any]) -> RouteMixture | None:
+    """The whole routes of a leg, if such are drawn."""
+    if _MIXTURE[0] not in own:
+        return None
+    edges, counts, shares = (own[name] for name in _MIXTURE)
+    return RouteMixture(np.split(edges, np.cumsum(counts)[:-1]), shares,
+                        np.zeros(len(counts), dtype=np.int64))
+
+
+def misstated(trip: TripStrategy,
               stated: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-    """The ``NUMBERS`` that a strategy does not have: name, what is stated, what it has.
+    """The ``NUMBERS`` that strategies do not have: name, what is stated, what they have.
 
     A lower bound may be stated too low, as time may have limited the proof.
     """
     # The route entropy is a difference of two numbers of the edge entropy's size.
-    rounding = _SAME * max(1e-3, abs(strategy.edge_entropy))
-    for name in NUMBERS:
-        found, said = getattr(strategy, name), stated[name]
+    rounding = _SAME * max(1e-3, abs(trip.edge_entropy))
+    for name, said in stated.items():
+        found = getattr(trip, name)
         if not (math.isclose(said, found, rel_tol=_SAME, abs_tol=rounding)
                 or (name == 'lower_bound' and said < found)):
             yield name, said, found
+
+
+def misstated_few(few: FewRoutes, stated: float) -> list[str]:
+    """Say so if few routes have another value than what is stated."""
+    if math.isclose(few.value, stated, rel_tol=1e-6):
+        return []
+    return [f'few routes: the worst ambush costs {few.value:.9g}, not {stated:.9g}']
 
 
 def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) -> bytes:
@@ -157,26 +207,27 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
 
 def few_file(few: FewRoutes) -> bytes:
     """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
-    arrays: dict[str, Any] = {}
-    for name, value in vars(few).items():
-        if name in _RAGGED:
-            arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
-        else:
-            arrays[name] = value
+    arrays: dict[str, Any] = {name: getattr(few, name) for name in _OF_FEW}
+    for name, value in (('paths', few.paths), ('routes', [nodes for nodes, in few.routes])):
+        arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
     return _npz(arrays)
 
 
-def few_from_file(data: bytes) -> FewRoutes:
-    """Return the few routes in the bytes of a ``few.npz``."""
+def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
+    """Return the few routes of a plan in the bytes of a ``few.npz``, and the value stated there.
+
+    Their strategy is computed from paths and shares.
+    """
     content = arrays_in(BytesIO(data), _FEW)
     ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
               for name in _RAGGED}
-    return FewRoutes(
-        **ragged, shares=frozen_array(content['shares'], np.float64),
-        value=float(content['value']), worst_xy=content['worst_xy'],
-        lower_bound=float(content['lower_bound']), candidates=int(content['candidates']),
-        costs=content['costs'],
-        curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
+    shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
+    trip = mixed(plan, ragged['paths'], shares, float(content['lower_bound']), costs)
+    few = FewRoutes(
+        paths=ragged['paths'], routes=tuple((nodes,) for nodes in ragged['routes']),
+        shares=shares, trip=trip, candidates=int(content['candidates']),
+        costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
+    return few, float(content['value'])
 
 
 def _npz(arrays: Mapping[str, Any]) -> bytes:

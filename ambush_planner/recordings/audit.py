@@ -32,7 +32,7 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import ROUNDING, FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
-from ..game.route_sampler import RouteSampler
+from ..game.route_sampler import route_edges
 from ..game.strategy import Strategy
 from .metadata import RecordedSlots
 
@@ -72,10 +72,11 @@ class Audit:
     segments, passages, expected : (C, 2, 2), (C,), (C,)
         Ends of each edge [m], how often it was driven, and how often that is expected.
     value : float
-        Mean published value of the departures after the first.
+        Mean value of the departures after the first.
     observer_losses : (n - 1,)
         Losses at the departures after the first, caused by an observer who learns as he goes:
-        before each departure he waits where waiting would have cost the earlier ones most.
+        before each departure he waits where waiting would have cost the earlier ones most. Where
+        the time was drawn, he waits at the times that cover most departures.
     observer_range : (float, float)
         5 % and 95 % quantiles of the mean of these losses for departures drawn honestly.
     """
@@ -107,11 +108,11 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
           resamples: int = 999) -> Audit:
     """Test departures against their strategies, and follow an observer who learns from them.
 
-    ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy),
-    ``route`` (K,) and ``drawn_slot`` (its time and the RecordedSlots that it was drawn from, or
-    None); those of one strategy share the strategy. A finding needs 999 ``resamples`` or
-    more. Raises NotAuditable if fewer than ``MIN_DEPARTURES`` are from strategies without
-    cycles.
+    ``departures`` are in order of time, each with the attributes ``drawn_from`` (TripStrategy),
+    ``route`` (the nodes of each leg), ``drawn_slot`` (its time and the RecordedSlots that it was
+    drawn from, or None), ``covered`` and ``value`` of RecordedDeparture; those of one strategy
+    share it. A finding needs 999 ``resamples`` or more. Raises NotAuditable if fewer than
+    ``MIN_DEPARTURES`` are from strategies without cycles.
     """
     rng = np.random.default_rng(rng)
     groups, audited = _grouped(departures)
@@ -136,20 +137,21 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     counts = [(passages, expected, variance)]
     counts += _slot_counts([each.drawn_slot for each in audited if each.drawn_slot], resamples, rng)
     loss, row, node = (np.concatenate(parts) for parts in zip(*losses, strict=True))
+    loss = loss * np.array([each.covered for each in audited])[row % n]
     caused = _observe(followed, n, loss, row, node)
     low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
-    return Audit(departures=n, strategies=len(groups), left_out=len(departures) - n,
-                 impossible=impossible,
+    return Audit(departures=n, strategies=len({id(each.drawn_from) for each in audited}),
+                 left_out=len(departures) - n, impossible=impossible,
                  p_value=0.0 if impossible else _p_value(counts),
                  segments=segments, passages=frozen_array(passages[0], np.int64),
                  expected=frozen_array(expected, np.float64),
-                 value=float(np.mean([each.drawn_from.value for each in audited[1:]])),
+                 value=float(np.mean([each.value for each in audited[1:]])),
                  observer_losses=frozen_array(caused[0], np.float64),
                  observer_range=(float(low), float(high)))
 
 
 class _Group:
-    """The departures of one strategy; its edges and nodes by numbers that all groups share.
+    """A leg of the departures of one strategy; edges and nodes by numbers that all groups share.
 
     Steps of routes are two arrays (S,): the number of the route, and the index of the edge. Route
     k of set s has the number s * size + k.
@@ -160,7 +162,9 @@ class _Group:
 
     def __init__(self, strategy: Strategy) -> None:
         self.game, self.network, self.p = strategy.game, strategy.network, strategy.edge_probability
-        self.sampler = RouteSampler(self.network, self.p)
+        self.sampler = strategy.sampler
+        self.whole = {tuple(route.tolist()) for route in strategy.mixture.routes
+                      } if strategy.mixture else None
         self.used = np.flatnonzero(self.p > 0.0)
         self.loss, self.hits = self.game.loss[self.game.sites], self.game.entering.T.tocsr()
         self.members: list[int] = []
@@ -169,7 +173,8 @@ class _Group:
     def recorded(self) -> tuple[IndexArray, IndexArray, int]:
         """Return the steps of recorded routes, and the number of impossible steps and ends.
 
-        Steps along no edge, or along an edge of probability 0, are impossible and left out.
+        Steps along no edge, or along an edge of probability 0, are impossible and left out. Of a
+        mixture of whole routes, another one is impossible.
         """
         network = self.network
         owner = np.repeat(np.arange(len(self.members)), [len(route) - 1 for route in self.routes])
@@ -178,7 +183,9 @@ class _Group:
         possible = (edge >= 0) & (self.p[edge] > 0.0)
         ends = np.array([(route[0], route[-1]) for route in self.routes])
         wrong_ends = ends != (network.source, network.target)
-        return owner[possible], edge[possible], int((~possible).sum() + wrong_ends.sum())
+        others = 0 if self.whole is None else sum(
+            tuple(route_edges(network, route).tolist()) not in self.whole for route in self.routes)
+        return owner[possible], edge[possible], int((~possible).sum() + wrong_ends.sum()) + others
 
     def resampled(self, resamples: int, rng: np.random.Generator) -> Iterator[Steps]:
         """Yield the steps of sets 1, 2, ... in batches."""
@@ -202,18 +209,19 @@ class _Group:
 
 
 def _grouped(departures: Sequence[Any]) -> tuple[list[_Group], list[Any]]:
-    """Sort departures by strategy, without those of strategies with cycles."""
-    groups: dict[int, _Group] = {}
+    """Sort departures by strategy and leg, without those of strategies with cycles."""
+    groups: dict[int, list[_Group]] = {}
     audited: list[Any] = []
     for each in departures:
-        key = id(each.drawn_from)
-        if key not in groups:
-            groups[key] = _Group(each.drawn_from)
-        if groups[key].sampler.acyclic:
-            groups[key].members.append(len(audited))
-            groups[key].routes.append(each.route)
+        if (key := id(each.drawn_from)) not in groups:
+            groups[key] = [_Group(leg) for leg in each.drawn_from.legs]
+        legs = groups[key]
+        if all(group.sampler.acyclic for group in legs):
+            for group, nodes in zip(legs, each.route, strict=True):
+                group.members.append(len(audited))
+                group.routes.append(nodes)
             audited.append(each)
-    return [group for group in groups.values() if group.members], audited
+    return [group for legs in groups.values() for group in legs if group.members], audited
 
 
 def _number_by_position(groups: Sequence[_Group]) -> FloatArray:

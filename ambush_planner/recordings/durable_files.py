@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are either complete or absent, even after a crash or a power cut."""
+"""Files that are either complete or absent, even after a crash or a power cut.
+
+They are secret: only their user can read and write them. In a folder with the setgid bit, which a
+group shares, the group can, too.
+"""
 
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -12,11 +17,12 @@ TEMPORARY = '.tmp'
 
 
 def write_all_durably(files: Mapping[Path, bytes]) -> None:
-    """Put all files (mode 0600) in place, or none if one of them cannot be written.
+    """Put all files in place, or none if one of them cannot be written.
 
     The data goes to temporary files in the same folders, is flushed to the disk, and these are then
-    renamed: a reader sees the old content of a file or the new one, never a part. Missing folders
-    are made with mode 0700. Raises OSError; no temporary file is left then.
+    renamed: a reader sees the old content of a file or the new one, never a part. Files have mode
+    0600, missing folders 0700; in a shared folder 0660 and 2770. Raises OSError; no temporary file
+    is left then.
     """
     temporary = {path: path.with_name(f'{path.name}{TEMPORARY}') for path in files}
     try:
@@ -39,16 +45,24 @@ def write_all_durably(files: Mapping[Path, bytes]) -> None:
 
 
 def make_private_folders(path: Path) -> None:
-    """Make the folder ``path`` and the missing ones above it, with mode 0700."""
+    """Make the folder ``path`` and the missing ones above it, with mode 0700 or 2770."""
     for folder in reversed([path, *path.parents]):
         if not folder.is_dir():
             make_private_folder(folder, exist_ok=True)  # another process may make it meanwhile
 
 
 def make_private_folder(path: Path, exist_ok: bool = False) -> None:
-    """Make the folder ``path`` with mode 0700 and flush its parent to the disk."""
+    """Make the folder ``path`` with mode 0700 or 2770 and flush its parent to the disk."""
+    shared = is_shared(path.parent)
     path.mkdir(mode=0o700, exist_ok=exist_ok)
+    if shared:
+        path.chmod(0o2770)  # whatever the umask is
     _flush_folder(path.parent)
+
+
+def is_shared(folder: Path) -> bool:
+    """Whether a folder has the setgid bit: a group shares it."""
+    return bool(folder.stat().st_mode & stat.S_ISGID)
 
 
 def _flush_folder(path: Path) -> None:
@@ -64,6 +78,8 @@ def _write_new_file(path: Path, data: bytes) -> None:
     # O_EXCL and O_NOFOLLOW: never write through a link or into a file of another user.
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     with os.fdopen(os.open(path, flags, 0o600), 'wb') as file:
+        if is_shared(path.parent):
+            os.fchmod(file.fileno(), 0o660)  # whatever the umask is
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

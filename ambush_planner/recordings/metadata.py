@@ -13,6 +13,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 from ..errors import AmbushPlannerError
+from .sources import Source
 
 Position = tuple[float, float]
 
@@ -49,21 +50,14 @@ class RecordedCall:
 class Diversion:
     """How a departure was diverted, for the ``number``-th time.
 
-    ``left`` (K,) are the nodes of the whole route that the convoy was on, ``ahead`` those from
-    which its rest could change, the first one to be tried first.
+    ``left`` are the nodes of the whole route that the convoy was on, leg by leg; ``ahead`` those
+    from which its rest could change, in the first leg of the departure's ``route``, the first one
+    to be tried first.
     """
 
     number: int
-    left: tuple[int, ...]
+    left: tuple[tuple[int, ...], ...]
     ahead: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class MapSource:
-    """The map's file when it was planned on: its absolute path, and the SHA-256 of its content."""
-
-    path: str
-    digest: str
 
 
 @dataclass(frozen=True)
@@ -73,25 +67,25 @@ class RecordedSlots:
     times: tuple[str, ...]
     shares: tuple[float, ...]
     window: int
-    value: float
-    lower_bound: float
 
     @classmethod
-    def of(cls, times: Sequence[str], window: int, value: float,
-           lower_bound: float) -> RecordedSlots:
-        """The best shares for a plan of this value (docs/theory.md, section 14).
+    def of(cls, times: Sequence[str], window: int) -> RecordedSlots:
+        """The best shares (docs/theory.md, section 14).
 
         An ambush of ``window`` slots covers one of a set of slots that are as far apart: of the
         sets that cannot have more slots, one is drawn, then one of its slots.
         """
         size = math.ceil(len(times) / window)
         drawn = np.arange(len(times)) % window < len(times) - (size - 1) * window
-        return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window, value / size,
-                   lower_bound / size)
+        return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window)
 
     @property
     def covered(self) -> float:
-        """The largest share of departures that one ambush covers."""
+        """The largest share of departures that one ambush covers.
+
+        A plan's value for an ambusher who knows the time, times this share, is that for one who
+        must choose it, too.
+        """
         return max(sum(self.shares[k:k + self.window]) for k in range(len(self.shares)))
 
     def drawn(self, rng: np.random.Generator) -> str:
@@ -103,14 +97,14 @@ class RecordedSlots:
 class RecordedPlan:
     """What a plan file says of its plan; times as ``Plan`` has them, ``made_ns`` when it was made.
 
-    ``source`` is the map's file, if it is to be watched.
+    ``sources`` are the files that it was made from.
     """
 
     id: str
     made_ns: int
     seconds: float
-    source: MapSource | None
     slots: RecordedSlots | None
+    sources: tuple[Source, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -119,7 +113,7 @@ class RecordedDay:
 
     ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said), which was drawn after the route if
     ``slot_drawn``; the index of the route if there are few; the id of an earlier departure for the
-    same day that it ``replaces``, because that one was not driven.
+    same day that it ``replaces``, because that one was not driven, and ``why``.
     """
 
     date: str
@@ -127,6 +121,7 @@ class RecordedDay:
     slot_drawn: bool
     few_route: int | None
     replaces: str = ''
+    why: str = ''
 
 
 @dataclass(frozen=True)
@@ -158,11 +153,14 @@ class Metadata:
         The planned trip, and the ends of the driven path, which may lie near the trip's [m].
     joined
         Whether the path joins the plan from where the convoy was.
+    value
+        Of the departure, on the map of that moment, against an ambusher who must choose a time,
+        too, if that was drawn. A diversion has that of its departure. None in files of before.
     route, route_entropy_source
-        Node indices, and what seeded ``numpy.random.default_rng`` for their draw.
+        Node indices of each leg, and what seeded ``numpy.random.default_rng`` for their draw.
     diversion
         None for a departure; else the route is the rest of its departure's, from where it was
-        diverted, with the source in place of the convoy.
+        diverted, with the source of that leg in place of the convoy.
     previous
         ``recording_id`` of the recording made before this one in the same run; '' if unknown.
     plan, day
@@ -181,9 +179,10 @@ class Metadata:
     trip: RecordedTrip
     ends: tuple[Position, Position]
     joined: bool
-    route: tuple[int, ...]
+    route: tuple[tuple[int, ...], ...]
     route_entropy_source: tuple[int, ...]
     call: RecordedCall
+    value: float | None = None
     diversion: Diversion | None = None
     previous: str = ''
     plan: RecordedPlan | None = None

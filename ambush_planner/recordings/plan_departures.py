@@ -7,6 +7,7 @@ Each departure is one recording, named by its number and the day that it is for.
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import re
 import secrets
@@ -16,32 +17,33 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
-import numpy as np
-
-from ..arrays import FloatArray, IndexArray
-from ..planning.plan import departure_path, path_lengths
+from ..arrays import FloatArray
+from ..planning.departure import draw_route
+from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
-from .metadata import Metadata, RecordedCall, RecordedDay
+from .metadata import Metadata, RecordedCall, RecordedDay, RecordedTrip
 from .plain_messages import map_message, path_message, pose_message
 from .plan_file import SavedPlan, attachments_of, recorded_plan, recorded_trip
-from .recording_errors import part
+from .recording_errors import NoPermission, part
 from .recording_file import encode, read_recording
 from .versions import software_versions
 
 SUFFIX = '.departures'
+# Distance up to which starts or goals of two plans are the same [m].
+SAME_PLACE = 1.0
 _NAME = re.compile(r'(\d+)_(\d{4}-\d\d-\d\d)\.mcap')
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnDeparture:
-    """One departure: nodes of its route, and its path (L, 3) = (x, y, yaw).
+    """One departure: its route, the nodes of each leg, and its path (L, 3) = (x, y, yaw).
 
     ``few_route`` is the index of one of few routes. ``slot`` is when it leaves (HH:MM; '': not
     said), which was drawn, too, if ``slot_drawn``. All follows from the random ``source``.
     """
 
     source: int
-    nodes: IndexArray
+    route: Route
     poses: FloatArray
     few_route: int | None
     slot: str
@@ -59,27 +61,23 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
     ``source`` are 256 random bits, by default the operating system's.
     """
     source = secrets.randbits(256) if source is None else source
-    rng, plan, few_route = np.random.default_rng([source]), saved.plan, None
-    if plan.few is None:
-        nodes = plan.strategy.sample_route(rng)
-        poses = departure_path(plan, nodes, plan.spacing)
-    else:
-        few_route = plan.few.draw(rng)
-        nodes, poses = plan.few.routes[few_route], plan.few.paths[few_route]
-    drawn = not slot and saved.slots is not None
+    drawn = draw_route(saved.plan, [source])
+    assert drawn is not None  # all routes are clear on the plan's own map
+    slot_drawn = not slot and saved.slots is not None
     if saved.slots and not slot:
-        slot = saved.slots.drawn(rng)
-    return DrawnDeparture(source, nodes, poses, few_route, slot, drawn)
+        slot = saved.slots.drawn(drawn.rng)
+    return DrawnDeparture(source, drawn.route, drawn.poses, drawn.few_route, slot, slot_drawn)
 
 
 def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: str, stamp_ns: int,
-                    previous: str = '', replaces: str = '') -> tuple[str, bytes]:
+                    previous: str = '', replaces: str = '', why: str = '') -> tuple[str, bytes]:
     """The id and the recording of a departure: the node's format, with the plan it was drawn from.
 
     ``previous`` is the id of the departure before, ``replaces`` that of an earlier one for the same
-    day that was not driven.
+    day that was not driven, and ``why``.
     """
     plan, trip = saved.plan, recorded_trip(saved.plan)
+    covered = saved.slots.covered if saved.slots and drawn.slot_drawn else 1.0
     roles = {
         'map': map_message(plan.own_map, saved.parameters.occupancy, saved.frame, stamp_ns),
         'start': pose_message('/start_pose', trip.start, saved.frame, stamp_ns),
@@ -89,10 +87,10 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     said = Metadata(
         str(uuid4()), number, saved.frame, dict(saved.parameters.values), dict(software_versions()),
         {role: message.topic for role, message in roles.items()}, trip, (trip.start, trip.goal),
-        False, tuple(drawn.nodes.tolist()), (drawn.source,),
-        RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}), previous=previous,
-        plan=recorded_plan(saved),
-        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces))
+        False, tuple(tuple(nodes.tolist()) for nodes in drawn.route), (drawn.source,),
+        RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}),
+        saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
+        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces, why))
     return said.departure_id, encode(list(roles.values()), said.entries(),
                                      attachments_of(plan, plan.own_map.crs), 'zstd')
 
@@ -131,16 +129,32 @@ def _metadata_of(path: Path) -> Metadata:
     return part(path, 'metadata', lambda: read_recording(path).metadata)
 
 
-def earlier_departures(folder: Path,
+def earlier_departures(saved: SavedPlan, folder: Path,
                        dates: Sequence[str]) -> list[tuple[RecordedDay, Metadata]]:
-    """The departures for some dates, without those that were replaced by a later one.
+    """The departures for the same trip on some dates, without those that a later one replaced.
 
-    Raises UnreadableRecording.
+    They are in the folder of the plan's departures, or in one next to it: that of an earlier plan,
+    or of a copy of this one. Raises UnreadableRecording, but not of files next to it that the user
+    may not read.
     """
-    said = [_metadata_of(path) for _, date, path in names_in(folder) if date in dates]
-    found = [(each.day, each) for each in said if each.day]
+    trip, said = recorded_trip(saved.plan), []
+    for each in sorted(folder.parent.glob(f'*{SUFFIX}')):
+        for path in (path for _, date, path in names_in(each) if date in dates):
+            try:
+                said.append(_metadata_of(path))
+            except NoPermission:
+                if each == folder:
+                    raise
+    found = [(each.day, each) for each in said if each.day and (
+        (each.plan and each.plan.id == saved.id) or _is_same(each.trip, trip))]
     replaced = {day.replaces for day, _ in found}
     return [(day, each) for day, each in found if each.departure_id not in replaced]
+
+
+def _is_same(one: RecordedTrip, other: RecordedTrip) -> bool:
+    """Whether two trips lead from the same start to the same goal."""
+    return (math.dist(one.start, other.start) <= SAME_PLACE
+            and math.dist(one.goal, other.goal) <= SAME_PLACE)
 
 
 def file_name(number: int, date: str) -> str:

@@ -8,8 +8,6 @@ if there are any. A departure that is drawn from it has the same, and its route.
 
 from __future__ import annotations
 
-import hashlib
-import os
 import time
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -21,7 +19,6 @@ from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
-from ..planning.few_strategy import few_strategy
 from ..planning.plan import Plan, make_plan
 from .attachments import (
     FEW_FILE,
@@ -31,16 +28,18 @@ from .attachments import (
     few_file,
     few_from_file,
     misstated,
+    misstated_few,
     roads_file,
     roads_from_file,
     strategy_file,
     strategy_from_file,
 )
-from .metadata import MapSource, PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
+from .metadata import PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, encode, read_recording
+from .sources import Source
 from .versions import software_versions
 
 KIND = 'plan'
@@ -53,33 +52,20 @@ class SavedPlan:
     plan: Plan
     parameters: NodeParameters
     slots: RecordedSlots | None = None
-    source: MapSource | None = None
+    sources: tuple[Source, ...] = ()
     frame: str = 'map'
     id: str = ''
     made_ns: int = 0
 
     @property
-    def map_has_changed(self) -> bool:
-        """Whether the map's file is still there, with another content."""
-        if self.source is None:
-            return False
-        path = Path(self.source.path)
-        return path.is_file() and digest_of(path) != self.source.digest
-
-    @property
     def value(self) -> float:
         """Mean loss per departure by the best ambush, which must choose a slot, too."""
-        return self.slots.value if self.slots else self.plan.value
-
-
-def digest_of(path: Path) -> str:
-    """The SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+        return self.plan.value * (self.slots.covered if self.slots else 1.0)
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
-               slots: RecordedSlots | None = None, map_file: Path | None = None) -> SavedPlan:
-    """A new plan to save; ``map_file`` is where its map came from, if it is to be watched.
+               slots: RecordedSlots | None = None, sources: tuple[Source, ...] = ()) -> SavedPlan:
+    """A new plan to save, with the files that it was made from.
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
@@ -87,8 +73,7 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
     values = parameter_values(plan, occupancy)
     roads = plan.options.network.roads
     roads = roads and in_map_frame(roads, plan.own_map.crs)
-    source = MapSource(os.path.abspath(map_file), digest_of(map_file)) if map_file else None
-    return SavedPlan(plan, parameters_from(values, roads), slots, source, id=str(uuid4()),
+    return SavedPlan(plan, parameters_from(values, roads), slots, sources, id=str(uuid4()),
                      made_ns=time.time_ns())
 
 
@@ -123,18 +108,18 @@ def plan_bytes(saved: SavedPlan) -> bytes:
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
     """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
     plan = saved.plan
-    return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.source, saved.slots)
+    return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.slots,
+                        saved.sources)
 
 
 def recorded_trip(plan: Plan) -> RecordedTrip:
     """The trip of a plan."""
-    x, y = plan.network.points[plan.network.source].tolist()
-    return RecordedTrip((x, y), plan.goal_xy, plan.stops_xy)
+    return RecordedTrip(plan.start_xy, plan.goal_xy, plan.stops_xy)
 
 
 def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
     """The attached files of a plan, and of each departure drawn from it, on a map in ``crs``."""
-    files = {STRATEGY_FILE: strategy_file(plan.strategy)}
+    files = {STRATEGY_FILE: strategy_file(plan.trip)}
     if plan.risk_map is not None:
         files[MAP_FILE] = npz_bytes(plan.risk_map)
     if roads := plan.options.network.roads:
@@ -150,7 +135,11 @@ def read_plan(path: Path | str) -> SavedPlan:
     Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
     departure.
     """
-    file = read_recording(path)
+    return plan_in(read_recording(path))
+
+
+def plan_in(file: RecordingFile) -> SavedPlan:
+    """Return the plan in a file; raises UnreadableRecording as ``read_plan`` does."""
     if file.entries.get('kind') != KIND:
         raise UnreadableRecording(file.path, 'it is a recorded departure, not a plan')
     return part(file.path, 'plan', lambda: _plan_in(file))
@@ -163,14 +152,15 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
                                  roads_from_file(files.get(ROADS_FILE)))
     planning = parameters.planning
     risk_map = map_from_bytes(files[MAP_FILE])
-    strategy, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
-    for name, number, found in misstated(strategy, stated):
+    trip, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
+    for name, number, found in misstated(trip, stated):
         raise UnreadableRecording(file.path, f'it was edited: its {name} is stated as '
-                                  f'{number:.9g}, its strategy has {found:.9g}; plan again')
-    few = few_from_file(files[FEW_FILE]) if FEW_FILE in files else None
-    if few:
-        few_strategy(strategy, few)  # raises an error if its shares and routes are none
-    plan = replace(make_plan(risk_map, strategy, planning), seconds=about.seconds,
-                   few=few)
-    return SavedPlan(plan, parameters, about.slots, about.source, said.frame, about.id,
+                                  f'{number:.9g}, its strategies have {found:.9g}; plan again')
+    plan = replace(make_plan(risk_map, trip, planning), seconds=about.seconds)
+    if FEW_FILE in files:
+        few, value = few_from_file(files[FEW_FILE], plan)
+        if problems := misstated_few(few, value):
+            raise UnreadableRecording(file.path, f'it was edited: {problems[0]}; plan again')
+        plan = replace(plan, few=few)
+    return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, about.id,
                      about.made_ns)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -11,11 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import FloatArray, frozen_array
 from ..game.certificate.certificate import Certificate
-from ..game.distribution.acyclic import is_acyclic
-from ..game.hits import worst_loss
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy, with_certificate
 from ..gone import check_none_gone
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
@@ -25,10 +24,9 @@ from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
 from ..planning.few_routes import FewRoutes
-from ..planning.few_strategy import few_strategy
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.options import PlanningOptions
-from ..planning.plan import make_plan
+from ..planning.plan import Route, make_plan
 from ..routes.driven_path import Ends
 from .attachments import (
     FEW_FILE,
@@ -61,35 +59,36 @@ class RecordedDeparture:
     ----------
     metadata, recorded_ns
         What the file says of it, and the time of its path [ns].
-    route : (K,)
-        Node indices from the source to the target. For a diversion this is the whole route: what
-        was driven before, and the rest that ``drawn`` (L,) holds, after the source.
+    route
+        Node indices of each leg from its source to its target. For a diversion this is the whole
+        route: what was driven before, and the rest that ``drawn`` holds, after its source.
     stated
-        The numbers that the file states of the strategy.
-    strategy
-        The recorded strategy, its certificate computed from its probabilities.
+        The numbers that the file states of the strategies.
+    trip
+        The recorded strategies, their certificate computed from their probabilities.
     drawn_from
-        ``strategy``; if the map had changed, that strategy given that its routes are clear; if the
-        convoy had moved, that of the routes ``joined`` from where it was; if it was diverted, that
-        of the rests from there, after what it had driven.
+        ``trip``; if the map had changed, these strategies given that their routes are clear, with
+        the losses and the value of that map; if the convoy had moved, those of the routes
+        ``joined`` from where it was; if it was diverted, those of the rests from there, after what
+        it had driven, with the value that the file states.
     planned_on, newest, risk_map
         The maps of the plan and at the time of departure; the losses of the former.
     before
         What was recorded of the departure before this diversion, if that is known.
-    few
-        The few routes that it was drawn from; ``drawn_from`` is then their mixture, and ``route``
-        is on its network.
+    few, few_value
+        The few routes that it was drawn from, and the value that the file states of them;
+        ``drawn_from`` are then their strategies, and ``route`` is on their networks.
     """
 
     path: Path
     metadata: Metadata
     recorded_ns: int
     parameters: NodeParameters
-    route: IndexArray = field(repr=False)
-    drawn: IndexArray = field(repr=False)
-    strategy: Strategy
+    route: Route = field(repr=False)
+    drawn: Route = field(repr=False)
+    trip: TripStrategy
     stated: Mapping[str, float]
-    drawn_from: Strategy
+    drawn_from: TripStrategy
     joined: JoinedPlan | None
     planned_on: OccupancyMap
     newest: OccupancyMap
@@ -97,11 +96,19 @@ class RecordedDeparture:
     _path_message: tuple[str, str, bytes] = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
     few: FewRoutes | None = field(default=None, repr=False)
+    few_value: float = math.nan
+
+    @cached_property
+    def newest_risk_map(self) -> RiskMap:
+        """The losses at the time of departure."""
+        if self.newest is self.planned_on:
+            return self.risk_map
+        return self.newest.risk_map(self.parameters.occupancy)
 
     @property
-    def shown(self) -> Strategy:
-        """What to show of the plan: its strategy, or the mixture of its few routes."""
-        return self.drawn_from if self.few else self.strategy
+    def departed_on(self) -> TripStrategy:
+        """The strategies that it was drawn from, before it was diverted if that is known."""
+        return self.parts[0].drawn_from
 
     @property
     def drawn_slot(self) -> tuple[str, RecordedSlots] | None:
@@ -111,9 +118,19 @@ class RecordedDeparture:
         return (day.slot, slots) if day and slots else None
 
     @property
+    def covered(self) -> float:
+        """The largest share of departures that an ambush at one time covers; 1 if he knows it."""
+        return self.drawn_slot[1].covered if self.drawn_slot else 1.0
+
+    @property
     def value(self) -> float:
         """The value for an ambusher who must choose a time, too, if that was drawn."""
-        return self.shown.value * (self.drawn_slot[1].covered if self.drawn_slot else 1.0)
+        return self.departed_on.value * self.covered
+
+    @property
+    def lower_bound(self) -> float:
+        """The lower bound of ``value``."""
+        return self.departed_on.lower_bound * self.covered
 
     @property
     def stamp_ns(self) -> int:
@@ -165,37 +182,40 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
     parameters = parameters_from(typed_values(metadata.parameters),
                                  once(roads_from_file, files.get(ROADS_FILE)))
     planning, occupancy = parameters.planning, parameters.occupancy
-    strategy, stated = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
+    trip, stated = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
     values, resolution, origin = occupancy_from_ros(decode(*file.defined(file.in_role('map'))))
     # Maps that differ only in their header are one object.
     planned_on = once(_map, values.tobytes(), values.shape, resolution, origin)
     risk_map = (once(map_from_bytes, files[MAP_FILE]) if MAP_FILE in files
                 else once(OccupancyMap.risk_map, planned_on, occupancy))
-    newest, drawn_from, joined = planned_on, strategy, None
+    newest, drawn_from, joined = planned_on, trip, None
 
     def ground() -> ChangedGround:
-        found: ChangedGround = once(ground_of, strategy, planned_on, occupancy, planning, risk_map)
+        found: ChangedGround = once(ground_of, trip, planned_on, occupancy, planning, risk_map)
         return found
 
     if changes := files.get(MAP_CHANGES_FILE, b''):
         newest = once(_newest, planned_on, changes)
     if metadata.joined:
         joined = once(_joined, ground(), newest, metadata.ends)
-        drawn_from = joined.plan.strategy
+        drawn_from = joined.plan.trip
     elif changes and not metadata.diversion:
-        drawn_from = once(conditioned, ground(), newest)
-    drawn = route = _nodes(metadata.route, strategy)
+        drawn_from = once(ChangedGround.drawn_from, ground(), newest)
+    drawn = route = _nodes(metadata.route, trip)
     if metadata.diversion:
-        route = whole_route(_nodes(metadata.diversion.left, strategy), drawn)
+        route = whole_route(_nodes(metadata.diversion.left, trip), drawn)
         drawn_from = rest_strategy(ground(), newest, route, drawn)
-    few = None
+        if (value := metadata.value) is not None:
+            drawn_from = with_certificate(drawn_from,
+                                          Certificate(value, min(trip.lower_bound, value)))
+    few, few_value = None, math.nan
     if FEW_FILE in files:
-        few, drawn_from, routes = once(_few, strategy, files[FEW_FILE])
-        route = routes[_few_route(metadata.day)]
+        few, few_value = once(few_from_file, files[FEW_FILE], ground().plan)
+        drawn_from, route = few.trip, few.nodes(_few_route(metadata.day))
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
-                             strategy, stated, drawn_from, joined, planned_on, newest, risk_map,
-                             file.defined(message), few=few)
+                             trip, stated, drawn_from, joined, planned_on, newest, risk_map,
+                             file.defined(message), few=few, few_value=few_value)
 
 
 def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -221,15 +241,11 @@ def _few_route(day: RecordedDay | None) -> int:
     return day.few_route
 
 
-def _few(strategy: Strategy, data: bytes) -> tuple[FewRoutes, Strategy, list[IndexArray]]:
-    few = few_from_file(data)
-    return few, *few_strategy(strategy, few)
-
-
-def _nodes(route: tuple[int, ...], strategy: Strategy) -> IndexArray:
-    """Return the nodes (K,) of a recorded route; ValueError if it leaves the network."""
-    nodes = frozen_array(route, np.int64)
-    if len(nodes) < 2 or not 0 <= nodes.min() <= nodes.max() < len(strategy.network.points):
+def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:
+    """Return the nodes of a recorded route; ValueError if it leaves the networks."""
+    nodes, count = tuple(frozen_array(each, np.int64) for each in route), trip.game.node_count
+    if not 0 < len(nodes) <= len(trip.legs) or not all(
+            len(each) > 1 and 0 <= each.min() <= each.max() < count for each in nodes):
         raise ValueError('the recorded route leaves the recorded network')
     return nodes
 
@@ -239,33 +255,14 @@ def _map(cells: bytes, shape: tuple[int, int], resolution: float,
     return OccupancyMap(np.frombuffer(cells, np.int8).reshape(shape), resolution, origin)
 
 
-def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
+def ground_of(trip: TripStrategy, planned_on: OccupancyMap, options: OccupancyOptions,
               planning: PlanningOptions, risk_map: RiskMap) -> ChangedGround:
-    """Return a recorded strategy as a plan with corridors, on its ground."""
-    return ChangedGround(make_plan(risk_map, strategy, planning), planned_on, options)
+    """Return recorded strategies as a plan with corridors, on its ground."""
+    return ChangedGround(make_plan(risk_map, trip, planning), planned_on, options)
 
 
 def _newest(planned_on: OccupancyMap, changes: bytes) -> OccupancyMap:
     return replace(planned_on, values=changed_map(planned_on.values, changes))
-
-
-def conditioned(ground: ChangedGround, newest: OccupancyMap) -> Strategy:
-    """Return the strategy given that its routes are clear on the changed map.
-
-    A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
-    """
-    strategy, lost = ground.plan.strategy, ground.compare(newest).lost
-    if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
-        strategy.network, strategy.edge_probability
-    ):
-        return strategy
-    share, p = ground.conditioned.avoiding(lost)
-    if share <= 0.0:
-        raise ValueError('no route of the recorded strategy is clear')
-    # What is clear may be longer than the budget, to which the bound belongs, and cost less.
-    value = worst_loss(strategy.game, p)
-    return replace(strategy, edge_probability=frozen_array(p, np.float64),
-                   certificate=Certificate(value, min(strategy.lower_bound, value)))
 
 
 def _joined(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan:

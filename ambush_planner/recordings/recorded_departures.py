@@ -45,13 +45,13 @@ def recordings_in(path: Path | str) -> list[Path]:
 
 def read_departures(
     paths: Iterable[Path], unreadable: Callable[[UnreadableRecording], None],
-    struck: Callable[[RecordedDeparture], None] = lambda each: None,
+    struck: Callable[[RecordedDeparture, str], None] = lambda each, why: None,
 ) -> list[RecordedDeparture]:
     """Read recordings, the earliest departure first; copies count once.
 
     A departure that was diverted is its last diversion, with what was recorded before it.
     ``unreadable`` is called with the error of each file that cannot be read, ``struck`` with each
-    departure that is left out because a later one replaces it: it was not driven.
+    departure that is left out because a later one replaces it, and why it was not driven.
     """
     known: dict[tuple[str, int], RecordedDeparture] = {}
     shared = SharedParts()
@@ -69,8 +69,9 @@ def read_departures(
         before = driven.get(departure_id)
         driven[departure_id] = replace(each, before=before) if before else each
     for each in known.values():
-        if each.metadata.day and each.metadata.day.replaces in driven:
-            struck(driven.pop(each.metadata.day.replaces))
+        day = each.metadata.day
+        if day and day.replaces in driven:
+            struck(driven.pop(day.replaces), day.why)
     return sorted(driven.values(), key=lambda each: (each.stamp_ns, each.metadata.departure))
 
 
@@ -98,6 +99,33 @@ def source_findings(recordings: Iterable[tuple[str, Metadata]]) -> list[str]:
     return findings
 
 
+def drawn_twice(recordings: Iterable[tuple[Path, Metadata]]) -> tuple[list[str], list[str]]:
+    """Name departures of one plan for one day and slot: in several folders, and in one folder.
+
+    Those that were struck do not count. In one folder, somebody has said that both were driven; in
+    several, they are drawn from copies of the plan.
+    """
+    known = [(path, said) for path, said in recordings if said.day and said.plan]
+    struck = {said.day.replaces for _, said in known if said.day}
+    same: dict[tuple[str, str, str], dict[str, Path]] = {}
+    for path, said in known:
+        if said.day and said.plan and said.departure_id not in struck:
+            trip = same.setdefault((said.plan.id, said.day.date, said.day.slot), {})
+            trip.setdefault(said.departure_id, path)
+    copies, again = [], []
+    for (_, date, slot), paths in sorted(same.items()):
+        if len(paths) < 2:
+            continue
+        names = ', '.join(f'{path.parent.name}/{path.name}' for path in sorted(paths.values()))
+        text = (f'{count(len(paths), "departure")} of one plan for {date}{slot and f", {slot}"}: '
+                f'{names}')
+        if len({path.parent for path in paths.values()}) > 1:
+            copies.append(f'{text}: they were drawn from copies of the plan')
+        else:
+            again.append(f'{text}: the earlier one was said to have been driven, too')
+    return copies, again
+
+
 def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
     """Compare the recordings of folders: what does not hold, and notes on missing numbers."""
     verdicts = list(verdicts)
@@ -109,7 +137,9 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
     for each, said in known:
         if (original := first.setdefault(said.recording_id, each.path)) != each.path:
             problems.append(f'copy: {each.path.name} holds the same departure as {original.name}')
-    notes, all_ids = [], {said.recording_id for _, said in known}
+    copies, notes = drawn_twice((each.path, said) for each, said in known)
+    problems += copies
+    all_ids = {said.recording_id for _, said in known}
     for folder in dict.fromkeys(each.path.parent for each, _ in known):
         here = {said.recording_id: (each, said) for each, said in known
                 if each.path.parent == folder}
@@ -139,8 +169,11 @@ def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iter
                                   if diversion.number > 1 else None).recording_id)
         if before is None:
             yield f'missing: what {name} was diverted from'
-        elif before[0].route != diversion.left or not {*diversion.ahead} <= {*before[0].drawn}:
+        elif before[0].route != diversion.left or not {*diversion.ahead} <= {
+                *before[0].drawn[-len(said.route)]}:
             yield f'diversion: {name} does not begin on the route before it'
+        elif before[1].value != said.value:
+            yield f'value: {name} states another one than the departure that it diverts'
     for name in listed_in(folder):
         if not (folder / name).exists():
             yield f'missing: {name}, which {FILE_NAME} lists'

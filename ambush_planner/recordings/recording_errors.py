@@ -36,6 +36,10 @@ class UnreadableRecording(_AtPath):
     _sentence = '{} cannot be read as a recording or plan: {}'
 
 
+class NoPermission(UnreadableRecording):
+    """The user may not read the file, so nothing is known of it."""
+
+
 @contextmanager
 def recording_to(path: Path) -> Iterator[None]:
     """Turn an OSError met while writing ``path``, or a missing library, into RecordingFailed."""
@@ -57,6 +61,9 @@ def reading_from(path: Path) -> Iterator[None]:
     """Turn an OSError met while reading ``path`` into UnreadableRecording."""
     try:
         yield
+    except PermissionError as error:
+        raise NoPermission(path, 'no permission; docs/operations.md says how several people share '
+                           'a folder') from error
     except OSError as error:
         raise UnreadableRecording(path, f'{error.strerror or error}') from error
 

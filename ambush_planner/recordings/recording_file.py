@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '10'
+FORMAT = '11'
+# The format before, in which a trip was one network, and a route one list of its nodes.
+_BEFORE = '10'
 _CHUNK_SIZE = 2**20  # bytes
 MAGIC = b'\x89MCAP0\r\n'  # begins and ends a file
 
@@ -127,17 +129,34 @@ def read_recording(path: Path | str) -> RecordingFile:
             f'or a tool such as `mcap recover` has removed the record. Its {count} messages can '
             'be seen with ros2 bag, RViz or Foxglove, but not verified'
         )
-    if texts.get('format') != FORMAT:
+    if texts.get('format') not in (FORMAT, _BEFORE):
         raise UnreadableRecording(
             path, f'its format is {texts.get("format")!r}, this version reads {FORMAT!r}: use the '
             'version of ambush_planner that recorded it'
         )
     try:
-        return _contents(path, found, {name: json.loads(text) for name, text in texts.items()})
+        entries = {name: json.loads(text) for name, text in texts.items()}
+        if texts['format'] == _BEFORE:
+            entries = _by_leg(path, entries)
+        return _contents(path, found, entries)
     except (ValueError, LookupError) as error:
         raise UnreadableRecording(
             path, f'its records are inconsistent ({type(error).__name__})'
         ) from error
+
+
+def _by_leg(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
+    """The entries of a recording of one leg in the format before, as they are now."""
+    if entries['trip']['stops']:
+        raise UnreadableRecording(
+            path, 'it was made by an earlier version, whose trips with stops were drawn as a whole '
+            'instead of leg by leg; plan again'
+        )
+    if 'route' in entries:
+        entries['route'] = [entries['route']]
+    if entries.get('diversion'):
+        entries['diversion']['left'] = [entries['diversion']['left']]
+    return entries
 
 
 def _check_summary(data: bytes) -> None:

@@ -7,7 +7,8 @@ import math
 import zlib
 from base64 import b64encode
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..colours import ROUTES
-from ..game.distribution.acyclic import order_along
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
+from ..planning.ambush_costs import BestAmbush, best_ambush, cost_raster
+from ..planning.evaluation import Measures, compared
 from ..routes.legs import main_corners
 from ..routes.shared_roads import stripes
 from .metadata import RecordedSlots
@@ -31,8 +33,12 @@ SAME_TRIP = 0.05
 MAX_CELLS = 2000
 # Number of obstacle cells; smaller numbers are indices into the losses.
 OBSTACLE = 255
-# Minimum probability of edges that count at the pointer.
-MIN_PROBABILITY = 1e-7
+# Maximum number of blocks of cells in each direction whose cost is shown at the pointer.
+MAX_COSTS = 160
+# Its codes: shares of the largest cost up to 1, then secured area, then obstacle.
+FULL, SECURED, NOBODY = 250, 254, 255
+# Minimum probability of edges that are drawn.
+MIN_PROBABILITY = 1e-3
 # Accuracy of driven paths in the picture [cells of the map].
 PATH_ACCURACY = 0.1
 # Minimum probability of sites, as a share of the likeliest site's.
@@ -46,9 +52,9 @@ class Section:
     departures: list[RecordedDeparture]
 
     @property
-    def strategy(self) -> Strategy:
-        """The latest strategy."""
-        return self.departures[-1].shown
+    def trip(self) -> TripStrategy:
+        """The latest strategies."""
+        return self.departures[-1].departed_on
 
     @property
     def slots(self) -> RecordedSlots | None:
@@ -58,13 +64,27 @@ class Section:
     @property
     def bounds(self) -> tuple[float, float]:
         """Value and lower bound for an ambusher who also has to choose a time, if it is drawn."""
-        of = self.slots or self.strategy
-        return of.value, of.lower_bound
+        return self.departures[-1].value, self.departures[-1].lower_bound
 
     @property
     def risk_map(self) -> RiskMap:
-        """The map of all departures."""
-        return self.departures[-1].risk_map
+        """The map of the latest departure; the others were planned on the same one."""
+        return self.departures[-1].newest_risk_map
+
+    @cached_property
+    def measures(self) -> dict[str, Measures]:
+        """The departures' strategy, at the times that are drawn, and planners of a fixed route."""
+        last = self.departures[-1]
+        rows = compared(self.trip, last.trip if last.few else self.trip)
+        drawn = rows['stochastic']
+        return rows | {'stochastic': replace(
+            drawn, p_first=drawn.p_first * last.covered, p_repeated=drawn.p_repeated * last.covered,
+            v_repeated=drawn.v_repeated * last.covered)}
+
+    @cached_property
+    def best(self) -> BestAmbush | None:
+        """The best ambush, for one who knows the time."""
+        return best_ambush(self.trip, self.risk_map)
 
     def includes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is on this trip."""
@@ -90,18 +110,21 @@ def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
 def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     """Return what the script of the map draws; positions are relative to the map's corner [m].
 
-    Arrays are deflated, little-endian and base64. ``cells`` are indices into the losses ``levels``.
+    Arrays are deflated, little-endian and base64. ``cells`` are indices into the losses ``levels``,
+    ``costs`` what an ambush costs, in blocks of ``block`` [m], as shares of ``most_cost``.
     ``pieces`` of ``routes`` have the index of their departure, their number of points, and how many
     of the later coloured routes follow them.
     Raises InvalidCoordinates if the map's coordinate system cannot be used.
     """
-    risk_map, strategy = section.risk_map, section.strategy
-    network, game = strategy.network, strategy.game
+    risk_map, trip, game = section.risk_map, section.trip, section.trip.game
     cells, levels, cell = map_cells(risk_map)
-    p = np.where(strategy.edge_probability > MIN_PROBABILITY, strategy.edge_probability, 0.0)
-    number, used = order_along(network, p), np.flatnonzero(p)
-    if number is not None:
-        used = used[np.argsort(number[network.tails[used]], kind='stable')]
+    edges, p = trip.ground_uses
+    used = np.flatnonzero(p >= MIN_PROBABILITY)
+    costs = cost_raster(trip, risk_map, MAX_COSTS)
+    covered = section.departures[-1].covered
+    most_cost = max(trip.value, float(np.nanmax(costs.cost, initial=0.0))) or 1.0
+    codes = np.where(np.isnan(costs.cost), np.where(costs.secured, SECURED, NOBODY),
+                     np.rint(FULL * np.nan_to_num(costs.cost) / most_cost))
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
@@ -109,21 +132,21 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     lines = [*([(path, 0)] for path in paths[: -len(ROUTES)]), *stripes(paths[-len(ROUTES) :])]
     pieces = [(k, piece[main_corners(piece, PATH_ACCURACY * cell)] - corner, over)
               for k, line in enumerate(lines) for piece, over in line]
-    ends = [network.source, network.target, *network.stops]
+    network, targets = game.network, [leg.network.target for leg in trip.legs]
+    ends = [network.source, targets[-1], *targets[:-1]]
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
         'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
-        'source': network.source, 'target': network.target, 'ordered': number is not None,
-        'reach': game.reach, 'secured': game.options.secured_distance,
-        'shelter': game.options.secured_distance - game.options.tube,
-        'value': strategy.value, 'degrees': degrees,
-        'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
-        'edges': packed(network.edges[used], '<u4'),
-        'chances': packed(p[used], '<f4'),
-        'shown': packed(strategy.shown_probability[network.first_edge[used]], '<f4'),
-        'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
+        'discs': [[x - corner[0], y - corner[1], radius] for (x, y), radius in zip(
+            game.secured.centres.tolist(), game.secured.radii.tolist(), strict=True) if radius > 0],
+        'reach': game.reach, 'value': section.bounds[0], 'most_cost': covered * most_cost,
+        'degrees': degrees, 'cells': packed(cells, 'u1'), 'costs': packed(codes, 'u1'),
+        'block': costs.block * risk_map.resolution, 'blocks': codes.shape[1],
+        'segments': packed((network.points - corner)[edges[used]], '<f4'),
+        'shown': packed(p[used], '<f4'),
+        'sites': packed(_sites(trip) - [*corner, 0.0], '<f4'),
         'routes': packed(np.concatenate([line for _, line, _ in pieces]), '<f4'),
         'pieces': [(k, len(line), over) for k, line, over in pieces],
     }
@@ -152,9 +175,8 @@ def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDAr
     return function.reduceat(function.reduceat(cells, row, axis=0), column, axis=1)
 
 
-def _sites(strategy: Strategy) -> FloatArray:
+def _sites(trip: TripStrategy) -> FloatArray:
     """Position of each ambush site [m], and its probability relative to the likeliest (K, 3)."""
-    q = strategy.ambush_at_places if strategy.value > 0.0 else np.zeros(1)
-    at, network = np.flatnonzero(q > MIN_SITE * q.max()), strategy.network
-    points = network.points[network.representatives[at]]
-    return np.column_stack((points, q[at] / (q.max() or 1.0)))
+    q = trip.ambusher.q if trip.value > 0.0 else np.zeros(1)
+    at = np.flatnonzero(q > MIN_SITE * q.max())
+    return np.column_stack((trip.game.network.points[at], q[at] / (q.max() or 1.0)))

@@ -11,37 +11,34 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
-from ..errors import AmbushPlannerError, TimeLimit
-from ..game.budget import Budget
+from ..arrays import FloatArray
+from ..errors import AmbushPlannerError
+from ..game.budget import length_budget
 from ..game.distribution.acyclic import is_acyclic
-from ..game.distribution.chain import chain_of
 from ..game.revaluation import open_gap
+from ..game.solver import solve_legs
+from ..game.strategy import TripStrategy
 from ..game.tolerance import CERTIFICATE_TOLERANCE
-from ..game.solver import solve_game
-from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
-from ..network.network import Network
-from ..network.trip_graph import original_edges, original_nodes, with_layers
 from ..planning.cell_losses import CellLosses, CellSearch
-from ..planning.few_routes import FewRoutes
+from ..planning.departure import draw_route
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
-from ..planning.path_mixtures import PathMixtures
-from ..planning.plan import Plan, departure_path
+from ..planning.plan import Route
 from ..planning.solving import add_hiding_places
-from ..planning.trip import trip_network
-from .attachments import misstated
-from .metadata import Metadata, RecordedTrip
+from ..planning.trip import Trip
+from .attachments import misstated, misstated_few
+from .ground_check import GroundCheck, Now
+from .metadata import Metadata, PlanMetadata, RecordedTrip, typed
+from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
-from .recording_errors import UnreadableRecording
+from .recording_errors import NoPermission, UnreadableRecording
 from .recording_file import read_recording
 
 # Rounding between releases of numpy and scipy, relative and absolute.
@@ -57,20 +54,25 @@ class Verdict:
     """What was found about one file.
 
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
-    ``notes`` are other remarks. ``route`` (K,) and ``drawn`` (L,) are nodes as in
-    ``RecordedDeparture``; the strategy is not kept, since a folder may hold thousands. ``value`` is
-    that of the strategy, or of few routes, if the time of departure is known.
+    if the file is ``denied``, the user may not read it. ``notes`` are other remarks. ``route`` and
+    ``drawn`` are nodes as in ``RecordedDeparture``; the strategies are not kept, since a folder may
+    hold thousands. ``value`` is that of the strategies, or of few routes, if the time of departure
+    is known. ``now`` is the file on new ground, if that is asked for; ``plan`` is set if the file
+    is a plan.
     """
 
     path: Path
     readable: bool = False
+    denied: bool = False
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     metadata: Metadata | None = field(default=None, repr=False)
-    route: tuple[int, ...] = field(default=(), repr=False)
-    drawn: tuple[int, ...] = field(default=(), repr=False)
+    route: tuple[tuple[int, ...], ...] = field(default=(), repr=False)
+    drawn: tuple[tuple[int, ...], ...] = field(default=(), repr=False)
     nodes: int = 0
     value: float = math.nan
+    now: Now | None = field(default=None, repr=False)
+    plan: PlanMetadata | None = field(default=None, repr=False)
 
     @property
     def holds(self) -> bool:
@@ -85,80 +87,121 @@ class Verdict:
 
 
 class Verifier:
-    """Verifies departures; with ``replan`` each strategy is also solved again from scratch."""
+    """Verifies departures and plans.
 
-    def __init__(self, replan: bool = False) -> None:
+    With ``replan`` each strategy is also solved again from scratch; with files of a new map or new
+    roads, verdicts say what is clear there and what it costs.
+    """
+
+    def __init__(self, replan: bool = False, map_file: Path | None = None,
+                 roads_file: Path | None = None) -> None:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
+        self._ground = GroundCheck(map_file, roads_file, self._shared.once) if (
+            map_file or roads_file) else None
 
     def verify(self, path: Path) -> Verdict:
-        """Verify one file; problems are in the verdict and never raised."""
+        """Verify one file; problems are in the verdict and never raised.
+
+        Raises the errors of a new map or of new roads.
+        """
         verdict = Verdict(path)
+        departure: RecordedDeparture | None = None
+        saved: SavedPlan | None = None
         try:
             file = read_recording(path)
             verdict.readable = True
-            departure = departure_in(file, self._shared)
-            verdict.metadata = departure.metadata
-            verdict.route, verdict.drawn = map(tuple, (departure.route.tolist(),
-                                                       departure.drawn.tolist()))
-            verdict.nodes = len(departure.strategy.network.points)
-            verdict.value = departure.shown.value
-            if departure.parameters.values['seed'] >= 0:
-                verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
-            verdict.problems += self._problems(departure)
+            if file.entries.get('kind') == KIND:
+                saved = plan_in(file)
+                verdict.plan = typed(file.entries, PlanMetadata, 'metadata')
+                verdict.nodes = len(saved.plan.network.points)
+                verdict.value = saved.value
+                verdict.problems += self._plan_problems(saved)
+            else:
+                departure = departure_in(file, self._shared)
+                self._verify_departure(departure, verdict)
         except UnreadableRecording as error:
+            verdict.denied = isinstance(error, NoPermission)
             verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
             verdict.problems.append(f'no plan follows from map, trip and parameters: {error}')
         except Exception as error:  # a file may say anything, and others wait to be verified
             verdict.problems.append('no plan follows from map, trip and parameters '
                                     f'({type(error).__name__})')
+        if self._ground and not verdict.problems:
+            verdict.now = (self._ground.plan(saved) if saved else
+                           self._ground.departure(departure) if departure else None)
         return verdict
 
+    def _verify_departure(self, departure: RecordedDeparture, verdict: Verdict) -> None:
+        verdict.metadata = departure.metadata
+        verdict.route, verdict.drawn = map(_numbers, (departure.route, departure.drawn))
+        verdict.nodes = departure.trip.game.node_count
+        verdict.value = departure.departed_on.value
+        if departure.parameters.values['seed'] >= 0:
+            verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
+        wide = gap_problems(departure.trip, departure.parameters.planning)
+        if departure.metadata.plan:  # it was accepted when the plan was saved
+            verdict.notes += [f'{text}, and was accepted' for text in wide]
+        else:
+            verdict.problems += wide
+        verdict.problems += self._problems(departure)
+
+    def _plan_problems(self, saved: SavedPlan) -> list[str]:
+        """Check a plan as each departure of it is."""
+        plan, planning = saved.plan, saved.parameters.planning
+        problems = [*network_problems(plan.trip, plan.own_map, planning, recorded_trip(plan)),
+                    *certificate_problems(plan.trip, {}, planning)]
+        if not problems and self._replan:
+            problems += replan_problems(plan.trip, planning)
+        return problems
+
     def _problems(self, departure: RecordedDeparture) -> list[str]:
-        strategy, planning = departure.strategy, departure.parameters.planning
+        trip, planning = departure.trip, departure.parameters.planning
         problems = [
-            *self._shared.once(network_problems, strategy, departure.risk_map, planning,
+            *self._shared.once(network_problems, trip, departure.risk_map, planning,
                                departure.metadata.trip),
-            *certificate_problems(strategy, departure.stated, planning),
-            *source_problems(departure),
+            *certificate_problems(trip, departure.stated, planning),
+            *(misstated_few(departure.few, departure.few_value) if departure.few else ()),
+            *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
             problems += self._draw_problems(departure)
         if not problems and self._replan:
-            problems += self._shared.once(replan_problems, strategy, planning)
+            problems += self._shared.once(replan_problems, trip, planning)
         return problems
 
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
-        ground = self._shared.once(ground_of, departure.strategy, departure.planned_on,
+        ground = self._shared.once(ground_of, departure.trip, departure.planned_on,
                                    parameters.occupancy, parameters.planning, departure.risk_map)
-        plan = ground.plan
-        rng = np.random.default_rng(said.route_entropy_source)
-        spacing = parameters.values['route.path_spacing'] or plan.spacing
-        again: tuple[IndexArray, FloatArray] | None = None
+        plan, source = ground.plan, said.route_entropy_source
+        spacing = parameters.values['route.path_spacing']
+        few_route = said.day.few_route if said.day else None
         if departure.few:
-            return [*self._shared.once(few_problems, departure.few, plan, departure.risk_map),
-                    *_few_draw_problems(departure, departure.few, rng)]
+            plan = replace(plan, few=departure.few)
         if said.diversion:
-            again = other_rest(ground, newest, said.ends, np.array(said.diversion.ahead), rng,
-                               spacing)
+            leg = len(said.diversion.left) - len(said.route)
+            again = other_rest(ground, newest, said.ends, leg, np.array(said.diversion.ahead),
+                               source, spacing)
+        elif departure.joined:
+            again = draw_route(departure.joined.plan, source, spacing, said.ends)
         else:
-            fitted = departure.joined.plan if departure.joined else (
-                ground.fitted(newest, said.ends))
-            drawn = (fitted.strategy.sample_route(rng) if departure.joined
-                     else ground.draw(rng, newest))
-            if drawn is not None and np.array_equal(drawn, departure.drawn):
-                again = drawn, departure_path(fitted, drawn, spacing, said.ends)
-        if again is None or not np.array_equal(again[0], departure.drawn):
+            again = draw_route(plan, source, spacing, said.ends, ground, newest)
+        if again is None or again.few_route != few_route or _numbers(
+                again.route) != _numbers(departure.drawn):
             return ['route: the recorded entropy draws another one']
-        rows, poses = again[1], departure.recorded_poses
+        rows, poses = again.poses, departure.recorded_poses
         if len(poses) == len(rows) + 1:
             poses = poses[1:]  # before the route, the robot leaves a costmap's inflation
         if not _same_path(poses, rows):
             return ['path: it does not follow from the recorded route']
-        return _slot_problems(said, rng)
+        return _slot_problems(said, again.rng)
+
+
+def _numbers(route: Route) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(nodes.tolist()) for nodes in route)
 
 
 def _same_path(poses: FloatArray, rows: FloatArray) -> bool:
@@ -167,24 +210,6 @@ def _same_path(poses: FloatArray, rows: FloatArray) -> bool:
         np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
         and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
                         rtol=0.0, atol=_POSE_TOLERANCE))
-
-
-def few_problems(few: FewRoutes, plan: Plan, risk_map: RiskMap) -> list[str]:
-    """Judge few routes with their shares again."""
-    found = PathMixtures(risk_map, plan, few.paths).judged(few.shares).value
-    if math.isclose(found, few.value, rel_tol=1e-6):
-        return []
-    return [f'few routes: the worst ambush costs {found:.9g}, not {few.value:.9g}']
-
-
-def _few_draw_problems(departure: RecordedDeparture, few: FewRoutes,
-                       rng: np.random.Generator) -> list[str]:
-    """Draw one of few routes again, and the slot."""
-    day, k = departure.metadata.day, few.draw(rng)
-    if day is None or k != day.few_route or not _same_path(departure.recorded_poses,
-                                                           few.paths[k]):
-        return ['route: the recorded entropy draws another one']
-    return _slot_problems(departure.metadata, rng)
 
 
 def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
@@ -197,82 +222,69 @@ def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
     return ['slot: the recorded entropy draws another one']
 
 
-def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions,
-                     trip: RecordedTrip) -> list[str]:
-    """Build the network again and compare it bit for bit; then compare the game's budget."""
-    recorded = strategy.network
-    laid = trip_network(risk_map, trip.start, trip.goal, planning, trip.stops,
-                        recorded.refined)
-    played = solved_game(risk_map, planning)
-    network = add_hiding_places(laid, risk_map, planning, played)
+def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOptions,
+                     said: RecordedTrip) -> list[str]:
+    """Build the networks again and compare them bit for bit; then compare the game's budgets."""
+    games, played = [leg.game for leg in trip.legs], solved_game(risk_map, planning)
+    recorded = [game.network for game in games]
+    laid = Trip(risk_map, said.start, said.goal, said.stops, planning).networks(recorded[0].refined)
+    networks = add_hiding_places(laid, risk_map, planning, played)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
     if holds_anywhere(planning):
-        network = _with_recorded_places(network, recorded, cells)
-    network = _with_recorded_layers(network, recorded)
-    if holds_anywhere(planning):
-        network = _with_recorded_places(network, recorded, cells)
-    ends = attrgetter('source', 'target')
-    if ends(recorded) != ends(network) or not all(
-        np.array_equal(getattr(recorded, name), getattr(network, name))
-        for name in ('points', 'edges', 'alpha', 'places', 'leg')
-    ) or recorded.ground_length != network.ground_length:
+        sites = recorded[0].points[len(networks[0].points):]
+        networks = [with_places(each, sites, cells.at(sites)) for each in networks]
+    if len(networks) != len(recorded) or not all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for one, other in zip(recorded, networks, strict=True)
+        for name in ('source', 'target', 'points', 'edges', 'alpha')
+    ) or [each.ground_length for each in recorded] != [each.ground_length for each in networks]:
         return ['network: it does not follow from the recorded map, trip and parameters']
-    if strategy.game.options != played:
+    if trip.game.options != played:
         return ['strategy: its reach or secured area is not that of the parameters']
-    problems = []
-    search = CellSearch(cells, strategy.game, np.flatnonzero(strategy.edge_probability > 0.0))
-    if holds_anywhere(planning) and len(worst := search.worst(
-        chain_of(strategy.network, strategy.edge_probability), strategy.value * (1.0 + _TOLERANCE)
-    ).mean_loss):
+    problems, law = [], trip.law
+    search = CellSearch(cells, games, law.uses(trip.joint.edge_count) > 0.0)
+    if holds_anywhere(planning) and len(
+            worst := search.worst(law, trip.value * (1.0 + _TOLERANCE)).mean_loss):
         problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '
-                        f'its value {strategy.value:.9g}')
-    if planning.strategy.length_weight == 0.0:
-        limit = Budget.length(strategy.game, planning.strategy.max_detour).limit
-        if not math.isclose(strategy.length_budget, limit, rel_tol=_TOLERANCE):
-            problems.append(f'strategy: its length budget is {strategy.length_budget:.9g}, the '
+                        f'its value {trip.value:.9g}')
+    for leg in trip.legs if planning.strategy.length_weight == 0.0 else ():
+        limit = length_budget(leg.game, planning.strategy.max_detour).limit
+        if not math.isclose(leg.length_budget, limit, rel_tol=_TOLERANCE):
+            problems.append(f'strategy: its length budget is {leg.length_budget:.9g}, the '
                             f'parameters give {limit:.9g}')
     return problems
 
 
-def _with_recorded_places(network: Network, recorded: Network, cells: CellLosses) -> Network:
-    """A network with the next nodes of a recorded one: those of places that it does not have."""
-    nodes = slice(len(network.points), None)
-    known = original_nodes(network, recorded.places[nodes], recorded.leg[nodes]) >= 0
-    points = recorded.points[nodes][: known.argmax() if known.any() else None]
-    return with_places(network, points, cells.at(points))
-
-
-def _with_recorded_layers(network: Network, recorded: Network) -> Network:
-    """A network as a layered graph, with the layers of a recorded one."""
-    new = slice(len(network.edges), len(recorded.edges))
-    nodes = slice(len(network.points), None)
-    originals = original_nodes(network, recorded.places[nodes], recorded.leg[nodes])
-    if new.start >= new.stop or not (originals >= 0).any():
-        return network
-    count = int((originals >= 0).sum())
-    of, edges = np.append(np.arange(len(network.points)), originals[:count]), recorded.edges[new]
-    if (originals[:count] < 0).any() or edges.max() >= len(of) or (
-            original_edges(network, of, edges) < 0).any():
-        return network  # which differs from the recorded one
-    return with_layers(network, originals[:count], edges)
-
-
-def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
+def certificate_problems(trip: TripStrategy, stated: Mapping[str, float],
                          planning: PlanningOptions) -> list[str]:
     """Check what the planner promises of every strategy, from its probabilities alone."""
     problems = [f'strategy: its {name} is stated as {said:.12g}, its probabilities give '
-                f'{found:.12g}' for name, said, found in misstated(strategy, stated)]
-    if planning.strategy.solver == 'max_entropy' and not is_acyclic(
-        strategy.network, strategy.edge_probability
-    ):
-        problems.append('strategy: its routes run in cycles')
-    mean, budget = strategy.expected_length, strategy.length_budget
-    if not mean <= budget * (1.0 + CERTIFICATE_TOLERANCE):
-        problems.append(f'strategy: its length, {mean:.9g}, exceeds its budget of {budget:.9g}')
-    gap = open_gap(strategy, planning.strategy)
-    if not gap <= planning.max_gap * strategy.value:
-        problems.append(f'strategy: its certificate does not close, the gap is {gap:.3g}')
+                f'{found:.12g}' for name, said, found in misstated(trip, stated)]
+    for leg in trip.legs:
+        if planning.strategy.solver == 'max_entropy' and not is_acyclic(
+                leg.network, leg.edge_probability):
+            problems.append('strategy: its routes run in cycles')
+        mean, budget = leg.expected_length, leg.length_budget
+        if not mean <= budget * (1.0 + CERTIFICATE_TOLERANCE):
+            problems.append(f'strategy: its length, {mean:.9g}, exceeds its budget of {budget:.9g}')
     return problems
+
+
+def gap_problems(trip: TripStrategy, planning: PlanningOptions) -> list[str]:
+    """Say so if value and lower bound are further apart than ``max_gap`` allows."""
+    gap = open_gap(trip, planning.strategy)
+    if gap <= planning.max_gap * trip.value:
+        return []
+    return [f'strategy: its certificate does not close, the gap is {gap:.3g}']
+
+
+def value_problems(departure: RecordedDeparture) -> list[str]:
+    """Compare the value that is stated of a departure with that on the map of that moment."""
+    stated, found = departure.metadata.value, departure.value
+    if stated is None or math.isclose(stated, found, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE):
+        return []
+    return [f'value: the departure is stated to cost {stated:.9g}, on the map of that moment it '
+            f'costs {found:.9g}']
 
 
 def source_problems(departure: RecordedDeparture) -> list[str]:
@@ -288,19 +300,14 @@ def source_problems(departure: RecordedDeparture) -> list[str]:
     return []
 
 
-def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
+def replan_problems(trip: TripStrategy, planning: PlanningOptions) -> list[str]:
     """Solve the game again, from scratch and without a time limit, and compare the values."""
     options = replace(planning.strategy, time_limit=math.inf)
-    try:
-        again = solve_game(strategy.game.without_layers(), options)
-    except TimeLimit as late:
-        if late.strategy is None:
-            raise
-        again = late.strategy
+    again = solve_legs(trip.joint.games, options)
     # Values differ within the slack that was asked for, and as far as a solve was cut short.
-    allowed = (options.slack + 2.0 * CERTIFICATE_TOLERANCE) * again.value + max(
-        open_gap(strategy, options), open_gap(again, options)
+    allowed = (options.tolerance + 2.0 * CERTIFICATE_TOLERANCE) * again.value + max(
+        open_gap(trip, options), open_gap(again, options)
     )
-    if abs(strategy.value - again.value) <= allowed:
+    if abs(trip.value - again.value) <= allowed:
         return []
-    return [f'strategy: its value is {strategy.value:.9g}, solved again {again.value:.9g}']
+    return [f'strategy: its value is {trip.value:.9g}, solved again {again.value:.9g}']

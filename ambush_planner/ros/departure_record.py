@@ -87,7 +87,8 @@ def metadata_of(departure: Departure, previous: str) -> Metadata:
          **{name: departure.held.task.parameters.values[name] for name in OF_PLAIN_NETWORK}},
         dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
-        departure.joined, tuple(departure.route.tolist()), tuple(departure.entropy_source),
+        departure.joined, departure.assessment.value, tuple(departure.route.tolist()),
+        tuple(departure.entropy_source),
         replace(departure.call, remarks=departure.remarks), departure.diversion, previous,
     )
 

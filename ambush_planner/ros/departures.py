@@ -160,7 +160,7 @@ class Departures:
         if not pending.answer.set_running_or_notify_cancel():
             return True
         self._count += 1
-        route, rows = drawn[0], _from_robot(drawn[1], fit.trip)
+        route, rows = drawn.nodes, _from_robot(drawn.poses, fit.trip)
         remarks = (f'the path joins the routes of an earlier start: value '
                    f'{fit.assessment.value:.4g}, from there {fit.cached.plan.value:.4g}'
                    ) if fit.joined else ''
@@ -182,21 +182,22 @@ class Departures:
         source = _entropy_source(trip.parameters.values['seed'], before.number, number)
         x, y = track.path[-1, :2].tolist()
         ends, ahead = (trip.start_xy, (x, y)), track.nodes_ahead(trip.start_xy)
-        drawn = other_rest(held.ground, trip.map, ends, ahead, np.random.default_rng(source),
-                           trip.parameters.values['route.path_spacing'] or held.plan.spacing)
+        drawn = other_rest(held.ground, trip.map, ends, ahead, source,
+                           trip.parameters.values['route.path_spacing'])
         if drawn is None:
             return False
         if not pending.answer.set_running_or_notify_cancel():
             return True
         self._record(under_way)
-        path, driven = self._driven(trip, held, pending, source, *drawn, ends)
+        path, driven = self._driven(trip, held, pending, source, drawn.nodes, drawn.poses, ends)
         departure = replace(
             before, joined=False, markers=(),
             diversion=Diversion(number, tuple(under_way.route.tolist()), tuple(ahead.tolist())),
             remarks=f'departure {before.number} diverted: its path is no longer clear, and another '
                     'route of its plan is', **driven)
-        self._set_out(trip_on(held.plan, *drawn, track.destination, track.passed), departure, path,
-                      whole_route(under_way.route, drawn[0]), pending, under_way)
+        self._set_out(
+            trip_on(held.plan, drawn.nodes, drawn.poses, track.destination, track.passed),
+            departure, path, whole_route(under_way.route, drawn.nodes), pending, under_way)
         return True
 
     def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],

@@ -12,14 +12,14 @@ from threading import RLock
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from ..arrays import FloatArray, IndexArray
 from ..maps.occupancy import OccupancyMap
 from ..parameters.values import NodeParameters
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
+from ..planning.departure import DrawnRoute, draw_route
 from ..planning.moved_start import JoinedPlan, joined_plan
 from ..planning.options import is_graded, start_tolerance
-from ..planning.plan import Plan, PlanRequest, departure_path
+from ..planning.plan import Plan, PlanRequest
 from ..planning.solving import WarmStart
 from ..routes.driven_path import Ends
 from ..worker.solve_queue import SolveQueue
@@ -171,18 +171,10 @@ class Fit:
         """Where routes begin and end [m]."""
         return self.cached.ends(self.trip)
 
-    def draw(self, source: list[int]) -> tuple[IndexArray, FloatArray] | None:
-        """Draw a route that is clear on the trip's map, and its path (L, 3) = (x, y, yaw).
-
-        ``source`` seeds the random generator. None if hardly any route is clear.
-        """
-        rng, newest, ground = np.random.default_rng(source), self.trip.map, self.cached.ground
-        route = self.plan.strategy.sample_route(rng) if self.joined else ground.draw(rng, newest)
-        if route is None:
-            return None
-        fitted = self.plan if self.joined else ground.fitted(newest, self.ends)
-        spacing = self.trip.parameters.values['route.path_spacing'] or self.plan.spacing
-        return route, departure_path(fitted, route, spacing, self.ends)
+    def draw(self, source: list[int]) -> DrawnRoute | None:
+        """Draw a route that is clear on the trip's map; None if hardly any is."""
+        return draw_route(self.plan, source, self.trip.parameters.values['route.path_spacing'],
+                          self.ends, None if self.joined else self.cached.ground, self.trip.map)
 
 
 class PlanCache:

@@ -76,19 +76,19 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     code, sections = write_report(recordings[0].parent, folder, True, console)
     if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
-    section, strategy = sections[-1], sections[-1].strategy
+    section, trip = sections[-1], sections[-1].trip
     shown = replace(section.risk_map, heights=load_elevation().heights)
-    figure = routes_figure(shown, strategy, [path[:, :2] for path in paths],
-                           fixed_routes(strategy))
+    figure = routes_figure(shown, trip, [path[:, :2] for path in paths],
+                           fixed_routes(trip.legs[0]))
     write_all_durably({folder / 'routes.png': as_png(figure)})
     console.step('solving for other budgets')
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
     planning = replace(last.parameters.planning, strategy=budgets)
-    trip = last.metadata.trip
-    rows = trip_frontier(section.risk_map, trip.start, trip.goal, planning, DETOURS, SLACKS,
+    said = last.metadata.trip
+    rows = trip_frontier(section.risk_map, said.start, said.goal, planning, DETOURS, SLACKS,
                          lambda row: console.step(
                              f'detour {row.max_detour:g}, slack {row.risk_slack:g}: '
-                             f'value {row.value:.4g}'), refined=strategy.network.refined)
+                             f'value {row.value:.4g}'), refined=trip.game.network.refined)
     write_frontier([folder / 'frontier.csv', folder / 'frontier.png'], rows, budgets.max_detour,
                    budgets.risk_slack)
     total = console.seconds
@@ -96,7 +96,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
                  'frontier.csv, node.log and the recordings')
     console.result = {'folder': cli.place(folder), 'departures': options.departures,
-                      'value': strategy.value, 'lower_bound': strategy.lower_bound,
+                      'value': trip.value, 'lower_bound': trip.lower_bound,
                       'seconds': round(total, 1)}
     return cli.Exit.HOLDS
 

@@ -13,9 +13,9 @@ from ambush_planner import figures
 from ambush_planner.arrays import FloatArray
 from ambush_planner.colours import AMBUSHER, ROUTES
 from ambush_planner.figures import SECURED_AREA, SITES
-from ambush_planner.game.hits import largest_losses
+from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.route_sampler import route_strategy
-from ambush_planner.game.strategy import Strategy
+from ambush_planner.game.strategy import Strategy, TripStrategy
 from ambush_planner.map_figures import HALO, OBSTACLE, WIDTH, risk_bar
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
@@ -34,7 +34,7 @@ class FixedRoute:
     loss: float
 
 
-def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatArray],
+def routes_figure(risk_map: RiskMap, trip: TripStrategy, routes: Sequence[FloatArray],
                   fixed: Sequence[FixedRoute]) -> Figure:
     """Draw the routes (K, 2) of departures on the left and the fixed routes on the right."""
     figure = Figure(figsize=(WIDTH, 5.5), layout='compressed')
@@ -42,13 +42,13 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
     worst = max(route.loss for route in fixed)
     for axes, title in (
         (left, f'{len(routes)} departures of the random convoy\n'
-               f'Mean loss of {strategy.value:.2f} if the strategy is known'),
+               f'Mean loss of {trip.value:.2f} if the strategy is known'),
         (right, f'The same route every day\nLoss of up to {worst:.2f} once the route is known'),
     ):
-        risk = figures.draw_ground(axes, strategy, risk_map, title)
+        risk = figures.draw_ground(axes, trip, risk_map, title)
     right.label_outer()
-    figures.draw_routes(left, routes, figures.marks_of(strategy))
-    figures.draw_sites(left, strategy)
+    figures.draw_routes(left, routes, figures.marks_of(trip))
+    figures.draw_sites(left, trip)
     for route, (colour, dashes), (side, share) in zip(
         fixed, FIXED, (('left', 0.62), ('right', 0.75)), strict=True
     ):
@@ -85,7 +85,8 @@ def fixed_routes(strategy: Strategy) -> list[FixedRoute]:
         ('shortest route', measures['energy_efficient'], energy_efficient_route(game)),
         ('safest route', measures['risk_avoidance'], risk_avoiding_route(game)),
     ):
-        _, worst = largest_losses(game, route_strategy(strategy.network, route))
-        place = points[game.sites[worst[0]]]
+        law = law_of(game, route_strategy(strategy.network, route))
+        _, worst = largest_product(game.loss[game.sites], game.entering, law)
+        place = points[game.sites[worst]]
         routes.append(FixedRoute(name, points[route], place, row.v_repeated))
     return routes

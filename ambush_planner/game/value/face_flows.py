@@ -12,6 +12,7 @@ costs that change keep the basis feasible, so the primal simplex method goes on 
 from __future__ import annotations
 
 import time
+from functools import cache
 from typing import Any, NamedTuple
 
 import highspy
@@ -35,15 +36,39 @@ class FlowSolution(NamedTuple):
     cost: float
 
 
+@cache
+def quiet_model() -> Any:
+    """The class that ``highspy.Highs`` extends, which does not greet on the standard output.
+
+    ``highspy.Highs`` itself if that class has changed: it must find x of three equations.
+    """
+    quiet: Any = highspy.Highs.__base__
+    model, find = quiet(), np.array([4.0, -1.0, 2.0])
+    try:
+        _with_options(model)  # HiGHS keeps the number of threads of its first run
+        model.addCols(3, np.ones(3), np.full(3, -9.0), np.full(3, 9.0), 0, np.zeros(3, np.int32),
+                      np.zeros(0, np.int32), np.zeros(0))
+        rows = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+        model.addRows(3, rows @ find, rows @ find, 9, 3 * np.arange(3, dtype=np.int32),
+                      np.tile(np.arange(3, dtype=np.int32), 3), rows.ravel())
+        model.run()
+        found = np.allclose(model.getSolution().col_value, find)
+    except (AttributeError, TypeError):
+        found = False
+    return quiet if found else highspy.Highs
+
+
+def _with_options(model: Any) -> Any:
+    for name, setting in _OPTIONS.items():
+        model.setOptionValue(name, setting)
+    return model
+
+
 class FaceFlows:
     """The linear program in HiGHS' memory; nodes, rows and columns are numbered as they come."""
 
     def __init__(self) -> None:
-        # The class that highspy.Highs extends: it does not greet on the standard output.
-        quiet: Any = highspy.Highs.__base__
-        self._model = quiet()
-        for name, setting in _OPTIONS.items():
-            self._model.setOptionValue(name, setting)
+        self._model = _with_options(quiet_model()())
         self._rows = self._columns = 0
         self._free: list[int] = []
 

@@ -69,6 +69,16 @@ def run(lp: LP, solver: str, deadline: float, presolve: bool = True,
     return result
 
 
+def run_either(lp: LP, first: str, deadline: float, presolve: bool = True,
+               precision: float = OPTIMALITY[0]) -> OptimizeResult:
+    """Solve by the ``first`` solver, and by the other one if HiGHS ends in an unknown state."""
+    try:
+        return run(lp, first, deadline, presolve, precision)
+    except SolverFailed:
+        other = 'simplex' if first == 'interior_point' else 'interior_point'
+        return run(lp, other, deadline)
+
+
 def _interior_point(lp: LP, options: dict[str, Any], presolve_first: bool,
                     precision: float) -> OptimizeResult:
     """Run without crossover; if HiGHS ends in an unknown state, try other tolerances.

@@ -193,7 +193,7 @@ def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> floa
 
 
 def _run(lp: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
-    result = highs.run(lp, solver, deadline)
+    result = highs.run_either(lp, solver, deadline)
     if result.status == highs.INFEASIBLE:
         raise BudgetInfeasible(f'{solver}: no strategy fits the length budget; raise max_detour')
     return result

@@ -139,11 +139,8 @@ class Mixtures:
         limits = np.append(np.zeros(rows), np.ones(self._legs))
         lp = highs.LP(np.append(np.zeros(count), 1.0), csr_matrix(vstack([sites, used])), limits,
                       one, np.ones(self._legs))
-        first, second = ('simplex', 'interior_point')[:: 1 if vertex else -1]
-        try:
-            result = highs.run(lp, first, deadline, False, precision)
-        except SolverFailed:
-            result = highs.run(lp, second, deadline)
+        first = 'simplex' if vertex else 'interior_point'
+        result = highs.run_either(lp, first, deadline, False, precision)
         if result.x is None:
             raise SolverFailed('no mixture of the known routes is within the budgets')
         return result

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mean loss by an ambush at each place of the map, against one trip; and the best ambush."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from ..game.hits import largest_product
+from ..game.legs import exposed_legs
+from ..game.strategy import TripStrategy
+from ..maps.risk_map import RiskMap
+from .cell_losses import CellLosses, CellSearch
+
+# Losses below this share of the value count as none.
+_LEAST = 1e-3
+
+
+class BestAmbush(NamedTuple):
+    """The place (x, y) [m] of a best ambush, and the share of the departures that it hits.
+
+    On a trip with stops, those that are hit on any leg.
+    """
+
+    xy: tuple[float, float]
+    hit: float
+
+
+class CostRaster(NamedTuple):
+    """Mean loss (H, W) by an ambush at the dearest cell of each block of ``block`` cells a side.
+
+    NaN where nobody can wait: in obstacles, and in the ``secured`` (H, W) area.
+    """
+
+    cost: FloatArray
+    secured: BoolArray
+    block: int
+
+
+def holds_at_cells(trip: TripStrategy) -> bool:
+    """Whether the ambusher may wait anywhere, not only at the network's nodes."""
+    return trip.game.options.widened > 0.0
+
+
+def best_ambush(trip: TripStrategy, risk_map: RiskMap) -> BestAmbush | None:
+    """Find the place where an ambush causes the value; None if none causes a loss."""
+    game, legs = trip.game, trip.joint
+    loss, row = largest_product(legs.loss, legs.entering, trip.law)
+    if not trip.value > 0.0 or row < 0:
+        return None
+    point, entering = legs.site_points[row], legs.entering[row]
+    if holds_at_cells(trip) and loss < trip.value * (1.0 - ROUNDING):
+        cells = CellLosses(risk_map, game.options.ambush_in_obstacles)
+        used = trip.law.uses(legs.edge_count) > 0.0
+        found = CellSearch(cells, legs.games, used).worst(trip.law, loss)
+        if len(found.points):
+            point, entering = found.points[0], found.entering[0]
+    hits = [float(leg.law.meets(own)[0]) for leg, own in zip(
+        trip.legs, legs.rows_by_leg(csr_matrix(entering)), strict=True)]
+    x, y = point.tolist()
+    return BestAmbush((x, y), 1.0 - float(np.prod(1.0 - np.minimum(hits, 1.0))))
+
+
+def cost_raster(trip: TripStrategy, risk_map: RiskMap, most: int) -> CostRaster:
+    """Compute the cost of ambushes on a map, with at most ``most`` blocks along each side.
+
+    Without a reach, an ambusher waits at the nearest node.
+    """
+    block = math.ceil(max(risk_map.alpha.shape) / most)
+    hides = trip.game.options.ambush_in_obstacles
+    cells = CellLosses(risk_map, hides)
+    no_place = -1.0 * (risk_map.obstacles & (not hides))
+    dearest, loss = _dearest_cells(cells.of_blocks(1) + no_place, block)
+    points, shape = cells.centres(dearest.reshape(-1, 2), 1), dearest.shape[:2]
+    loss, secured = loss.ravel(), trip.game.secured.covers(points)
+    cost = np.full(len(loss), np.nan)
+    waits = np.flatnonzero((loss >= 0.0) & ~secured)
+    costs = _costs_at_cells if holds_at_cells(trip) else _costs_at_nodes
+    cost[waits] = costs(trip, points[waits], loss[waits])
+    return CostRaster(cost.reshape(shape), secured.reshape(shape), block)
+
+
+def _dearest_cells(loss: FloatArray, block: int) -> tuple[IndexArray, FloatArray]:
+    """Row and column (H, W, 2) of the dearest cell of each block of an array, and its loss (H, W).
+
+    Of equally dear cells it is the one nearest to the block's centre.
+    """
+    padded = np.pad(loss, [(0, -size % block) for size in loss.shape], constant_values=-1.0)
+    rows, columns = (size // block for size in padded.shape)
+    blocks = padded.reshape(rows, block, columns, block).swapaxes(1, 2).reshape(rows, columns, -1)
+    inside = np.argwhere(np.ones((block, block), bool))
+    central = np.argsort(np.hypot(*(inside - (block - 1) / 2.0).T), kind='stable')
+    found = central[blocks[:, :, central].argmax(axis=2)]
+    corner = np.moveaxis(np.indices((rows, columns)), 0, 2) * block
+    return corner + inside[found], np.take_along_axis(blocks, found[..., None], axis=2)[..., 0]
+
+
+def _costs_at_cells(trip: TripStrategy, points: FloatArray, loss: FloatArray) -> FloatArray:
+    """Mean losses (K,) by ambushes exactly at points (K, 2)."""
+    game, legs, law = trip.game, trip.joint, trip.law
+    exposed = exposed_legs(legs.games, law.uses(legs.edge_count) > 0.0)
+    rows = exposed.entering(points, game.reach - game.options.widened)
+    cost = loss * law.meets_at_most(rows)
+    some = np.flatnonzero(cost > _LEAST * trip.value)
+    cost[some] = loss[some] * law.meets(csr_matrix(rows[some]))
+    return np.asarray(cost)
+
+
+def _costs_at_nodes(trip: TripStrategy, points: FloatArray, _: FloatArray) -> FloatArray:
+    """Mean losses (K,) by ambushes at the nodes nearest to points (K, 2)."""
+    game, legs = trip.game, trip.joint
+    losses = np.zeros(game.node_count)
+    losses[game.sites] = legs.loss * trip.law.meets(legs.entering)
+    return np.asarray(losses[cKDTree(game.network.points).query(points)[1]])

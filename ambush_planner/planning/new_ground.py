@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Other ground under what was planned or drawn before: a map, and perhaps roads, as they are now.
+
+Unlike that of ``changed_ground``, the map may have other cells. A stretch on roads is lost if it is
+on those of the plan, but not on the new ones in the direction in which it is driven.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray, members
+from ..game.hits import Law, LegLaws
+from ..game.revaluation import revalue
+from ..game.strategy import TripStrategy
+from ..maps.obstacles import ObstacleField, nearest_on_segments
+from ..maps.risk_map import RiskMap
+from ..maps.road_file import RoadGraph
+from ..network.construction import NetworkOptions
+from .ambush_costs import holds_at_cells
+from .cell_losses import CellLosses, CellSearch
+from .changed_ground import Assessment
+from .conditioning import ConditionedStrategy
+from .options import ROAD_TUBE, PlanningOptions
+
+# Largest distance of a place on a road from its line, and of places that are looked at [m].
+_ON_ROAD, _STEP = 2.0 * ROAD_TUBE, 10.0
+# Least cosine between directions along one road.
+_ALONG = 0.7
+
+
+class Blocked(NamedTuple):
+    """Where a path is blocked first (x, y) [m], how far along it [m], and in how many places."""
+
+    xy: tuple[float, float]
+    along: float
+    places: int
+
+
+@dataclass(frozen=True, eq=False)
+class NewGround:
+    """A map and, for plans on roads, the roads on it, in its coordinates."""
+
+    risk_map: RiskMap
+    roads: RoadGraph | None = None
+
+    def blocked(self, path: FloatArray, before: NewGround,
+                options: NetworkOptions) -> Blocked | None:
+        """Return where a path (L, 2 or 3) that was clear ``before`` is blocked; None: nowhere."""
+        a, b = path[:-1, :2], path[1:, :2]
+        lost = ~self._clear(a, b, before, options) & before._clear(a, b, before, options)
+        if not lost.any():
+            return None
+        first = int(lost.argmax())
+        along = float(np.hypot(*(b - a)[:first].T).sum())
+        x, y = (0.5 * (a[first] + b[first])).tolist()
+        return Blocked((x, y), along, int((np.diff(lost, prepend=False) & lost).sum()))
+
+    def assess(self, trip: TripStrategy, before: NewGround,
+               planning: PlanningOptions) -> Assessment:
+        """Return what strategies cost here, if only their routes that are clear are driven."""
+        legs, network, anywhere = trip.joint, trip.game.network, holds_at_cells(trip)
+        cells = CellLosses(self.risk_map, planning.game.ambush_in_obstacles)
+        alpha = cells.at(network.points)
+        # Where ambushers wait anywhere, the search below finds what these nodes would cost.
+        alpha[[(leg.network.source, leg.network.target) for leg in trip.legs]] = 0.0
+        alpha[(network.alpha == 0.0) & anywhere] = 0.0
+        forbidden, share, laws = alpha > planning.game.alpha_threshold, 1.0, list[Law]()
+        for leg in trip.legs:
+            own, law = leg.network, leg.law
+            used, lost = np.flatnonzero(leg.edge_probability > 0.0), forbidden[own.heads]
+            tails, heads = own.points[own.edges[used]].swapaxes(0, 1)
+            lost[used] |= ~self._clear(tails, heads, before, planning.network)
+            if lost[used].any():
+                clear, found = ConditionedStrategy(leg).avoiding(lost)
+                if found is None:
+                    return Assessment(math.inf, 0.0, 0.0)
+                share, law = share * clear, found
+            laws.append(law)
+        law = LegLaws(legs, laws) if len(laws) > 1 else laws[0]
+        known = revalue(trip, alpha, law)
+        value = known.value
+        if anywhere and value < math.inf:
+            search = CellSearch(cells, legs.games, law.uses(legs.edge_count) > 0.0)
+            value = max([value, *search.worst(law, value).mean_loss[:1]])
+        return Assessment(value, known.bound, share)
+
+    def _clear(self, a: FloatArray, b: FloatArray, before: NewGround,
+               options: NetworkOptions) -> BoolArray:
+        """Which segments a -> b, both (K, 2) [m], can be driven here (K,)."""
+        field = ObstacleField(self.risk_map, options.clear_of_edge)
+        begin, end = (self.risk_map.to_map_axes(each) for each in (a, b))
+        clear = field.clear_segments(begin, end, options.clearance)
+        if self.roads is not None and before.roads is not None and self is not before:
+            clear &= _on_roads(a, b, self.roads) | ~_on_roads(a, b, before.roads)
+        return clear
+
+
+def _on_roads(a: FloatArray, b: FloatArray, roads: RoadGraph) -> BoolArray:
+    """Which segments a -> b, both (K, 2) [m], lead along roads in a direction that is allowed."""
+    if not len(roads.pairs):
+        return np.zeros(len(a), dtype=bool)
+    begin, end = roads.points[roads.pairs].swapaxes(0, 1)
+    which, places = _spread(a, b)
+    piece, on_piece = _spread(begin, end)
+    far = _ON_ROAD + 0.5 * _STEP
+    pairs = cKDTree(places).sparse_distance_matrix(cKDTree(on_piece), far, output_type='ndarray')
+    place, road, step = places[pairs['i']], piece[pairs['j']], (b - a)[which[pairs['i']]]
+    off = np.hypot(*(nearest_on_segments(place, begin[road], end[road]) - place).T)
+    line = end[road] - begin[road]
+    cosine = (step * line).sum(axis=1) / np.maximum(np.hypot(*step.T) * np.hypot(*line.T), 1e-12)
+    allowed = roads.speeds[road, (cosine < 0.0).astype(np.int64)] > 0.0
+    good = (off <= _ON_ROAD) & (np.abs(cosine) >= _ALONG) & allowed
+    there = np.zeros(len(places), dtype=bool)
+    there[pairs['i'][good]] = True
+    found = np.ones(len(a), dtype=bool)
+    found[which[~there]] = False
+    return found
+
+
+def _spread(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """Places (P, 2) on segments a -> b, at most ``_STEP`` apart, and the segment (P,) of each."""
+    count = np.maximum(np.ceil(np.hypot(*(b - a).T) / _STEP), 1.0).astype(np.int64)
+    which, k = members(count)
+    share = ((k + 0.5) / count[which])[:, None]
+    return which, a[which] * (1.0 - share) + b[which] * share
