@@ -155,18 +155,17 @@ def test_a_plan_that_has_proved_nothing_in_time_does_not_search_for_a_bound():
     assert late.value.strategy.lower_bound == 0.0
 
 
-def test_a_rough_search_finds_a_place_if_any_costs_more():
+def test_a_search_finds_the_places_that_cost_more_the_worst_first():
     solution = solved_case('maze', 2.5, -1.0, 1.5, 0.3)
     game, apart = solution.plan.strategy.game, 3.0
-    chain = chain_of(game.network, shortest_route_strategy(game))
-    worst = solution.losses_on(shortest_route_strategy(game)).max()
-    for above in worst * np.array([0.2, 0.8, 0.95, 0.999, 1.2]):
-        rough, exact = (
-            CellSearch(CellLosses(solution.risk_map, False), game).worst(chain, above, apart, each)
-            for each in (True, False))
-        assert bool(len(rough.points)) == bool(len(exact.points))
-        assert (rough.mean_loss > above).all()
-        between = np.linalg.norm(rough.points[:, None] - rough.points, axis=2)
+    shortest = shortest_route_strategy(game)
+    worst = solution.losses_on(shortest).max()
+    for above in worst * np.array([0.2, 0.8, 0.95, 0.999]):
+        found = CellSearch(CellLosses(solution.risk_map, False), [game]).worst(
+            chain_of(game.network, shortest), above, apart)
+        assert found.mean_loss[0] >= worst * (1.0 - EQUAL)
+        assert found.mean_loss.min() > above and (np.diff(found.mean_loss) <= 0.0).all()
+        between = np.linalg.norm(found.points[:, None] - found.points, axis=2)
         assert (between + 2.0 * apart * np.eye(len(between)) > apart).all()
 
 

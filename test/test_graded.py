@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from games import examples
+from games import examples, least_weight
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -16,14 +16,13 @@ from ambush_planner import (
     StrategyOptions,
     plan_trip,
 )
-from ambush_planner.game.budget import least_cost
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.construction import build_trip_graph
 from ambush_planner.network.passages import pass_nodes
 from ambush_planner.network.shortest_way import ON_LATTICE, taut_length
 from ambush_planner.planning.options import grading
 from ambush_planner.planning.solving import WarmStart
-from ambush_planner.planning.trip import trip_network
+from ambush_planner.planning.trip import Trip
 
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
 NONE = np.empty((0, 3))
@@ -51,7 +50,7 @@ def planning(refine, reach=4.0, spacing=5.0, **strategy):
 
 
 def network_of(risk_map, options, refined=NONE):
-    return trip_network(risk_map, START, GOAL, options, (), refined)
+    return Trip(risk_map, START, GOAL, (), options).networks(refined)[0]
 
 
 def test_the_network_is_fine_around_the_secured_area_and_refined_places():
@@ -119,7 +118,7 @@ def test_the_budget_is_the_same_in_all_rounds_and_never_below_the_shortest_route
     assert plan.strategy.length_budget == pytest.approx(again.strategy.length_budget, rel=1e-3)
     assert plan.strategy.expected_length <= plan.strategy.length_budget * (1.0 + 1e-6)
     tight = plan_trip(risk_map, START, GOAL, planning(1, max_detour=1.0)).strategy
-    shortest = least_cost(tight.network, tight.network.lengths)
+    shortest = least_weight(tight.network, tight.network.lengths)
     assert tight.length_budget >= shortest * (1.0 - 1e-9)
 
 
@@ -138,6 +137,6 @@ def test_a_later_plan_keeps_the_refined_places():
     refined = np.array([[30.0, 20.0, 0.8]])
     options = planning(1)
     first = plan_trip(risk_map, START, GOAL, options)
-    warm = WarmStart.of(first.strategy, refined)
+    warm = WarmStart.of(first.trip, refined)
     later = plan_trip(risk_map, (5.0, 21.0), GOAL, options, warm=warm)
     assert (later.network.refined == refined[0]).all(axis=1).any()

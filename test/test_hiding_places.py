@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, build_network
-from ambush_planner.network.hiding_places import with_hiding_places
+from ambush_planner.network.construction import build_trip_graph
+from ambush_planner.network.hiding_places import hiding_places
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import add_hiding_places
 
@@ -22,54 +23,37 @@ def walled_map(hidden=5.0) -> RiskMap:
     return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
 
 
-def hidden(network, covered) -> tuple[np.ndarray, np.ndarray]:
-    """The places and the losses that were added."""
-    count = len(network.points)
-    assert np.array_equal(covered.points[:count], network.points)
-    return covered.points[count:], covered.alpha[count:]
-
-
 def test_hiding_places_have_the_loss_of_the_nearest_free_cell():
     risk_map = walled_map(np.nan)
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
-    covered = with_hiding_places(network, risk_map, 3.0, 2.0)
-    places, losses = hidden(network, covered)
+    places, losses = hiding_places([network], risk_map, 3.0, 2.0)
     assert risk_map.obstacles[risk_map.cells(places)].all() and len(places) == 40
     free = np.argwhere(~risk_map.obstacles) + 0.5
     for (x, y), loss in zip(places, losses, strict=True):
         apart = np.hypot(*(free - (y, x)).T)
         nearest = free[np.isclose(apart, apart.min())].astype(int)
         assert loss in risk_map.alpha[tuple(nearest.T)]
-    assert np.array_equal(covered.edges, network.edges)
 
 
 def test_omits_cells_out_of_reach_and_thins_the_others():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=4.0))
-    assert len(hidden(network, with_hiding_places(network, risk_map, 3.0, 4.0))[0]) == 12
+    assert len(hiding_places([network], risk_map, 3.0, 4.0)[0]) == 12
     solid = RiskMap(np.ones((40, 40)), np.mgrid[:40, :40][0] > 20, 1.0)
     network = build_network(solid, START, GOAL, NetworkOptions(spacing=2.0))
-    places, _ = hidden(network, with_hiding_places(network, solid, 3.0, 2.0))
+    places, _ = hiding_places([network], solid, 3.0, 2.0)
     assert 21 < places[:, 1].max() < 27
 
 
-def test_a_trip_has_one_node_for_each_hiding_place():
-    risk_map = walled_map()
-    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0), [(20.0, 15.0)])
-    covered = with_hiding_places(network, risk_map, 3.0, 2.0)
-    assert covered.legs == 2 and covered.place_count == network.place_count + 40
-    assert np.array_equal(covered.points[covered.edges], network.points[network.edges])
-    assert np.array_equal(covered.points[covered.stops], network.points[network.stops])
-    lone = np.setdiff1d(np.arange(len(covered.points)), covered.edges)
-    added = np.arange(len(network.points), len(covered.points))
-    assert len(added) == 40 and np.isin(added, lone).all()
-    assert (covered.places[added] >= network.place_count).all()
-
-
-def test_no_hiding_places_without_an_ambush_radius():
-    risk_map = walled_map()
-    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
-    game, options = GameOptions(ambush_in_obstacles=True), PlanningOptions()
-    assert add_hiding_places(network, risk_map, options, game) is network
-    hidden_in = add_hiding_places(network, risk_map, options, replace(game, ambush_radius=3.0))
-    assert len(hidden_in.points) > len(network.points)
+def test_all_legs_of_a_trip_have_the_same_hiding_places_as_nodes_without_edges():
+    risk_map, options = walled_map(), PlanningOptions()
+    legs = build_trip_graph(risk_map, START, GOAL, NetworkOptions(spacing=2.0),
+                            [(20.0, 15.0)]).networks()
+    game = GameOptions(ambush_in_obstacles=True)
+    assert add_hiding_places(legs, risk_map, options, game) == list(legs)
+    covered = add_hiding_places(legs, risk_map, options, replace(game, ambush_radius=3.0))
+    added = np.arange(len(legs[0].points), len(covered[0].points))
+    assert len(added) > 10
+    for leg, own in zip(legs, covered, strict=True):
+        assert np.array_equal(own.points, covered[0].points)
+        assert np.array_equal(own.edges, leg.edges) and not np.isin(own.edges, added).any()

@@ -24,28 +24,30 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from test_routes import game_on
+from test_routes import legs_on
 from test_trip import roads_of
 
 from ambush_planner import GameOptions, Network, SolverFailed, TimeLimit
 from ambush_planner.game.ambusher import Ambusher, at_nodes
-from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate.best_response import best_response
-from ambush_planner.game.certificate.certificate import lower_bound
+from ambush_planner.game.budget import length_budget, shortest_length
+from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
-from ambush_planner.game.value.face_flows import HAS_HIGHSPY, KeptFlows, RepeatedFlows
+from ambush_planner.game.hits import worst_loss
+from ambush_planner.game.legs import Legs
+from ambush_planner.game.value.face_flows import FaceFlows
 from ambush_planner.game.value.potential import POTENTIAL, Potential
 from ambush_planner.game.value.routes import Routes
 
-WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='no highspy: it lacks a rosdep key')
-FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
+
+def one_leg(game, detour=np.inf) -> Legs:
+    return Legs((game,), (length_budget(game, detour),))
 
 
-def lp_of(game, detour=np.inf) -> Potential:
-    """The LP of a game, solved."""
-    lp = Potential(make_faces(game), Budget.length(game, detour), 1e-3, math.inf)
-    lp.solve()
+def lp_of(legs, gap=1e-3) -> Potential:
+    """The LP of a trip's legs, solved."""
+    lp = Potential(legs, [make_faces(game) for game in legs.games], gap)
+    lp.solve(math.inf)
     return lp
 
 
@@ -56,10 +58,10 @@ def lp_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
     """
     *others, begun = np.array_split(np.arange(len(game.sites)), parts)
     later = ~np.isin(np.arange(game.node_count), game.sites[begun])
-    lp = lp_of(game.without_sites(later), detour)
+    lp = lp_of(one_leg(game.without_sites(later), detour))
     for some in reversed(others):
         lp.add_sites(game.entering[some], game.loss[game.sites[some]])
-        lp.solve()
+        lp.solve(math.inf)
     order = np.concatenate((begun, *reversed(others)))
     return lp, lp.q[np.argsort(order)]
 
@@ -69,7 +71,7 @@ def lp_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
        st.sampled_from(('uniform_delaunay', 'random_delaunay', 'lattice_delaunay')))
 def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, method):
     network = terrain_network(seed, method, 14)
-    lp = lp_of(make_game(network, GameOptions()), detour)
+    lp = lp_of(one_leg(make_game(network, GameOptions()), detour))
     least = lp_value(network, None, detour * least_weight(network, network.lengths))
     assert least * (1.0 - POTENTIAL.precision) <= lp.bound <= least * (1.0 + 1e-6)
 
@@ -79,27 +81,31 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
        st.integers(2, 4))
 def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     game = make_game(terrain_network(seed, cells=12), GameOptions(ambush_radius=reach))
-    once, (later, q) = lp_of(game, detour), lp_in_parts(game, detour, parts)
+    once, (later, q) = lp_of(one_leg(game, detour)), lp_in_parts(game, detour, parts)
     assert later.bound == pytest.approx(once.bound, rel=POTENTIAL.precision)
     assert len(later.q) == len(game.sites)
-    ambusher = Ambusher(at_nodes(game, q), later.price)
-    assert lower_bound(game, ambusher, later.budget) == pytest.approx(later.bound, rel=1e-6)
+    ambusher = Ambusher(at_nodes(game, q), tuple(later.prices))
+    proved = lower_bounds(one_leg(game, detour), ambusher)
+    assert proved == pytest.approx(later.bound, rel=1e-6)
 
 
 @examples(30)
-@given(st.integers(0, 10**6), st.integers(1, 2), st.sampled_from([0.0, 1.0, 2.5]),
+@given(st.integers(0, 10**6), st.integers(0, 2), st.sampled_from([0.0, 1.0, 2.5]),
        st.sampled_from([1.0, 1.05, 1.3, math.inf]))
-def test_legs_of_a_trip_prove_as_much_by_potentials_as_by_their_routes(seed, stops, reach, detour):
-    """The judge reproduces the bound from the circulation, and from each leg's share of q."""
-    game, budget = game_on(roads_of(seed, stops, 6), reach, detour)
-    lp, routes = lp_of(game, detour), Routes(game, budget, 1e-3, math.inf)
-    routes.prove_by_legs()
-    assert lp.bound == pytest.approx(routes.bound, rel=5e-3, abs=1e-9)
-    if lp.circulation is None:  # no ambusher is needed, or a single site
-        return
-    him = lp.ambusher(game, np.ones(len(game.sites), dtype=bool))
-    assert lower_bound(game, him, budget) == pytest.approx(lp.bound, rel=5e-3)
-    assert best_response(game, him, budget) >= lp.bound * (1.0 - 5e-3)
+def test_potentials_of_legs_have_the_value_of_their_routes(seed, stops, reach, detour):
+    """And the judge reproduces the bound from the circulations, or from q alone."""
+    legs = legs_on(roads_of(seed, stops, 6), reach, detour)
+    lp, routes = lp_of(legs), Routes(legs, 1e-3)
+    routes.solve(math.inf)
+    assert lp.value >= routes.bound * (1.0 - 1e-6) and lp.bound <= routes.value * (1.0 + 1e-6)
+    assert lp.bound >= lp.value * (1.0 - 1.1e-3) - 1e-9
+    assert all(budget.keeps(p) for budget, p in zip(legs.budgets, legs.split(lp.flow),
+                                                    strict=True))
+    if lp.bound > 0.0:
+        ambusher = lp.ambush.ambusher(legs.games[0], np.ones(len(legs.loss), dtype=bool))
+        alone = replace(ambusher, circulations=())
+        for each in (ambusher, alone):
+            assert lower_bounds(legs, each).sum() >= lp.bound * (1.0 - 5e-3)
 
 
 def test_with_no_site_to_limit_the_value_is_0():
@@ -107,9 +113,9 @@ def test_with_no_site_to_limit_the_value_is_0():
                      GameOptions(ambush_radius=1.0, secured_radius=99.0))
     assert len(game.sites) == 0
     for detour in (1.0, np.inf):
-        lp = lp_of(game, detour)
+        lp = lp_of(one_leg(game, detour))
         assert lp.bound == 0.0 and len(lp.q) == 0
-        assert lp.flow @ game.network.lengths == pytest.approx(lp.budget.least)
+        assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
 
 
 def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
@@ -128,20 +134,21 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     game = make_game(network, GameOptions(ambush_radius=2.5, secured_radius=0.4))
     near = reached(network, 2.5, 0.4)
     assert value_by_routes(alpha, near, routes_of(network)) == pytest.approx(2 / 5)
-    lp = lp_of(game)
+    lp = lp_of(one_leg(game))
     assert lp.bound == pytest.approx(2 / 5, rel=POTENTIAL.precision)
-    curves = replace(lp.circulation, site=game.sites[lp.circulation.site])
+    (curves,) = lp.ambush.ambusher(game, np.ones(len(game.sites), dtype=bool)).circulations
     q = np.repeat([0.0, 0.2, 0.0], [21, 5, 1])
-    for ambusher in Ambusher(q), Ambusher(q, circulation=curves):
-        assert lower_bound(game, ambusher, Budget.length(game, np.inf)) == pytest.approx(2 / 5)
+    for ambusher in Ambusher(q, (0.0,)), Ambusher(q, (0.0,), (curves,)):
+        assert lower_bounds(one_leg(game), ambusher) == pytest.approx(2 / 5)
 
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
-    lp = Potential(make_faces(game), Budget.length(game, 1.2), 1e-3, time.monotonic() - 1.0)
+    lp = Potential(one_leg(game, 1.2), [make_faces(game)], 1e-3)
     with pytest.raises(TimeLimit, match='before the LP in potentials'):
-        lp.solve()
-    assert lp.flow @ game.network.lengths == pytest.approx(lp.budget.least)
+        lp.solve(time.monotonic() - 1.0)
+    assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
+    assert lp.value == pytest.approx(worst_loss(game, lp.flow))
 
 
 def test_links_that_cross_or_are_one_way_have_no_faces():
@@ -155,11 +162,10 @@ def test_links_that_cross_or_are_one_way_have_no_faces():
     assert make_faces(game) is None
 
 
-@pytest.mark.parametrize('flows', FLOWS)
-def test_circulations_on_a_graph_that_grows(flows):
+def test_circulations_on_a_graph_that_grows():
     """Against networkx' least cost flow, after each of three additions and a change of costs."""
-    rng, lp = np.random.default_rng(4), flows()
-    lp.add_nodes(4)
+    rng, lp = np.random.default_rng(4), FaceFlows()
+    lp.release(int(lp.add_nodes(4)[0]))
     tails, heads, costs, highs = (np.zeros(0, dtype=np.int64) for _ in range(4))
     for round_, nodes in enumerate((0, 3, 2)):
         if nodes:
@@ -168,12 +174,13 @@ def test_circulations_on_a_graph_that_grows(flows):
         tail, head = rng.integers(0, count, (2, 12))
         tail, head = tail[tail != head], head[tail != head]
         cost, high = rng.integers(-9, 9, len(tail)), rng.integers(1, 9, len(tail))
-        lp.add_columns(tail, head, cost.astype(float), np.zeros(len(tail)), high.astype(float))
+        lp.add_columns(np.column_stack((tail, head)), np.tile([1.0, -1.0], (len(tail), 1)),
+                       cost.astype(float), np.zeros(len(tail)), high.astype(float))
         tails, heads = np.append(tails, tail), np.append(heads, head)
         costs, highs = np.append(costs, cost), np.append(highs, high)
         if round_:
             costs[5:] = rng.integers(-9, 9, len(costs) - 5)
-            lp.change_costs(5, costs[5:].astype(float))
+            lp.change_costs(np.arange(5, len(costs)), costs[5:].astype(float))
         graph = networkx.MultiDiGraph()
         for a, b, c, h in zip(tails, heads, costs, highs, strict=True):
             graph.add_edge(int(a), int(b), weight=int(c), capacity=int(h))
@@ -195,20 +202,17 @@ def test_a_budget_far_over_the_best_route_is_no_endless_search():
     game = make_game(network, GameOptions(ambush_radius=2.0, secured_radius=1.0))
     found = []
     for detour in (50.0, np.inf):
-        lp = Potential(make_faces(game), Budget.length(game, detour), 0.0,
-                            time.monotonic() + 60.0)
-        lp.solve()
-        found.append(lp.bound)
+        found.append(lp_of(one_leg(game, detour), 0.0).bound)
     assert found[0] == pytest.approx(found[1], rel=1e-4)
 
 
-@pytest.mark.parametrize('flows', FLOWS)
-def test_an_lp_without_time_or_without_an_optimum_ends_by_name(flows):
-    lp = flows()
+def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
+    lp = FaceFlows()
     lp.add_nodes(2)
-    ends = np.array([0, 1])
-    lp.add_columns(ends, ends[::-1], -np.ones(2), np.zeros(2), np.full(2, np.inf))
-    with pytest.raises(SolverFailed, match='LP in potentials|simplex'):
+    ends = np.array([[0, 1], [1, 0]])
+    lp.add_columns(ends, np.array([[1.0, -1.0]] * 2), -np.ones(2), np.zeros(2),
+                   np.full(2, np.inf))
+    with pytest.raises(SolverFailed, match='LP in potentials'):
         lp.solve(math.inf)
     with pytest.raises(TimeLimit):
         lp.solve(time.monotonic() - 1.0)
@@ -216,9 +220,9 @@ def test_an_lp_without_time_or_without_an_optimum_ends_by_name(flows):
 
 PRINTS = """
 import threading
-from ambush_planner.game.value.face_flows import KeptFlows
+from ambush_planner.game.value.face_flows import FaceFlows
 
-threads = [threading.Thread(target=lambda: [KeptFlows() for _ in range(50)]) for _ in range(4)]
+threads = [threading.Thread(target=lambda: [FaceFlows() for _ in range(50)]) for _ in range(4)]
 for thread in threads:
     thread.start()
 for k in range(50):
@@ -229,7 +233,6 @@ print('last')
 """
 
 
-@WITH_HIGHSPY
 def test_lps_in_threads_leave_the_standard_output_alone():
     done = subprocess.run([sys.executable, '-c', PRINTS], capture_output=True, text=True,
                           timeout=60, check=True)

@@ -59,7 +59,7 @@ def greatest_entropy(strategy, value: float, margin: float) -> float:
     """
     game, network = strategy.game, strategy.network
     edges, rows = np.flatnonzero(strategy.edge_probability > 0.0), game.entering
-    if not game.entries_are_hits:
+    if not game.no_reentry:
         chain = chain_of(network, strategy.edge_probability)
         _, found = chain.hits_with_derivatives(chain.network.columns(rows))
         rows = csr_matrix((found.data, chain.network.edge[found.indices], found.indptr), rows.shape)
@@ -79,7 +79,7 @@ def check_entropy(strategy, missing: float) -> None:
     The optimum may use as much less of the limits as a distribution may exceed them by.
     """
     most = greatest_entropy(strategy, strategy.value * (1.0 + 1e-9), 1.0)
-    if not math.isnan(most) and strategy.game.entries_are_hits:
+    if not math.isnan(most) and strategy.game.no_reentry:
         assert strategy.route_entropy <= most * (1.0 + 1e-6) + 1e-6
     least = greatest_entropy(strategy, strategy.value * (1.0 - 2 * TOLERANCE), 1.0 - 3 * TOLERANCE)
     if not math.isnan(least):

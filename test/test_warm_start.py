@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Warm starts: a solve that starts from what is known of another map."""
 
+import time
+
 import numpy as np
 import pytest
 from games import examples, plain_options
@@ -9,9 +11,8 @@ from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, StrategyOptions, build_network
 from ambush_planner.maps.occupancy import risk_from_occupancy
-from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions
-from ambush_planner.planning.solving import WarmStart
+from ambush_planner.planning.solving import Ground, WarmStart
 
 ENDS = (1.5, 5.0), (10.5, 7.0)
 
@@ -25,7 +26,7 @@ def ground(seed, changed=()):
 
 def solve_on_network(risk_map, options, warm=None):
     network = build_network(risk_map, *ENDS, options.network)
-    return planner.solve_on_network(risk_map, network, options, warm)
+    return Ground.of(risk_map, options).solve([network], time.monotonic() + 60.0, warm)
 
 
 @examples(3)
@@ -43,7 +44,7 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     newest = ground(seed, changed)
     cold = solve_on_network(newest, options)
     warm = solve_on_network(newest, options, WarmStart.of(before))
-    assert np.array_equal(warm.network.edges, cold.network.edges)
+    assert np.array_equal(warm.game.network.edges, cold.game.network.edges)
     # With a reach, the cells that became sites may differ.
     room = 3e-3 if reach else 1e-5
     assert warm.value <= cold.lower_bound * 1.01 * (1 + room) or warm.reason == 'stalled'

@@ -8,6 +8,7 @@ edges of all legs. A trip without stops is one leg.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, hstack
 
 from ..arrays import BoolArray, FloatArray, IndexArray
+from ..errors import BudgetInfeasible
 from .budget import Budget
 from .discs import ExposedEdges
 from .game import Game
@@ -92,10 +94,15 @@ class Legs:
                                  for game, own in zip(self.games, rows, strict=True)])
 
     def avoiding(self, entering: csr_matrix) -> Legs | None:
-        """The legs on edges that enter no disc of the rows (K, M); None if a leg has no route."""
+        """The legs on edges that enter no disc of the rows (K, M).
+
+        None if a leg has no route there, or none within its budget.
+        """
         games = [game.avoiding(own)
                  for game, own in zip(self.games, self.rows_by_leg(entering), strict=True)]
-        return self._with_games([game for game in games if game]) if all(games) else None
+        with contextlib.suppress(BudgetInfeasible):
+            return self._with_games([game for game in games if game]) if all(games) else None
+        return None
 
     def _with_games(self, games: Sequence[Game]) -> Legs:
         budgets = tuple(replace(budget, game=game)

@@ -48,6 +48,7 @@ class PotentialSearch(NamedTuple):
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
     points: int = 16  # most potentials of which mixtures are made
     near: float = 0.5  # share of the value below which a site's largest loss is left out of these
+    follow: float = 0.8  # how far the legs' weights go towards the prices of a mixture at once
     stalls: int = 8  # rounds without a better value or bound after which a search ends
 
 
@@ -97,7 +98,6 @@ class Potential:
         self._joined, self._columns = (np.zeros(0, dtype=np.int64) for _ in range(2))
         self._up, self._site_column = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
         self._share_row = np.zeros((count, 0), dtype=np.int64)
-        self._points: list[_Point] = []
         self._blend = np.zeros((0, 0))  # (legs, points)
         self._flows = FaceFlows()
         self._face_first = np.cumsum([0, *(each.count for each in faces)])
@@ -107,6 +107,9 @@ class Potential:
                                                      strict=False)]
         self._start_with_links()
         self._potential = np.zeros(len(self._rows))
+        # The first point: the shortest routes, which are within all budgets.
+        used = np.array([leg.used_budget(self._potential) for leg in self._legs])
+        self._points = [_Point(self._potential, np.zeros((count, 0)), used)]
         self.add_sites(legs.entering, legs.loss)
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -140,8 +143,7 @@ class Potential:
             self._circulations = ()
             self.q = np.zeros(len(certain))
             self.q[certain.argmax()] = 1.0
-        if self._points:
-            self._mix()
+        self._mix()
 
     def tighten(self, gap: float) -> None:
         """Let the next ``solve`` find z to another relative gap."""
@@ -384,8 +386,8 @@ class Potential:
         """
         count, points = len(self._legs), self._points
         losses = self._loss * np.stack([point.hits for point in points], axis=1)  # legs, points, S
-        near = losses.max(axis=1).sum(axis=0)
-        rows = np.flatnonzero(near >= POTENTIAL.near * near.max(initial=0.0))
+        near, value = losses.max(axis=1).sum(axis=0), losses.sum(axis=0).max(axis=1, initial=0.0)
+        rows = np.flatnonzero(near >= POTENTIAL.near * value.min())
         used = np.stack([point.used for point in points], axis=1)
         size = used.size
         unit = float(near.max(initial=0.0)) or 1.0
@@ -397,12 +399,8 @@ class Potential:
         lp = highs.LP(np.append(np.zeros(size), 1.0), csr_matrix(np.vstack((sites, budgets))),
                       np.append(np.zeros(len(rows)), np.ones(count)), one, np.ones(count))
         try:
-            result = highs.run(lp, 'interior_point', np.inf, False, self._precision / 4.0)
+            result = highs.run(lp, 'simplex', np.inf)
         except SolverFailed:
-            return
-        if result.status == highs.INFEASIBLE:  # until potentials keep all budgets
-            if len(points) > POTENTIAL.points:
-                self._points = points[-POTENTIAL.points :]
             return
         shares = np.maximum(result.x[:-1], 0.0).reshape(count, -1)
         shares /= shares.sum(axis=1, keepdims=True)
@@ -413,7 +411,7 @@ class Potential:
         self._points = [point for point, keep in zip(points, kept, strict=True) if keep]
         self._blend = shares[:, kept]
         if count > 1 and prices.any():
-            self._weights = (self._weights + prices / prices.sum()) / 2.0
+            self._weights += POTENTIAL.follow * (prices / prices.sum() - self._weights)
             for leg, weight in zip(self._legs, self._weights, strict=True):
                 self._flows.change_limits(leg.columns, weight * leg.capacity[leg.real])
 
