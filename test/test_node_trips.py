@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from forging import Forger
 from geometry_msgs.msg import PoseArray
 from ros_harness import header, pose, stage, wait_until
 
