@@ -16,7 +16,7 @@ from ..colours import AMBUSHER
 from ..figures import PROBABILITY
 from ..map_figures import HALO, WIDTH
 from ..maps.risk_map_file import read_risk_map
-from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
+from ..operations.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
 from .inputs import options_from, planner_parser

@@ -18,7 +18,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..maps.vector_file import InvalidFeatures, attribute, features_on
-from ..planning.holding import Held, Holding, places_to_hold
+from ..operations.hold import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
 from .inputs import options_from, planner_parser

@@ -19,10 +19,10 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..maps.track_file import Track, read_tracks
+from ..operations.judge import NEAR, Habits, find_trips, judge
+from ..operations.path_mixtures import PathMixture
 from ..planning.concerns import assumptions, concerns, is_sound
-from ..planning.habits import NEAR, Habits, find_trips, judge
 from ..planning.options import solved_game
-from ..planning.path_mixtures import PathMixture
 from ..recordings.durable_files import write_all_durably
 from ..words import distance, percent
 from . import cli, readers

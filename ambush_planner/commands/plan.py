@@ -12,14 +12,14 @@ from itertools import pairwise
 import numpy as np
 
 from ..maps.risk_map_file import read_risk_map
+from ..operations.few_routes import MAX_ROUTES
+from ..operations.slots import Slots
 from ..planning.ambush_costs import best_ambush
 from ..planning.concerns import assumptions, concerns
 from ..planning.evaluation import evaluate
-from ..planning.few_routes import MAX_ROUTES
 from ..planning.options import PlanningOptions
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
-from ..recordings.metadata import RecordedSlots
 from ..recordings.plan_departures import departures_folder, names_in
 from ..recordings.plan_file import saved_plan
 from ..recordings.sources import sources_of
@@ -115,7 +115,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     refused = plan.gap_is_wide and not arguments.accept_gap
     day = None
     if slots:
-        day = RecordedSlots.of(slots, arguments.window)
+        day = Slots.of(slots, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -161,7 +161,7 @@ def _check_departures(arguments: argparse.Namespace) -> None:
                 'recordings keep the plan that they were drawn from')
 
 
-def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
+def _tell(plan: Plan, day: Slots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
     trip, few = plan.drawn_from, plan.few
     covered = day.covered if day else 1.0
@@ -209,7 +209,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
     }
 
 
-def _tell_slots(plan: Plan, day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+def _tell_slots(plan: Plan, day: Slots, drawn: Drawn, console: cli.Console) -> None:
     shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:
