@@ -7,7 +7,7 @@ import stat
 import sys
 import time
 from dataclasses import replace
-from io import StringIO
+from io import BytesIO, StringIO
 
 import numpy as np
 import pytest
@@ -149,6 +149,30 @@ def test_other_readers_take_the_recordings(plans, tmp_path):
         grid = np.frombuffer(bytes(messages['/alpha_map'].data), np.int8)
         assert np.array_equal(grid == 100, ground().obstacles.ravel())
         assert messages['/path'].poses[-1].pose.position.x == pytest.approx(GOAL[0])
+
+
+@pytest.mark.parametrize(('name', 'words'), [
+    ('routes', ''), ('stops', 'drawn as a whole instead of leg by leg; plan again')])
+def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, name, words, tmp_path,
+                                                                       monkeypatch):
+    saved = saved_plan(plans[name][0])
+    path, drawn = tmp_path / '1.mcap', draw_departure(saved)
+    path.write_bytes(departure_bytes(saved, drawn, 1, '2031-01-01', time.time_ns())[1])
+    now, entries = read_recording(path), {**read_recording(path).entries}
+    entries['route'] = [node for nodes in entries['route'] for node in nodes]
+    del entries['value'], entries['format']
+    with np.load(BytesIO(now.attachments['strategy.npz'])) as archive:
+        before = {key: archive[key] for key in archive if key not in ('legs', 'leg_bounds')}
+    stream = BytesIO()
+    np.savez_compressed(stream, **before, leg=np.zeros(9), places=np.arange(9))
+    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '10')
+    path.write_bytes(encode(now.messages, entries, {
+        **now.attachments, 'strategy.npz': stream.getvalue()}, 'zstd'))
+    monkeypatch.undo()
+    found = Verifier().verify(path)
+    assert found.problems == [] if not words else words in found.problems[0]
+    if not words:
+        assert read_departure(path).value == pytest.approx(plans[name][0].value)
 
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):
