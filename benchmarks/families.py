@@ -60,8 +60,7 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
                                spacing=spacing, refine=0),
         game=GameOptions(ambush_radius=reach * spacing,
                          secured_radius=None if secured < 0.0 else secured * spacing),
-        strategy=StrategyOptions(max_detour=detour, time_limit=time_limit),
-    )
+        strategy=StrategyOptions(max_detour=detour, time_limit=time_limit), max_gap=math.inf)
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {secured:.2g} detour {detour:.3g} '
              f'stops {count}')

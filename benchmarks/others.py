@@ -111,7 +111,7 @@ def compared(name: str) -> Answer:
     problem = draw(name)
     scenario, game = problem.scenario, problem.options.game
     plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, problem.options)
-    if plan.strategy.value == 0.0:
+    if plan.value == 0.0:
         return {'failed': True, 'seconds': plan.seconds, 'status': 'nothing to lose'}
     network, strategy, tube = plan.network, plan.strategy, plan.tube or 0.0
     reach = game.ambush_radius + tube

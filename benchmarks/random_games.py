@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from families import FAMILIES, draw
 from games import (
+    LP,
     hit_once,
     is_acyclic,
     may_wait,
@@ -35,7 +36,7 @@ from games import (
 from peers import highs
 from report import conditions, new_parser, publish, quantiles, table
 from scenarios import Scenario
-from scipy.sparse import csr_matrix
+from scipy.sparse import block_diag, csr_matrix, hstack, vstack
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -51,10 +52,12 @@ from ambush_planner import (
     Strategy,
     StrategyOptions,
     TimeLimit,
-    build_network,
     plan_trip,
-    solve,
 )
+from ambush_planner.game.game import make_games
+from ambush_planner.game.solver import solve_legs
+from ambush_planner.game.strategy import TripStrategy
+from ambush_planner.network.construction import build_trip_graph
 
 CHECKED = 1000  # nodes
 SAME = 1e-6  # relative difference of values that are computed twice
@@ -71,20 +74,20 @@ NO_GAME = NoRoute, StartBlocked, StopBlocked, GoalBlocked, InvalidNetwork
 
 @dataclass(frozen=True, eq=False)
 class RandomGame:
-    """A network or, for a plan, a map; options; and what was drawn in words."""
+    """The networks of legs or, for a plan, a map; options; and what was drawn in words."""
 
     kind: str
-    network: Network
+    networks: tuple[Network, ...]
     options: PlanningOptions
     words: str
     scenario: Scenario | None = None
     stops: tuple[tuple[float, float], ...] = ()
 
-    def solved(self) -> Strategy:
+    def solved(self) -> TripStrategy:
         if self.scenario is None:
-            return solve(self.network, self.options.game, self.options.strategy)
+            return solve_legs(make_games(self.networks, self.options.game), self.options.strategy)
         return plan_trip(self.scenario.risk_map, self.scenario.start, self.scenario.goal,
-                         self.options, stops=self.stops).strategy
+                         self.options, stops=self.stops).trip
 
 
 @dataclass
@@ -105,20 +108,21 @@ def draw_game(seed: int) -> RandomGame | None:
     if kind == 'roads':
         network = roads(rng, nodes)
         options = drawn_options(rng, network, NetworkOptions())
-        return RandomGame(kind, network, options, words_of(seed, kind, network, options))
+        return RandomGame(kind, (network,), options, words_of(seed, kind, network, options))
     if kind == 'trip':
-        nodes //= 3  # in each layer
+        nodes //= 3
     problem = draw(f'{kind}:{rng.choice(list(FAMILIES))}:{nodes}:{seed}')
     chosen, stops = problem.scenario, problem.stops
     built = replace(problem.options.network, method=str(rng.choice(METHODS)), seed=seed,
                     refine=None)
     try:
-        network = build_network(chosen.risk_map, chosen.start, chosen.goal, built, stops)
+        networks = build_trip_graph(chosen.risk_map, chosen.start, chosen.goal, built,
+                                    stops).networks()
     except NO_GAME:
         return None
-    options = drawn_options(rng, network, built)
+    options = drawn_options(rng, networks[0], built)
     planned = kind == 'plan' or len(stops) > 2
-    return RandomGame(kind, network, options, words_of(seed, kind, network, options),
+    return RandomGame(kind, networks, options, words_of(seed, kind, networks[0], options),
                       chosen if planned else None, stops)
 
 
@@ -149,7 +153,8 @@ def drawn_options(rng: np.random.Generator, network: Network,
         max_detour=float(rng.choice([*DETOURS, 1.0 + rng.exponential(0.1)])),
         risk_slack=float(rng.choice([0.0, 0.001, 0.01, 0.01, 0.01, 0.05, 0.3])),
         time_limit=LIMIT)
-    options = PlanningOptions(network=network_options, game=game, strategy=strategy)
+    options = PlanningOptions(network=network_options, game=game, strategy=strategy,
+                              max_gap=math.inf)
     return replace(options, drive=replace(options.drive, tube=0.0))
 
 
@@ -162,105 +167,143 @@ def words_of(seed: int, kind: str, network: Network, options: PlanningOptions) -
 
 
 def play(game: RandomGame, tally: Tally) -> None:
-    """Solve the game and check its strategy."""
+    """Solve the game and check its strategies."""
     begin = time.process_time()
     try:
-        strategy = game.solved()
+        trip = game.solved()
     except (BudgetInfeasible, *NO_GAME):
         tally.counts['refused'] += 1  # the threshold forbids all short routes
         return
-    except TimeLimit as error:
+    except TimeLimit:
         tally.counts['late'] += 1
-        if error.strategy is None:
-            return
-        strategy = error.strategy
+        return
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         tally.failures.append(f'{game.words}: {error!r} at {Path(place.filename).name}, '
                               f'line {place.lineno}')
         return
     seconds = time.process_time() - begin
-    gap = strategy.value / max(strategy.lower_bound, 1e-300) - 1.0 if strategy.value else 0.0
+    tally.counts['late'] += trip.reason == 'time'
+    gap = trip.value / max(trip.lower_bound, 1e-300) - 1.0 if trip.value else 0.0
     over = max(gap - game.options.strategy.risk_slack, 0.0)
     tally.solved[kind_of(game)].append((seconds, over, game.words))
-    tally.failures += [f'{game.words}: {fault}' for fault in faults(game, strategy, tally)]
+    tally.failures += [f'{game.words}: {fault}' for fault in faults(game, trip, tally)]
 
 
 def kind_of(game: RandomGame) -> str:
     return f"{game.kind}, {'a' if game.options.game.ambush_radius > 0.0 else 'no'} reach"
 
 
-def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
-    """Everything that is wrong with a strategy."""
-    network, p = strategy.network, strategy.edge_probability
-    if p.min() < 0.0 or unbalanced(network, p) > SAME:
-        yield f'no unit flow: least {p.min()}, unbalanced by {unbalanced(network, p)}'
-    if not is_acyclic(network, p):
-        yield 'it has a cycle'
-        return
-    if strategy.lower_bound > strategy.value * (1.0 + 1e-9):
-        yield f'bound {strategy.lower_bound:.12g} above value {strategy.value:.12g}'
-    mean, budget = strategy.expected_length, strategy.length_budget
-    if mean > budget * (1.0 + LOOSE):
-        yield f'length {mean:.12g} over the budget {budget:.12g}'
-    used = set(map(tuple, network.edges[p > 0.0].tolist()))
-    for route in strategy.sample_routes(ROUTES, np.random.default_rng(0)):
-        nodes = route.tolist()
-        ends = nodes[0] == network.source and nodes[-1] == network.target
-        if not ends or len(set(nodes)) != len(nodes) or not used.issuperset(pairwise(nodes)):
-            yield 'a drawn route is none of the strategy'
-    if len(network.points) <= CHECKED:
+def faults(game: RandomGame, trip: TripStrategy, tally: Tally) -> Iterator[str]:
+    """Everything that is wrong with strategies."""
+    if trip.lower_bound > trip.value * (1.0 + 1e-9):
+        yield f'bound {trip.lower_bound:.12g} above value {trip.value:.12g}'
+    for leg in trip.legs:
+        network, p = leg.network, leg.edge_probability
+        if p.min() < 0.0 or unbalanced(network, p) > SAME:
+            yield f'no unit flow: least {p.min()}, unbalanced by {unbalanced(network, p)}'
+        if not is_acyclic(network, p) and leg.mixture is None:
+            yield 'it has a cycle'
+            return
+        mean, budget = leg.expected_length, leg.length_budget
+        if mean > budget * (1.0 + LOOSE):
+            yield f'length {mean:.12g} over the budget {budget:.12g}'
+        used = set(map(tuple, network.edges[p > 0.0].tolist()))
+        for route in leg.sample_routes(ROUTES, np.random.default_rng(0)):
+            nodes = route.tolist()
+            ends = nodes[0] == network.source and nodes[-1] == network.target
+            if not ends or len(set(nodes)) != len(nodes) or not used.issuperset(pairwise(nodes)):
+                yield 'a drawn route is none of the strategy'
+    if trip.game.node_count <= CHECKED:
         tally.counts['checked'] += 1
-        yield from wrong_values(game, strategy)
+        yield from wrong_values(game, trip)
 
 
-def geometric_hits(network: Network, radius: float, secured: float | None = None) -> csr_matrix:
+def met_by(leg: Strategy, hits: np.ndarray) -> np.ndarray:
+    """How likely each of some places is met, by ``hits`` (S, M) of the edges."""
+    if leg.mixture is None:
+        return hit_once(leg.network, leg.edge_probability, hits)
+    return sum(share * hits[:, route].any(axis=1)
+               for route, share in zip(leg.mixture.routes, leg.mixture.shares, strict=True))
+
+
+def geometric_hits(network: Network, radius: float, secured: float | None = None,
+                   others: tuple[int, ...] = ()) -> csr_matrix:
     """(N, M): edges that bring a route into the disc of a node; secured: as far as that."""
     secured = radius if secured is None else secured
-    near = meets(network, network.points, radius, secured)
+    near = meets(network, network.points, radius, secured, others)
     apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
-    exposed = (apart[:, network.ends] > secured).all(axis=1) | (secured == 0.0)
+    ends = [network.source, network.target, *others]
+    exposed = (apart[:, ends] > secured).all(axis=1) | (secured == 0.0)
     exposed[network.source] = False
     before = (apart <= radius)[:, network.tails] & exposed[network.tails]
-    return csr_matrix((near & ~before & may_wait(network, secured)[:, None]).astype(float))
+    waits = may_wait(network, secured, others)[:, None]
+    return csr_matrix((near & ~before & waits).astype(float))
 
 
-def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
+def wrong_values(game: RandomGame, trip: TripStrategy) -> Iterator[str]:
     """Compare value and bound with what geometry, recursion and HiGHS find."""
-    network, value, options = strategy.network, strategy.value, game.options.game
-    p, reach, secured = strategy.edge_probability, options.ambush_radius, options.secured_distance
-    _, site = np.unique(network.points, axis=0, return_index=True)
-    at_end = (network.points[:, None] == network.points[network.ends]).all(axis=2).any(axis=1)
-    site = site[(may_wait(network, secured) & ~at_end)[site]]
-    if reach > 0.0:
-        hits = meets(network, network.points[site], reach, secured)
-        entries = geometric_hits(network, reach, secured)[site]
-    else:
-        hits = (network.points[network.heads] == network.points[site][:, None]).all(axis=2)
-        entries = csr_matrix(hits.astype(float))
-    own = (network.alpha[site] * hit_once(network, p, hits)).max(initial=0.0)
+    networks, value, options = [leg.network for leg in trip.legs], trip.value, game.options.game
+    reach, secured, alpha = options.ambush_radius, options.secured_distance, networks[0].alpha
+    visits = tuple(np.unique([(each.source, each.target) for each in networks]).tolist())
+    _, site = np.unique(networks[0].points, axis=0, return_index=True)
+    site = np.setdiff1d(site[may_wait(networks[0], secured, visits)[site]], visits)
     anywhere = game.scenario is not None and reach > 0.0
+    own, entries, more = np.zeros(len(site)), [], np.zeros(0)
     if anywhere and game.scenario:
-        points, alpha = standing_places(game.scenario.risk_map, network, secured)
-        hits = meets(network, points, reach, secured)
-        own = max(own, (alpha * hit_once(network, p, hits)).max(initial=0.0))
-    rounding = SAME**2 * float(network.alpha.max())
-    if own > value * (1.0 + SAME) + rounding or (
-            not anywhere and value > own * (1.0 + SAME) + rounding):
-        yield f'value {value:.9g}, computed again {own:.9g}'
+        points, loss = standing_places(game.scenario.risk_map, networks[0], secured, others=visits)
+        more = np.zeros(len(points))
+    for leg, network in zip(trip.legs, networks, strict=True):
+        if reach > 0.0:
+            hits = meets(network, network.points[site], reach, secured, visits)
+            entries.append(geometric_hits(network, reach, secured, visits)[site])
+        else:
+            hits = network.heads == site[:, None]
+            entries.append(csr_matrix(hits.astype(float)))
+        own += alpha[site] * met_by(leg, hits)
+        if anywhere:
+            more += loss * met_by(leg, meets(network, points, reach, secured, visits))
+    again = max(float(own.max(initial=0.0)), float(more.max(initial=0.0)))
+    rounding = SAME**2 * float(alpha.max())
+    if again > value * (1.0 + SAME) + rounding or (
+            not anywhere and value > again * (1.0 + SAME) + rounding):
+        yield f'value {value:.9g}, computed again {again:.9g}'
     if anywhere:  # the bound is that of larger discs, also around places nearer to the secured area
-        site, entries = strategy.game.sites, strategy.game.entering
-    usable = (network.alpha <= options.alpha_threshold)[network.edges].all(axis=1)
-    found = highs(value_lp(
-        network, csr_matrix(entries.multiply(network.alpha[site][:, None])),
-        [(network.travel_costs, strategy.length_budget)], usable),
-        primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10)
+        site, entries = trip.game.sites, [leg.game.entering for leg in trip.legs]
+    least = least_by_highs(game, trip, [csr_matrix(each.multiply(alpha[site][:, None]))
+                                        for each in entries])
     # HiGHS counts entries, so its value is the optimum only if no site is entered twice.
-    least = found.get('value', value)
-    if strategy.lower_bound > least * (1.0 + LOOSE) + 1e-9:
-        yield f'bound {strategy.lower_bound:.9g} above {least:.9g} by HiGHS'
-    if reach == 0.0 and not game.stops and value * (1.0 + LOOSE) + 1e-9 < least:
+    if trip.lower_bound > least * (1.0 + LOOSE) + 1e-9:
+        yield f'bound {trip.lower_bound:.9g} above {least:.9g} by HiGHS'
+    if reach == 0.0 and value * (1.0 + LOOSE) + 1e-9 < least:
         yield f'value {value:.9g} below {least:.9g} by HiGHS'
+
+
+def least_by_highs(game: RandomGame, trip: TripStrategy, losses: list[csr_matrix]) -> float:
+    """The value if every entry counts, of all legs with ``losses`` (S, M) in one program.
+
+    The last column of each leg's program is the largest loss, of which there is one for all.
+    """
+    parts = []
+    for leg, own in zip(trip.legs, losses, strict=True):
+        network, limit = leg.network, leg.length_budget
+        usable = (network.alpha <= game.options.game.alpha_threshold)[network.edges].all(axis=1)
+        parts.append((value_lp(network, own, [(network.travel_costs, limit)], usable),
+                      own.shape[0]))
+    sites = parts[0][1]
+    edges = [lp.above[:, :-1] for lp, _ in parts]
+    shared = hstack([*(each[:sites] for each in edges), csr_matrix(-np.ones((sites, 1)))])
+    limits = hstack([block_diag([each[sites:] for each in edges]),
+                     csr_matrix((sum(each.shape[0] - sites for each in edges), 1))])
+    balance = block_diag([lp.balance[:, :-1] for lp, _ in parts])
+    balance = hstack([balance, csr_matrix((balance.shape[0], 1))])
+    above = vstack([shared, limits]) if limits.shape[0] else shared
+    lp = LP(np.append(np.zeros(above.shape[1] - 1), 1.0), csr_matrix(above),
+            np.append(np.zeros(sites), np.ones(limits.shape[0])), csr_matrix(balance),
+            np.concatenate([each.supply for each, _ in parts]),
+            np.append(np.concatenate([each.most[:-1] for each, _ in parts]), np.inf))
+    found = highs(lp, primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10)
+    return float(found.get('value', trip.value))
 
 
 def report(tally: Tally, first: int, games: int) -> str:

@@ -12,6 +12,7 @@ of an idle machine. At most 1 s or 5 % of the limit is allowed.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import subprocess
@@ -30,18 +31,11 @@ from peers import highs
 from report import conditions, publish, quantiles, table
 from scipy.sparse import csr_matrix
 
-from ambush_planner import (
-    AmbushPlannerError,
-    Network,
-    Plan,
-    RiskMap,
-    Strategy,
-    TimeLimit,
-    build_network,
-    plan_trip,
-    solve,
-)
+from ambush_planner import AmbushPlannerError, Network, Plan, RiskMap, TimeLimit, plan_trip
 from ambush_planner.arrays import FloatArray
+from ambush_planner.game.game import make_games
+from ambush_planner.game.solver import solve_legs
+from ambush_planner.game.strategy import TripStrategy
 
 HERE = Path(__file__).parent.parent
 SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds: drawn
@@ -63,30 +57,27 @@ LIMITED, ALLOWED, SHARE = 2500, 1.0, 0.05
 def planned(name: str, time_limit: float = math.inf) -> Answer:
     """A plan within a time limit [s]."""
     problem = draw(name, time_limit)
-    return timed(problem, lambda: planned_on(problem).strategy)
+    return timed(problem, lambda: planned_on(problem).trip)
 
 
 def at_nodes(name: str) -> Answer:
     """The strategy at the nodes of a network that is there."""
     problem = draw(name)
     network = problem.scenario.network(problem.options.network)
-    return timed(problem, lambda: solve(network, problem.options.game, problem.options.strategy))
+    games = make_games((network,), problem.options.game)
+    return timed(problem, lambda: solve_legs(games, problem.options.strategy))
 
 
-def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
-    """What a strategy costs and is, once all libraries are loaded."""
+def timed(problem: Problem, make: Callable[[], TripStrategy]) -> Answer:
+    """What strategies cost and are, once all libraries are loaded."""
     planned_on(draw('plan:hills-coarse:100:0'))
-    status, begin = 'solved', time.process_time()
-    try:
-        strategy = make()
-    except TimeLimit as error:
-        if error.strategy is None:
-            raise
-        strategy, status = error.strategy, 'gap open'
+    begin = time.process_time()
+    trip = make()
+    status = 'gap open' if trip.reason == 'time' else 'solved'
     return {'seconds': time.process_time() - begin, 'status': status, 'words': problem.words,
-            'value': strategy.value, 'gap': gap_of(strategy),
-            'bound': strategy.lower_bound, 'budget': strategy.length_budget,
-            'nats': strategy.route_entropy, 'nodes': len(strategy.network.points)}
+            'value': trip.value, 'gap': gap_of(trip), 'bound': trip.lower_bound,
+            'budget': trip.legs[0].length_budget, 'nats': trip.route_entropy,
+            'nodes': trip.game.node_count}
 
 
 def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Plan:
@@ -95,7 +86,7 @@ def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any
                      stops=problem.stops, **options)
 
 
-def gap_of(strategy: Strategy) -> float:
+def gap_of(strategy: TripStrategy) -> float:
     """The gap relative to the bound; 0 if there is nothing to lose."""
     return strategy.value / strategy.lower_bound - 1.0 if strategy.lower_bound else strategy.value
 
@@ -110,7 +101,8 @@ def value_by_highs(name: str, budget: float) -> Answer:
 
 def losses_at_nodes(network: Network, secured: float) -> csr_matrix:
     """(N, M): the loss of each edge into a node outside the secured area."""
-    apart = np.linalg.norm(network.points[:, None] - network.points[network.ends], axis=2)
+    ends = network.points[[network.source, network.target]]
+    apart = np.linalg.norm(network.points[:, None] - ends, axis=2)
     loss: FloatArray = np.where((apart > secured).all(axis=1), network.alpha, 0.0)[network.heads]
     edge = np.arange(len(loss))
     return csr_matrix((loss, (network.heads, edge)), (len(network.points), len(loss)))
@@ -131,8 +123,8 @@ def replanned(name: str, changes: int) -> Answer:
                 raise
         else:
             seconds.append(time.process_time() - begin)
-            gaps.append(gap_of(plan.strategy))
-            warm = WarmStart.of(plan.strategy)
+            gaps.append(gap_of(plan.trip))
+            warm = WarmStart.of(plan.trip)
         risk_map = changed(problem.scenario.risk_map, rng)  # may close the only way
     return {'seconds': sum(seconds), 'status': 'solved', 'cold': seconds[0], 'warm': seconds[1:],
             'gaps': gaps[1:]}
@@ -232,20 +224,13 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
 
 
 def overrun(name: str, time_limit: float) -> Answer:
-    """Processor seconds of a solve after its time limit [s]; 0 if it ends before."""
+    """Processor seconds of a plan after its time limit [s]; 0 if it ends before."""
     planned_on(draw('plan:hills-coarse:100:0'))  # loads all libraries
-    from ambush_planner.planning.solving import solve_on_network
-
     problem, late = draw(name, time_limit), [0.0]
-    scenario, network_options = problem.scenario, problem.options.network
     clock = threading.Timer(time_limit, lambda: late.insert(0, time.process_time()))
-    try:
-        network = build_network(scenario.risk_map, scenario.start, scenario.goal, network_options,
-                                problem.stops)
-        clock.start()
-        solve_on_network(scenario.risk_map, network, problem.options)
-    except TimeLimit:
-        pass
+    clock.start()
+    with contextlib.suppress(TimeLimit):
+        planned_on(problem)
     clock.cancel()
     return {'seconds': time.process_time() - late[0] if late[0] else 0.0, 'status': 'ended'}
 

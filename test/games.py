@@ -209,7 +209,8 @@ def exposed_parts(network: Network, secured: float, others: tuple[int, ...] = ()
 
 
 def standing_places(risk_map: RiskMap, network: Network, secured: float,
-                    within: tuple[float, ...] = (0.5,)) -> tuple[np.ndarray, np.ndarray]:
+                    within: tuple[float, ...] = (0.5,),
+                    others: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray]:
     """Positions (K, 2) in free cells that are not secured, at shares ``within`` of a cell; losses.
     """
     rows, columns = np.nonzero(~risk_map.obstacles)
@@ -217,7 +218,7 @@ def standing_places(risk_map: RiskMap, network: Network, secured: float,
     cells = np.stack((columns, rows), axis=1)[:, None] + offsets
     points = risk_map.to_world(cells.reshape(-1, 2) * risk_map.resolution)
     alpha = np.repeat(risk_map.alpha[rows, columns], len(offsets))
-    ends = ends_of(network)
+    ends = ends_of(network, others)
     outside = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) > secured
     return points[outside], alpha[outside]
 

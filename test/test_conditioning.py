@@ -11,6 +11,7 @@ from games import drawn_routes, examples
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ambush_planner.game.hits import law_of
 from ambush_planner.planning.conditioning import ConditionedStrategy
 
 
@@ -19,7 +20,9 @@ def strategy_on(count, edges, flows, source=0, target=None):
     network = SimpleNamespace(
         points=np.zeros((count, 2)), edges=edges, tails=edges[:, 0], heads=edges[:, 1],
         source=source, target=count - 1 if target is None else target)
-    return SimpleNamespace(network=network, edge_probability=np.array(flows, dtype=float))
+    p = np.array(flows, dtype=float)
+    return SimpleNamespace(network=network, edge_probability=p, mixture=None,
+                           law=law_of(SimpleNamespace(network=network), p))
 
 
 @st.composite
@@ -54,7 +57,8 @@ def routes_of(strategy):
 def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
     strategy, lost = drawn
     left = [(route, chance) for route, chance in routes_of(strategy) if not lost[route].any()]
-    share, p = ConditionedStrategy(strategy).avoiding(lost)
+    share, law = ConditionedStrategy(strategy).avoiding(lost)
+    p = law.uses(len(lost)) if law else np.zeros(len(lost))
     assert share == pytest.approx(sum(chance for _, chance in left), abs=1e-12)
     wanted = np.zeros(len(lost))
     for route, chance in left:
@@ -64,8 +68,11 @@ def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
 
 def test_a_strategy_with_circles_has_no_condition():
     circle = strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
-    share, p = ConditionedStrategy(circle).avoiding(np.zeros(4, bool))
-    assert share == 0.0 and not p.any()
+    conditioned = ConditionedStrategy(circle)
+    share, law = conditioned.avoiding(np.zeros(4, bool))
+    assert share == 1.0 and law is circle.law
+    share, law = conditioned.avoiding(np.eye(4, dtype=bool)[1])
+    assert share == 0.0 and law is None
 
 
 def test_a_rest_is_drawn_in_the_order_of_edges_on_every_machine():

@@ -304,7 +304,7 @@ def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path, monkeypatc
         nodes = re.search(r'(\d+) nodes', client.call('replan').message)[1]
         assert int(nodes) > 100, 'not a first plan again'
     files = recorded(tmp_path, 2)
-    nodes = [len(read_departure(each).strategy.network.points) for each in files]
+    nodes = [len(read_departure(each).trip.legs[0].network.points) for each in files]
     assert nodes[0] < 70 and nodes[1] > 100
     verifier = Verifier()
     assert not any(verifier.verify(each).problems for each in files)

@@ -4,6 +4,7 @@
 import json
 import re
 import stat
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
@@ -31,7 +32,10 @@ from ambush_planner import (
     read_risk_map,
     risk_from_terrain,
 )
-from ambush_planner.commands import draw, export, plan, risk
+from ambush_planner.commands import audit, draw, export, plan, risk, verify
+from ambush_planner.game.ambusher import Ambusher, at_nodes
+from ambush_planner.game.certificate.certificate import lower_bounds
+from ambush_planner.game.strategy import make_strategies
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map_file import npz_bytes
@@ -204,10 +208,10 @@ def test_departures_have_slots_and_files_name_them(plain, tmp_path):
         '08:00': pytest.approx(0.5), '09:30': 0.0, '11:00': pytest.approx(0.5)}
     for name in ('value', 'lower_bound'):
         assert slots[name] == result[name], 'the number that the console prints'
-    said = run_here(plan, plain, *ENDS, *SLOTS, '-o', tmp_path / 's.csv').out
+    said = ' '.join(run_here(plan, plain, *ENDS, *SLOTS, '-o', tmp_path / 's.csv').out.split())
     hit = result['best_ambush']['hit']
     words = f'the best ambush hits {of_departures(hit / 2)}, at '
-    assert words in ' '.join(said.split()) and f'({of_departures(hit)} if he' in said
+    assert words in said and f'({of_departures(hit)} if he' in said
     assert set(slots['drawn']) == {'08:00', '11:00'} and len(slots['drawn']) == 40
     assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
     assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']
@@ -224,6 +228,51 @@ def test_a_plan_file_of_few_routes_draws_a_slot_too(plain, tmp_path):
     assert f'value           {saved.value:.4g}:' in done.out
     assert f'ambush draw {tmp_path}/r.plan' in done.out
     assert re.search(r', (08:00|11:00): route \d, ', run_here(draw, tmp_path / 'r.plan').out)
+
+
+def test_a_wide_gap_saves_no_plan_unless_it_is_accepted(plain, tmp_path, monkeypatch):
+    """A plan whose ambusher proves little, as when the time is up."""
+    def late(*arguments, **options):
+        made = plan_trip(*arguments, **options)
+        (leg,), legs = made.legs, made.trip.joint
+        shares = np.ones(len(leg.game.sites))
+        anywhere = Ambusher(at_nodes(leg.game, shares), (0.0,))
+        trip = make_strategies(legs, leg.edge_probability, [leg.mixture], anywhere,
+                               lower_bounds(legs, anywhere))
+        return replace(made, trip=replace(trip, reason='time'))
+
+    monkeypatch.setattr(plan, 'plan_trip', late)
+    file, asked = tmp_path / 'r.plan', ('--set', 'network.refine=0', 'network.target_nodes=200')
+    done = run_here(plan, plain, *ENDS, *asked, '-o', file, tmp_path / 'r.png')
+    assert done.code == 1 and 'no plan was saved' in done.err
+    assert 'more than 10% (strategy.max_gap); the time limit ended the search' in done.err
+    assert (tmp_path / 'r.png').exists() and not file.exists()
+    done = run_here(plan, plain, *ENDS, *asked, '-o', file, '--accept-gap')
+    assert done.code == 1 and file.exists()
+    done = run_here(draw, file)
+    assert done.code == 1 and 'more than 10% (strategy.max_gap)' in done.err
+    assert (tmp_path / 'r.departures').exists()
+    done = run_here(verify, tmp_path / 'r.departures')
+    assert done.code == 0 and 'and was accepted' in ' '.join(done.out.split()), done.out
+
+
+def test_a_trip_says_what_it_adds_up_and_what_the_first_hit_costs(plain, tmp_path):
+    here, there = (-195.0, -50.0), (190.0, 105.0)
+    there_and_back = '--start', *here, '--goal', *here, '--via', *there
+    done = run_here(plan, plain, *there_and_back, '--reach', 20, '--held', 40, '--set',
+                    'network.refine=0', 'network.target_nodes=200', '--json',
+                    '-o', tmp_path / 'r.plan', tmp_path / 'r.png')
+    assert done.code == 0, done.err
+    result, made = json.loads(done.out), read_plan(tmp_path / 'r.plan').plan
+    assert 0.5 * result['value'] <= result['first_hit_value'] < result['value']
+    assert (made.value, made.trip.first_hit_value) == pytest.approx(
+        (result['value'], result['first_hit_value']))
+    assert len(made.legs) == 2 and made.ends_xy == (here, there, here)
+    for day in range(1, 6):
+        assert run_here(draw, tmp_path / 'r.plan', '--date', f'2031-01-0{day}').code == 0
+    for tool in (verify, audit):
+        done = run_here(tool, tmp_path / 'r.departures')
+        assert done.code == 0, done.out
 
 
 def test_a_map_that_carries_no_risk_is_named(tmp_path):

@@ -75,9 +75,9 @@ def test_a_departure_of_a_node(files):
     assert request.call.request['tolerance'] == 0.0
     assert (said.previous, moved_goal.previous) == (
         '', read_departure(files[AGAIN]).metadata.recording_id)
-    assert first.drawn_from is first.strategy
+    assert first.drawn_from is first.trip
     for each in (first, moved, asked):
-        ends = each.strategy.network.points[each.route[[0, -1]]]
+        ends = each.trip.game.network.points[each.route[0][[0, -1]]]
         trip = each.metadata.trip
         assert ends.tolist() == [[*trip.start], [*trip.goal]]
         assert [tuple(row) for row in each.path_poses[[0, -1], :2]] == [*each.metadata.ends]
@@ -265,7 +265,7 @@ def test_slots_that_are_none_are_refused(times, shares, window):
     (lambda f: f.attachments.update({'map_changes.npz': b'PK'}), 'departure: .*malformed'),
     (lambda f: f.set_arrays(edges=np.array([None])), 'departure: '),
     (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'departure: '),
-    (lambda f: f.entries.update(route=[0, 10**6]), 'departure: .*malformed'),
+    (lambda f: f.entries.update(route=[[0, 10**6]]), 'departure: .*malformed'),
     (lambda f: f.entries['parameters'].pop('seed'), 'departure: seed is missing: '),
     (lambda f: f.entries['parameters'].update(seed=True), 'departure: seed is not of the type'),
     (lambda f: f.entries.update(departure='x'), 'departure: departure is not of the type int'),
@@ -309,7 +309,7 @@ def test_routes_that_are_still_clear_may_cost_less_than_the_bound_within_the_bud
         network=plain_options(spacing=2.0), strategy=StrategyOptions(max_detour=1.05)))
     newest = replace(on, values=values.copy())
     newest.values[9:11, 15] = 100
-    ground = ground_of(plan.strategy, on, OccupancyOptions(), plan.options, risk_map)
+    ground = ground_of(plan.trip, on, OccupancyOptions(), plan.options, risk_map)
     clear = ground.drawn_from(newest)
     assert clear.lower_bound <= clear.value < 0.5 * plan.lower_bound
 

@@ -57,13 +57,13 @@ def test_new_losses_cost_what_they_do_on_a_changed_map_and_new_obstacles_block_r
     changed[0:10, 28:34] = 90
     wanted = ChangedGround(plan, OccupancyMap(values, 1.0), OccupancyOptions()).assess(
         OccupancyMap(changed, 1.0))
-    found = NewGround(risk_from_occupancy(changed, 1.0)).assess(plan.strategy, before, options)
+    found = NewGround(risk_from_occupancy(changed, 1.0)).assess(plan.trip, before, options)
     assert (found.value, found.lower_bound, found.clear_share) == pytest.approx(
         (wanted.value, wanted.lower_bound, 1.0))
     assert found.value > 1.05 * plan.value
     changed[4:16, 18:20] = 100
     now = NewGround(risk_from_occupancy(changed, 1.0))
-    share, field = now.assess(plan.strategy, before, options).clear_share, ObstacleField(
+    share, field = now.assess(plan.trip, before, options).clear_share, ObstacleField(
         now.risk_map)
     routes = [plan.network.points[route] for route in plan.strategy.sample_routes(400, 1)]
     clear = [field.clear_segments(points[:-1], points[1:], 0.0).all() for points in routes]

@@ -7,7 +7,7 @@ import stat
 import sys
 import time
 from dataclasses import replace
-from io import StringIO
+from io import BytesIO, StringIO
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ from ambush_planner.planning.path_mixtures import PathMixtures
 from ambush_planner.recordings import read_departure, read_departures
 from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.metadata import RecordedSlots
-from ambush_planner.recordings.plan_departures import draw_departure
+from ambush_planner.recordings.plan_departures import departure_bytes, draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
 from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
@@ -70,15 +70,22 @@ PLANS = {
 }
 
 
+class Plans(dict):
+    """Plan files by name, each with what was planned; made when they are first asked for."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __missing__(self, name):
+        plan, file = PLANS[name](), self.folder / f'{name}.plan'
+        file.write_bytes(plan_bytes(saved_plan(plan, slots=SLOTS)))
+        self[name] = plan, file
+        return self[name]
+
+
 @pytest.fixture(scope='module')
 def plans(tmp_path_factory):
-    """Plan files by name, each with what was planned."""
-    folder, made = tmp_path_factory.mktemp('plans'), {}
-    for name, make in PLANS.items():
-        plan, file = make(), folder / f'{name}.plan'
-        file.write_bytes(plan_bytes(saved_plan(plan, slots=SLOTS)))
-        made[name] = plan, file
-    return made
+    return Plans(tmp_path_factory.mktemp('plans'))
 
 
 def copy_of(plans, name, folder):
@@ -97,7 +104,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
     # The same entropy draws the same from the plan and from its file.
     one, other = (draw_departure(each, source=2**255 + 7) for each in (
         saved_plan(plan, slots=SLOTS), read))
-    assert np.array_equal(one.nodes, other.nodes) and one.slot == other.slot
+    assert all(map(np.array_equal, one.route, other.route)) and one.slot == other.slot
     assert one.poses == pytest.approx(other.poses, abs=1e-9)
     done = run_here(draw, file, '--days', 6, '--date', '2030-01-01')
     assert done.code == 0, done.err
@@ -143,6 +150,30 @@ def test_other_readers_take_the_recordings(plans, tmp_path):
         grid = np.frombuffer(bytes(messages['/alpha_map'].data), np.int8)
         assert np.array_equal(grid == 100, ground().obstacles.ravel())
         assert messages['/path'].poses[-1].pose.position.x == pytest.approx(GOAL[0])
+
+
+@pytest.mark.parametrize(('name', 'words'), [
+    ('routes', ''), ('stops', 'drawn as a whole instead of leg by leg; plan again')])
+def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, name, words, tmp_path,
+                                                                       monkeypatch):
+    saved = saved_plan(plans[name][0])
+    path, drawn = tmp_path / '1.mcap', draw_departure(saved)
+    path.write_bytes(departure_bytes(saved, drawn, 1, '2031-01-01', time.time_ns())[1])
+    now, entries = read_recording(path), {**read_recording(path).entries}
+    entries['route'] = [node for nodes in entries['route'] for node in nodes]
+    del entries['value'], entries['format']
+    with np.load(BytesIO(now.attachments['strategy.npz'])) as archive:
+        before = {key: archive[key] for key in archive if key not in ('legs', 'leg_bounds')}
+    stream = BytesIO()
+    np.savez_compressed(stream, **before, leg=np.zeros(9), places=np.arange(9))
+    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '10')
+    path.write_bytes(encode(now.messages, entries, {
+        **now.attachments, 'strategy.npz': stream.getvalue()}, 'zstd'))
+    monkeypatch.undo()
+    found = Verifier().verify(path)
+    assert found.problems == [] if not words else words in found.problems[0]
+    if not words:
+        assert read_departure(path).value == pytest.approx(plans[name][0].value)
 
 
 def test_few_routes_are_a_strategy_with_their_shares(plans):

@@ -33,8 +33,7 @@ Plan on a map. Save the plan and draw from it each day, or draw routes for a qui
 EPILOG = """\
 FILE.plan saves the plan, for ambush draw; .gpx .gpkg .geojson .csv and .png
 have the routes that -n draws. All are secret, and only you can read them.
-If value and lower bound are more than 10 % apart (strategy.max_gap), the exit code is 1, and no
-FILE.plan is saved unless --accept-gap says so.
+If the gap is over 10 % (strategy.max_gap): exit code 1, no FILE.plan without --accept-gap.
 """
 DETAILS = f"""\
 The node and ambush card read FILE.plan, too.

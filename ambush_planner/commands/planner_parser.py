@@ -30,8 +30,7 @@ WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
               '(default: 0, only the network nodes that he waits at)'),
     'held': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
-             'start, stops and goal: nobody can wait there (default: as far as an ambush reaches: '
-             'the reach and the tube)'),
+             'start, stops and goal: nobody can wait there (default: the reach and the tube)'),
     'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
                "route's (default: 1.2)"),
     'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '

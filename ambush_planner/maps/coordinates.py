@@ -11,6 +11,7 @@ LON; its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_
 from __future__ import annotations
 
 import math
+import warnings
 from functools import lru_cache
 from typing import Any
 
@@ -142,7 +143,9 @@ def horizontal(text: Any) -> Any:
     """Return the ``pyproj.CRS`` of a text without its heights; raises InvalidCoordinates."""
     pyproj = _pyproj()
     try:
-        crs = pyproj.CRS.from_user_input(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')  # +init=epsg:32616 is an old way to say it
+            crs = pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError as error:
         raise InvalidCoordinates(f'not a coordinate system: {text!r} ({error})') from error
     return crs.sub_crs_list[0] if crs.is_compound else crs
@@ -152,24 +155,27 @@ def known_system(own: Any, given: Any = None) -> Any:
     """Return the horizontal ``pyproj.CRS`` of a file that names ``own``; None if it is unknown.
 
     ``given`` names it if the file does not: if ``own`` is missing, undefined, a local system, or
-    the same projection without a datum. Raises InvalidCoordinates if it has another unit than the
-    local system, which without it must be in metres, or if there is no datum.
+    lacks a datum. Raises InvalidCoordinates if ``given`` has another unit or projection, or if
+    nothing names the datum, or a unit other than the metre.
     """
     own, given = (horizontal(each) if each else None for each in (own, given))
     if own is None or own.name.lower().startswith('undefined'):
         return given
     if own.is_engineering:
-        unit = own.axis_info[0].unit_conversion_factor if own.axis_info else 1.0
-        if unit != (given.axis_info[0].unit_conversion_factor if given else 1.0):
-            raise InvalidCoordinates(
-                f'the unit of its local coordinate system, {own.name!r}, is the '
-                f'{own.axis_info[0].unit_name}; convert its coordinates to metres')
+        unit, metres = own.axis_info[0].unit_name, own.axis_info[0].unit_conversion_factor
+        if metres != (given.axis_info[0].unit_conversion_factor if given else 1.0):
+            raise InvalidCoordinates(f'its local coordinate system, {own.name!r}, is in the unit '
+                                     f'{unit}; convert it to metres, or name a system in that '
+                                     'unit with --crs')
         return given
     try:
         converter(own, horizontal(WGS84))
     except InvalidCoordinates:
-        if given is None or not _same_projection(own, given):
+        if given is None:
             raise
+        if not _same_projection(own, given):
+            raise InvalidCoordinates(f'the file is in another projection, {own.name!r}, than '
+                                     f'{given.name}') from None
         return given
     return own
 
@@ -233,8 +239,8 @@ def in_metres(crs: Any) -> bool:
 def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
     """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
 
-    If the map's system is unknown, positions in metres are assumed to be in the map's. Raises
-    InvalidCoordinates if they are in another unit, or too far from the area of the map's system.
+    If the map's system is unknown, positions in metres are assumed to be in the map's. Those too
+    far from the area of its system are NaN. Raises InvalidCoordinates if they are in another unit.
     """
     own = horizontal(crs)
     if not map_crs:
@@ -245,11 +251,7 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
         return points
     system = Coordinates(map_crs)
     xy = np.stack(converter(own, system.crs).transform(*points.T), axis=-1)
-    if (far := ~np.isfinite(xy).all(axis=1)).any():
-        raise InvalidCoordinates(f'{far.sum()} positions, such as {points[far][0].tolist()}, are '
-                                 f'too far from the area of {system.crs.to_string()}; leave them '
-                                 'out')
-    return to_map_axes(system.origin, xy)
+    return to_map_axes(system.origin, np.where(np.isfinite(xy), xy, np.nan))
 
 
 def longest_edge(crs: Any) -> float:

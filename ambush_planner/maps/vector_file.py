@@ -20,7 +20,15 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InvalidCoordinates, import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import WGS84, from_system, horizontal, known_system, longest_edge
+from .coordinates import (
+    WGS84,
+    Coordinates,
+    converter,
+    from_system,
+    horizontal,
+    known_system,
+    longest_edge,
+)
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
 from .tables import InvalidFeatures, column_among, naming, numbers_of, read_table
@@ -260,9 +268,7 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
             raise InvalidFeatures('its coordinate system is unknown, that of the map is '
                                   f'{risk_map.crs}; name it in the file, or with crs for all files')
         if own and own != risk_map.crs:
-            shapes = shapely.segmentize(features.geometry.to_numpy(), longest_edge(own))
-            features = features.set_geometry(shapely.transform(
-                shapes, lambda xy: from_system(xy, own, risk_map.crs)))
+            features = _in_frame_of(risk_map, features, own)
         features = features.set_crs(None, allow_override=True)
         if not features.intersects(shapely.box(*np.ravel(risk_map.bounds))).any():
             (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
@@ -271,6 +277,28 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
                 f'nothing in it lies on the map, which reaches from ({left:.0f}, {bottom:.0f}) to '
                 f'({right:.0f}, {top:.0f}){": " * bool(hint)}{hint}')
     return features
+
+
+def _in_frame_of(risk_map: RiskMap, features: GeoDataFrame, own: Any) -> GeoDataFrame:
+    """Features of the system ``own`` in the frame of a map, without what is far from the map.
+
+    Country-sized shapes can reach beyond the area of the map's system. Straight edges stay so.
+    """
+    import shapely
+
+    if risk_map.crs:
+        step, system = longest_edge(own), Coordinates(risk_map.crs)
+        edge = shapely.get_coordinates(shapely.segmentize(
+            shapely.box(*np.ravel(risk_map.bounds)), min(risk_map.size)))
+        around = np.transpose(converter(system.crs, horizontal(own)).transform(
+            *system.to_crs(edge).T))
+        near = *(around.min(axis=0) - 100.0 * step), *(around.max(axis=0) + 100.0 * step)
+        shapes = features.geometry.where(features.geom_type == 'Point',
+                                         features.clip_by_rect(*near))
+        features = features.set_geometry(shapely.segmentize(shapes.to_numpy(), step)).explode()
+    features = features.set_geometry(shapely.transform(
+        features.geometry, lambda xy: from_system(xy, own, risk_map.crs)))
+    return features[np.isfinite(features.bounds).all(axis=1)]
 
 
 def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray:

@@ -130,6 +130,9 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     Raises InvalidOption if there are fewer different routes, and as PathMixtures; TimeLimit, with
     the plan's strategy, if there is no mixture at the deadline.
     """
+    if plan.stops_xy:
+        raise InvalidOption('few routes are those of a plan without stops; plan each leg, from '
+                            'stop to stop, on its own')
     if not plan.strategy.value > 0.0:
         raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
                             'several')
