@@ -3,11 +3,12 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from commands import run_here
-from games import alone, examples, plain_options, planar_network, routes_of, value_by_routes
+from games import examples, plain_options, planar_network, routes_of, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -18,16 +19,20 @@ from ambush_planner import (
     PlanningOptions,
     RiskMap,
     StrategyOptions,
+    TimeLimit,
     places_to_hold,
     plan_trip,
     solve,
 )
 from ambush_planner.commands import hold
+from ambush_planner.commands.hold_figure import hold_figure
 from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.maps.vector_file import InvalidFeatures
+from ambush_planner.maps.tables import InvalidFeatures
+from ambush_planner.operations import hold as holding
+from ambush_planner.planning.solving import solve_on_network
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
@@ -81,8 +86,8 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour):
     once = value_by_routes(network.alpha, near, routes, limits)
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1.0 - 2e-6) - 1e-9
-    assert bound_if_held(alone(before), places) <= once * (1.0 + 1e-6) + 1e-9
-    assert bound_if_held(alone(before), ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
+    assert bound_if_held(before.alone, places) <= once * (1.0 + 1e-6) + 1e-9
+    assert bound_if_held(before.alone, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
 
 
 def test_the_ambusher_of_a_trip_bounds_it_with_more_secured_area(yard):
@@ -105,6 +110,28 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
         plan = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=game))
         assert (strategy.value, strategy.lower_bound) == pytest.approx(
             (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
+
+
+@pytest.mark.parametrize(('games', 'steps'), [(0, 0), (1, 1), (3, 1)])
+def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, steps):
+    """The clock ends it after some games; each has the time that is left of one limit."""
+    limits = []
+
+    def until_then(risk_map, network, options, warm=None):
+        if len(limits) == games:
+            raise TimeLimit('the time is up')
+        limits.append(options.strategy.time_limit)
+        return solve_on_network(risk_map, network, options, warm)
+
+    monkeypatch.setattr(holding, 'solve_on_network', until_then)
+    options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))
+    found = places_to_hold(yard, START, GOAL, RADIUS, 2, options)
+    assert not found.complete and len(found.steps) == steps
+    assert limits == sorted(limits, reverse=True) and max(limits, default=0.0) < 1000.0
+    values = [each.value for each in found.strategies]
+    assert values == sorted(values, reverse=True)
+    for step in found.steps:
+        assert step.strategy.value >= step.strategy.lower_bound > 0.0
 
 
 def test_no_candidate_that_the_bounds_rule_out_is_better(yard):
@@ -174,7 +201,7 @@ def test_the_legend_of_a_square_map_ends_above_the_curve():
     unknown = blocked & (np.mgrid[:30, :30][0] > 20)
     risk_map = RiskMap(np.ones((30, 30)), blocked, 1.0, unknown=unknown)
     found = places_to_hold(risk_map, (3.0, 4.0), (27.0, 26.0), RADIUS, 1, OPTIONS)
-    figure = hold.hold_figure(found, RADIUS, risk_map)
+    figure = hold_figure(found, RADIUS, risk_map)
     figure.draw_without_rendering()
     legend = figure.axes[0].get_legend().get_texts()
     (curve,) = (axes for axes in figure.axes if 'places held' in axes.get_xlabel())

@@ -125,7 +125,7 @@ def test_all_imports_are_declared_for_pip():
 def test_executables():
     scripts = setup_arguments()['entry_points']['console_scripts']
     targets = dict(re.split(r'\s*=\s*', script) for script in scripts)
-    entry = f'{NAME}.commands.cli:main'
+    entry = f'{NAME}.commands:main'
     assert targets == {NAME: f'{NAME}.ros.program:main', 'ambush': entry}
 
 

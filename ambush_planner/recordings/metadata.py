@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
+from datetime import datetime
 from itertools import chain
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -15,6 +16,7 @@ from ..operations.slots import Slots
 from .sources import Source
 
 Position = tuple[float, float]
+_INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
 
 
 class InvalidEntry(AmbushPlannerError):
@@ -23,11 +25,15 @@ class InvalidEntry(AmbushPlannerError):
 
 @dataclass(frozen=True)
 class RecordedTrip:
-    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``."""
+    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``.
+
+    ``names`` are those of start and goal, '' if they have none.
+    """
 
     start: Position
     goal: Position
     stops: tuple[Position, ...] = ()
+    names: tuple[str, str] = ('', '')
 
 
 @dataclass(frozen=True)
@@ -72,14 +78,23 @@ class RecordedPlan:
     slots: Slots | None
     sources: tuple[Source, ...] = ()
 
+    def __post_init__(self) -> None:
+        slots = self.slots
+        if slots is None:
+            return
+        _check_form('%H:%M', *slots.times)
+        if not (len(slots.times) == len(slots.shares) and min(slots.shares, default=-1.0) >= 0.0
+                and math.isclose(sum(slots.shares), 1.0) and slots.window > 0):
+            raise InvalidEntry('times and shares of slots do not fit together')
+
 
 @dataclass(frozen=True)
 class RecordedDay:
     """What a departure drawn from a plan file is for.
 
-    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said), which was drawn after the route if
-    ``slot_drawn``; the index of the route if there are few; the id of an earlier departure for the
-    same day that it ``replaces``, because that one was not driven, and ``why``.
+    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said) in a time ``zone``, which was drawn
+    after the route if ``slot_drawn``; the index of the route if there are few; the id of an earlier
+    departure for the same day that it ``replaces``, because that one was not driven, and ``why``.
     """
 
     date: str
@@ -88,6 +103,11 @@ class RecordedDay:
     few_route: int | None
     replaces: str = ''
     why: str = ''
+    zone: str = ''
+
+    def __post_init__(self) -> None:
+        _check_form('%Y-%m-%d', self.date)
+        _check_form('%H:%M', *filter(None, [self.slot]))
 
 
 @dataclass(frozen=True)
@@ -169,11 +189,21 @@ class Metadata:
         return asdict(self)
 
 
+def _check_form(form: str, *texts: str) -> None:
+    """Raise InvalidEntry if one of the texts is no date or time of this form."""
+    try:
+        for text in texts:
+            datetime.strptime(text, form)
+    except ValueError as error:
+        raise InvalidEntry(f'a date or time is not of the form {form}') from error
+
+
 def typed(value: Any, wanted: Any, name: str) -> Any:
     """Return a value read from JSON as the type that is ``wanted``.
 
     That may be bool, int, float (no NaN), str, a tuple, list or mapping of these, a dataclass of
-    these, or one of them or None. InvalidEntry names what is missing or has another type.
+    these, or one of them or None. Integers have 64 bits, random sources any number. InvalidEntry
+    names what is missing or has another type.
     """
     kind: Any = get_origin(wanted) or wanted
     inner = get_args(wanted)
@@ -197,5 +227,7 @@ def typed(value: Any, wanted: Any, name: str) -> Any:
     if kind is float and type(value) in (int, float) and not math.isnan(value):
         return float(value)
     if kind in (bool, int, str) and type(value) is kind:
+        if kind is int and not -_INTEGERS <= value < _INTEGERS and name != _SOURCE:
+            raise InvalidEntry(f'{name} is out of range')
         return value
     raise InvalidEntry(f'{name} is not of the type {getattr(kind, "__name__", kind)}')
