@@ -7,9 +7,8 @@ import pytest
 from games import examples, networks
 from hypothesis import given
 
-from ambush_planner import GameOptions, InvalidNetwork, Network
+from ambush_planner import InvalidNetwork, Network
 from ambush_planner.arrays import found_in, members
-from ambush_planner.game.game import make_game
 from ambush_planner.network.shortest_paths import (
     distances_from,
     on_some_route,
