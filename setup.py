@@ -98,7 +98,7 @@ setup(
     entry_points={
         'console_scripts': [
             'ambush_planner = ambush_planner.ros.program:main',
-            'ambush = ambush_planner.commands.cli:main',
+            'ambush = ambush_planner.commands:main',
         ],
     },
 )

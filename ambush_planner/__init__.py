@@ -1,98 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unpredictable routes on a risk map, with a certified bound on the loss from an ambush."""
+"""Unpredictable routes on a risk map, with a certified bound on the loss from an ambush.
 
-from importlib.metadata import PackageNotFoundError as _PackageNotFoundError
-from importlib.metadata import version as _version
+The public names are those of ``public``, which is imported when one of them is used: that takes
+most of a second, and commands refuse mistakes before.
+"""
 
-from .errors import (
-    AmbushPlannerError,
-    AmbushPlannerWarning,
-    BudgetInfeasible,
-    GoalBlocked,
-    GoalOutsideMap,
-    InvalidNetwork,
-    InvalidOption,
-    InvalidPose,
-    InvalidRiskMap,
-    NoRoute,
-    SolverFailed,
-    StartBlocked,
-    StartOutsideMap,
-    StopBlocked,
-    StopOutsideMap,
-    TimeLimit,
-)
-from .game.game import GameOptions
-from .game.solver import solve
-from .game.strategy import Strategy, StrategyOptions
-from .maps.coordinates import Coordinates, InvalidCoordinates
-from .maps.elevation import InvalidTerrain
-from .maps.occupancy import OccupancyOptions, risk_from_occupancy
-from .maps.risk_layers import InvalidLayers
-from .maps.risk_map import RiskMap
-from .maps.risk_map_file import read_risk_map
-from .maps.terrain_file import risk_from_terrain
-from .maps.vector_file import InvalidFeatures
-from .network.construction import NetworkOptions, build_network
-from .network.network import Network
-from .planning.evaluation import evaluate
-from .planning.frontier import FrontierRow, frontier
-from .planning.holding import Held, Holding, places_to_hold
-from .planning.many import Problem, Solved, solve_many
-from .planning.options import DriveOptions, PlanningOptions
-from .planning.plan import Plan
-from .planning.trip import plan_trip
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
-try:
-    __version__ = _version(__name__)
-except _PackageNotFoundError:  # a checkout that was never installed
-    __version__ = 'unknown'
+if TYPE_CHECKING:
+    from .public import *  # noqa: F403
 
-__all__ = [
-    'AmbushPlannerError',
-    'AmbushPlannerWarning',
-    'BudgetInfeasible',
-    'Coordinates',
-    'DriveOptions',
-    'FrontierRow',
-    'GameOptions',
-    'GoalBlocked',
-    'GoalOutsideMap',
-    'Held',
-    'Holding',
-    'InvalidCoordinates',
-    'InvalidFeatures',
-    'InvalidLayers',
-    'InvalidNetwork',
-    'InvalidOption',
-    'InvalidPose',
-    'InvalidRiskMap',
-    'InvalidTerrain',
-    'Network',
-    'NetworkOptions',
-    'NoRoute',
-    'OccupancyOptions',
-    'Plan',
-    'PlanningOptions',
-    'Problem',
-    'RiskMap',
-    'Solved',
-    'SolverFailed',
-    'StartBlocked',
-    'StartOutsideMap',
-    'StopBlocked',
-    'StopOutsideMap',
-    'Strategy',
-    'StrategyOptions',
-    'TimeLimit',
-    'build_network',
-    'evaluate',
-    'frontier',
-    'places_to_hold',
-    'plan_trip',
-    'read_risk_map',
-    'risk_from_occupancy',
-    'risk_from_terrain',
-    'solve',
-    'solve_many',
-]
+    __version__: str
+
+
+def __getattr__(name: str) -> Any:
+    if name == '__version__':
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            return version(__name__)
+        except PackageNotFoundError:  # a checkout that was never installed
+            return 'unknown'
+    # Modules of this package are no attributes before they are imported.
+    if name != '__all__' and (name.startswith('_') or find_spec(f'{__name__}.{name}')):
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module('.public', __name__), name)
+
+
+def __dir__() -> list[str]:
+    return list(import_module('.public', __name__).__all__)

@@ -17,8 +17,8 @@ FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-# Maximum size of an array that is read from a file [bytes].
-MAX_BYTES = 10**9
+# Maximum size of what is read from a file, unpacked [bytes]: a map of 10^8 cells and its losses.
+MAX_BYTES = 1_200_000_000
 # Relative rounding of sums and comparisons.
 ROUNDING = 1e-9
 # Site prices, flows and values below this share of the largest are rounding, and not counted.
@@ -42,14 +42,14 @@ def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
 def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArray[Any]]:
     """Read those of the named arrays that an npz file has; all others stay compressed.
 
-    ValueError if an array would take more than ``MAX_BYTES``; numpy raises others if the file is
+    ValueError if they would take more than ``MAX_BYTES``; numpy raises others if the file is
     malformed.
     """
     with np.load(file, allow_pickle=False) as archive:
         found = [name for name in names if name in archive]
-        for name in found:
-            if (size := archive.zip.getinfo(f'{name}.npy').file_size) > MAX_BYTES:
-                raise ValueError(f'{name} would take {size:.3g} bytes, the limit is {MAX_BYTES}')
+        size = sum(archive.zip.getinfo(f'{name}.npy').file_size for name in found)
+        if size > MAX_BYTES:
+            raise ValueError(f'its arrays would take {size:.3g} bytes, the limit is {MAX_BYTES}')
         return {name: archive[name] for name in found}
 
 
@@ -66,8 +66,13 @@ def members(count: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 def found_in(keys: IndexArray, wanted: IndexArray) -> IndexArray:
     """Where wanted numbers (K,) are among different keys (N,); -1: nowhere."""
+    order = np.append(np.argsort(keys, kind='stable'), -1)
+    return order[found_in_sorted(keys[order[:-1]], wanted)]
+
+
+def found_in_sorted(keys: IndexArray, wanted: IndexArray) -> IndexArray:
+    """Where wanted numbers (K,) are among different keys (N,) in their order; -1: nowhere."""
     if not len(keys):
         return np.full(wanted.shape, -1)
-    order = np.argsort(keys, kind='stable')  # fast if they are sorted
-    at = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
     return np.where(keys[at] == wanted, at, -1)

@@ -11,7 +11,7 @@ ENDS = '#ffd92f'
 # From the least loss to the largest, and from rare to likely.
 RISK = ('#ffffff', '#848484')
 # The same where the relief shows through: the colour of the largest loss, and its opacity.
-RISK_ON_RELIEF, RISK_OPACITY = '#4d0d00', 0.65
+RISK_ON_RELIEF, RISK_OPACITY = '#7d1c06', 0.85
 PROBABILITY = ('#7fb8e6', '#2f7fd0', '#1146b0', '#14075c')
 # The network below routes, which have none of its blues and do not resemble the ambusher's orange.
 NETWORK = '#a5c8e8'

@@ -58,6 +58,10 @@ class InvalidNetwork(AmbushPlannerError, ValueError):
     """The network is malformed: points, alpha, edges, source or target."""
 
 
+class InvalidCoordinates(AmbushPlannerError, ValueError):
+    """A coordinate system or a position in it cannot be used."""
+
+
 class InvalidPose(AmbushPlannerError, ValueError):
     """A pose is not finite or its orientation is not a unit quaternion."""
 

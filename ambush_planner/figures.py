@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 
 from . import colours
 from .arrays import FloatArray
-from .map_figures import HALO, WIDTH, draw_map, draw_risk_map, frame, ground_key, risk_bar
+from .map_figures import HALO, LOSS, WIDTH, colour_bar, draw_map, draw_risk_map, frame, ground_key
 from .maps.risk_map import RiskMap
 from .routes.shared_roads import stripes
 
@@ -35,7 +35,12 @@ PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILI
 # Minimum probability of edges in pictures, and of sites relative to the likeliest one.
 MIN_PROBABILITY, MIN_SITE = 1e-3, 0.01
 SECURED_DASHES = (0, (4, 3))
+PASSES = 'probability that the convoy passes'
+PERCENT = FuncFormatter(lambda value, _: f'{100.0 * value:g} %')
 ROUTE_WIDTH, STRIPE = 1.9, 1.6  # of a route, and more for each route on it [points]
+# Maximum number of routes with numbers; line styles, one after another when all colours are used.
+MAX_NUMBERED = 20
+_DASHES = ('solid', 'dashed', 'dotted', 'dashdot')
 # Size of a number, and room for one on a route, as shares of the picture.
 BADGE, ROOM = 0.04, 0.07
 # Minimum radius of the secured area that a mark does not cover, as a share of the picture.
@@ -70,10 +75,9 @@ def draw_ground(axes: Axes, trip: TripStrategy, risk_map: RiskMap, title: str,
 
 
 def probability_bar(figure: Figure, lines: LineCollection, axes: Any,
-                    label: str = 'probability that the convoy passes', **layout: Any) -> None:
-    """Explain the blue scale next to the axes."""
-    percent = FuncFormatter(lambda value, _: f'{100.0 * value:g} %')
-    figure.colorbar(lines, ax=axes, label=label, format=percent, **layout)
+                    label: str = PASSES, **layout: Any) -> None:
+    """Explain the blue scale next to several axes."""
+    figure.colorbar(lines, ax=axes, label=label, format=PERCENT, **layout)
 
 
 def probability_scale(probability: npt.ArrayLike) -> LogNorm:
@@ -165,20 +169,27 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray],
                 avoid: Iterable[FloatArray] = ()) -> tuple[Line2D, ...]:
     """Draw routes (K, 2), each with its number far from the others and the places to ``avoid``.
 
-    Those that share a road are stripes of one line. More routes than there are colours have the
+    Those that share a road are stripes of one line. More than ``MAX_NUMBERED`` routes have the
     first colour and no numbers. Returns a handle for a legend with ``HandlerTuple``.
     """
-    few = len(routes) <= len(colours.ROUTES)
-    used = colours.ROUTES[: len(routes)] if few else colours.ROUTES[:1]
-    if few:
-        draw_stripes(axes, routes, [{'color': each, 'path_effects': HALO} for each in used])
-    else:
+    styles = [route_style(k) for k in range(len(routes))]
+    if len(routes) > MAX_NUMBERED:
+        styles = styles[:1]
         for route in routes:
-            axes.plot(*route.T, color=used[0], linewidth=1.1, alpha=0.7, zorder=4)
-    if few and len(routes) > 1:
+            axes.plot(*route.T, color=styles[0]['color'], linewidth=1.1, alpha=0.7, zorder=4)
+    else:
+        draw_stripes(axes, routes, styles)
+    if 1 < len(routes) <= MAX_NUMBERED:
         for k, place in enumerate(badge_places(routes, *avoid)):
-            number_badge(axes, k + 1, place, used[k])
-    return tuple(Line2D([], [], color=each, linewidth=ROUTE_WIDTH) for each in used)
+            number_badge(axes, k + 1, place, styles[k]['color'])
+    return tuple(Line2D([], [], color=style['color'], linewidth=ROUTE_WIDTH)
+                 for style in styles[:len(colours.ROUTES)])
+
+
+def route_style(k: int) -> dict[str, Any]:
+    """Colour and dashes of the route with index ``k``."""
+    return {'color': colours.ROUTES[k % len(colours.ROUTES)], 'path_effects': HALO,
+            'linestyle': _DASHES[k // len(colours.ROUTES) % len(_DASHES)]}
 
 
 def draw_stripes(axes: Axes, routes: Sequence[FloatArray], styles: Sequence[Any]) -> None:
@@ -208,20 +219,6 @@ def badge_places(routes: Sequence[FloatArray], *avoid: FloatArray) -> list[Float
     return places
 
 
-def free_spots(points: FloatArray, taken: FloatArray, apart: float) -> list[FloatArray]:
-    """Places for the numbers of points (K, 2), apart from each other and from ``taken``.
-
-    ``taken`` are (P, 2), ``apart`` is the least distance [m].
-    """
-    around = np.linspace(0.0, 2.0 * np.pi, 9)[:-1, None] + (0.0, -np.pi / 2.0)
-    spots = [*taken]
-    for point in points:
-        tried = np.vstack((point, point + 1.4 * apart * np.cos(around)))
-        room = cKDTree(spots).query(tried)[0]
-        spots.append(tried[0] if room[0] >= apart else tried[room.argmax()])
-    return spots[len(taken) :]
-
-
 def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str,
                  spot: FloatArray | None = None) -> None:
     """Write a number in a circle of a route's colour, at its place or at a spot near it."""
@@ -232,10 +229,13 @@ def number_badge(axes: Axes, number: int, xy: FloatArray, colour: str,
                                   'edgecolor': colour, 'linewidth': 1.6})
 
 
-def draw_sites(axes: Axes, trip: TripStrategy) -> None:
-    """Draw where the ambusher waits, each dot's area in proportion to its probability."""
+def draw_sites(axes: Axes, trip: TripStrategy, size: float = 1.0) -> None:
+    """Draw where the ambusher waits, each dot's area in proportion to its probability.
+
+    ``size`` is a factor for all areas.
+    """
     places, shares = sites_of(trip)
-    axes.scatter(*places.T, s=np.maximum(110.0 * shares, 6.0), color=colours.AMBUSHER,
+    axes.scatter(*places.T, s=np.maximum(110.0 * size * shares, 6.0), color=colours.AMBUSHER,
                  edgecolors='white', linewidths=0.3 + 0.4 * np.sqrt(shares), zorder=8)
 
 
@@ -253,24 +253,24 @@ def marks_of(trip: TripStrategy) -> FloatArray:
 
 
 def draw_strategy(axes: Axes | None, trip: TripStrategy, risk_map: RiskMap | None = None,
-                  routes: Sequence[FloatArray] = (), covered: float = 1.0) -> Axes:
+                  routes: Sequence[FloatArray] = (), covered: float = 1.0,
+                  key: Sequence[Any] = ()) -> Axes:
     """Draw a trip's strategies on their map, or alone, with ambush sites; None: on new axes.
 
-    ``covered`` is the share of departures that an ambush at one of the times covers.
+    ``covered`` is the share of departures that an ambush at one of the times covers. The legend
+    also has the entries of ``key``.
     """
     if axes is None:
         from matplotlib import pyplot
 
         _, axes = pyplot.subplots(figsize=(WIDTH, 6.2), layout='compressed')
-    figure = axes.figure
     longer = trip.expected_length / trip.shortest_length
     title = (f'The best ambush causes a mean loss of {trip.value * covered:#.3g}\n'
              f'Along the network, routes are on average {longer:.2f} times the shortest')
-    bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
-    key: list[Any] = []
+    key = list(key)
     if risk_map is not None:
-        risk_bar(figure, draw_ground(axes, trip, risk_map, title), axes, **bars)
-        key = ground_key(risk_map)
+        colour_bar(axes, draw_ground(axes, trip, risk_map, title), LOSS)
+        key += ground_key(risk_map)
     else:
         axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
         draw_ends(axes, trip)
@@ -279,7 +279,7 @@ def draw_strategy(axes: Axes | None, trip: TripStrategy, risk_map: RiskMap | Non
         lines = draw_routes(axes, routes, marks_of(trip))
         key = [NETWORK, lines, *key]
     else:
-        probability_bar(figure, edges, axes, **bars)
+        colour_bar(axes, edges, PASSES, int(risk_map is not None), format=PERCENT)
     if trip.value > 0.0:
         draw_sites(axes, trip)
         key = [SITES, *key]

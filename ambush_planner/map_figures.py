@@ -10,13 +10,19 @@ on a telephone of 400.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import datetime
 from io import BytesIO
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import LightSource, LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -27,19 +33,27 @@ from matplotlib.transforms import Affine2D
 
 from . import colours
 from .arrays import BoolArray, FloatArray
-from .maps.coordinates import Coordinates, InvalidCoordinates
+from .errors import InvalidCoordinates, shown
+from .maps.coordinates import Coordinates
 from .maps.risk_map import RiskMap
+from .maps.road_file import RoadGraph
 
 RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
 RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
     'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
 # Maximum cells across a picture; larger maps are subsampled.
 MAX_CELLS = 2000
+# The same for hatched ground.
+MAX_HATCHED = 500
 WIDTH = 7.0  # inches
+ROAD = '0.4'
+LOSS = 'loss if ambushed here'
 DOTS_PER_INCH = 200
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 # Legend entries.
-OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
+HATCH = '////'
+with rc_context({'hatch.color': 'white', 'hatch.linewidth': 0.5}):
+    OBSTACLE = Patch(facecolor=colours.OBSTACLE, hatch=HATCH, label='impassable')
 UNKNOWN = Patch(facecolor='#f2f2f2', edgecolor='#a8a8a8', hatch='////', label='unknown')
 
 
@@ -122,13 +136,32 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     """Draw losses, the least one white, obstacles, and the relief below if heights are known."""
     relief, step = risk_map.heights is not None, risk_map.resolution
     if relief:
-        # Row 0 is in the south, in the north for matplotlib.
+        # Row 0 is in the south, in the north for matplotlib. Pale, so that dark is dangerous.
         shade = LightSource().hillshade(risk_map.heights, vert_exag=2.0, dx=step, dy=-step)
-        draw_cells(axes, risk_map, np.ma.masked_invalid(shade), cmap='gray', vmin=-0.6, vmax=0.9)
-    draw_cells(axes, risk_map, np.ma.masked_equal(_blocked(risk_map), False),
-               cmap=ListedColormap([colours.OBSTACLE]), alpha=0.8 if relief else 1.0)
+        draw_cells(axes, risk_map, np.ma.masked_invalid(shade), cmap='gray', vmin=-2.0, vmax=1.0)
+    blocked = _blocked(risk_map)
+    draw_cells(axes, risk_map, np.ma.masked_equal(blocked, False),
+               cmap=ListedColormap([colours.OBSTACLE]))
+    _hatch(axes, risk_map, blocked)
     return draw_cells(axes, risk_map, np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
                       cmap=RISK_ON_RELIEF if relief else RISK)
+
+
+def _hatch(axes: Axes, risk_map: RiskMap, marked: BoolArray) -> None:
+    """Hatch the marked cells (H, W), other than lone ones."""
+    block = -(-max(marked.shape) // MAX_HATCHED)
+    rows, columns = (-(-count // block) for count in marked.shape)
+    whole = np.zeros((rows * block, columns * block), dtype=bool)
+    whole[:marked.shape[0], :marked.shape[1]] = marked
+    inside = whole.reshape(rows, block, columns, block).all(axis=(1, 3))
+    if not inside.any() or min(inside.shape) < 2:
+        return
+    places = (np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + 0.5)
+    x, y = np.moveaxis(risk_map.to_world(places.reshape(-1, 2) * block * risk_map.resolution)
+                       .reshape(rows, columns, 2), 2, 0)
+    with rc_context({'hatch.color': 'white', 'hatch.linewidth': 0.5}):
+        axes.contourf(x, y, inside.astype(float), levels=[0.5, 1.5], colors='none',
+                      hatches=[HATCH], zorder=0)
 
 
 def ground_key(risk_map: RiskMap) -> list[Patch]:
@@ -162,10 +195,11 @@ def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.NDArray[Any], **style:
     return image
 
 
-def scale_bar(axes: Axes, avoid: FloatArray | None = None) -> None:
+def scale_bar(axes: Axes, avoid: FloatArray | None = None) -> FloatArray:
     """Draw a bar of a round length in the corner farthest from the places (K, 2) to ``avoid``.
 
-    Without places, that is the lower left one.
+    Without places, that is the lower left one. Returns the rectangle (left, bottom, right, top)
+    that it takes.
     """
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     ticks = MaxNLocator(nbins=1, steps=[1, 2, 5, 10]).tick_values(0.0, 0.3 * (right - left))
@@ -183,6 +217,8 @@ def scale_bar(axes: Axes, avoid: FloatArray | None = None) -> None:
     text = f'{length / 1000:g} km' if length >= 1000.0 else f'{length:g} m'
     axes.annotate(text, (x, y), xytext=(0, 4 if best < 2 else -4), textcoords='offset points',
                   va='baseline' if best < 2 else 'top', path_effects=HALO, zorder=8)
+    tall = 0.05 * (right - left)
+    return np.array((x, y - tall * (best >= 2), x + length, y + tall * (best < 2)))
 
 
 def north_arrow(axes: Axes, crs: str | None) -> None:
@@ -198,14 +234,45 @@ def north_arrow(axes: Axes, crs: str | None) -> None:
                   arrowprops={'arrowstyle': '<|-', 'color': 'black', 'linewidth': 1.4})
 
 
+def colour_bar(axes: Axes, mappable: ScalarMappable, label: str, place: int = 0,
+               **style: Any) -> None:
+    """Explain a scale next to the axes, as tall as they are; ``place`` counts from the map."""
+    bar = axes.inset_axes((1.09 + 0.2 * place, 0.0, 0.03, 1.0))
+    axes.figure.colorbar(mappable, cax=bar, label=label, **style)
+
+
 def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
-    """Explain the grey scale next to the axes."""
-    figure.colorbar(image, ax=axes, label='loss if ambushed here', **layout)
+    """Explain the colours of risk next to several axes."""
+    figure.colorbar(image, ax=axes, label=LOSS, **layout)
 
 
-def as_png(figure: Figure) -> bytes:
-    """Return the picture as a PNG file, without the name of the drawing program."""
+def draw_roads(axes: Axes, roads: RoadGraph) -> None:
+    """Draw all roads as thin grey lines."""
+    lines = LineCollection(roads.points[roads.pairs], colors=ROAD, linewidths=1.1, zorder=2,
+                           capstyle='round', path_effects=[Stroke(linewidth=2.2,
+                                                                  foreground='white'), Normal()])
+    axes.add_collection(lines, autolim=False)
+
+
+def as_png(figure: Figure, name: str = '', sources: Sequence[str] = (),
+           tight: bool = True) -> bytes:
+    """Return the picture as a PNG file, without the name of the drawing program.
+
+    A ``tight`` one is cut to what is drawn, and says below its name, what it shows, and when it was
+    drawn.
+    """
     stream = BytesIO()
-    figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.12,
-                   metadata={'Software': None})
+    if tight:
+        figure.draw_without_rendering()
+        figure.set_layout_engine('none')  # what follows moves nothing
+        for legend in figure.legends:
+            legend.set_bbox_to_anchor((0.0, 0.0, 1.0, 1.0), figure.transFigure)
+        corner = figure.transFigure.inverted().transform(
+            figure.dpi_scale_trans.transform(figure.get_tightbbox().min))
+        what = '; '.join(filter(None, (': '.join(filter(None, (
+            shown(name), ', '.join(map(shown, sources))))),
+            f'drawn {datetime.now():%Y-%m-%d %H:%M}')))
+        figure.text(*(corner - (0.0, 0.01)), fill(what, 90), va='top', fontsize=9, color='0.35')
+    figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, metadata={'Software': None},
+                   **({'bbox_inches': 'tight', 'pad_inches': 0.12} if tight else {}))
     return stream.getvalue()

@@ -15,39 +15,39 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from .arrays import FloatArray
-from .errors import InvalidOption
-from .game.strategy import TripStrategy
-from .maps.coordinates import WGS84, InvalidCoordinates
-from .maps.risk_map import RiskMap
-from .planning.plan import Plan
-from .planning.route_layers import line_table, lines_in_system, route_columns, strategy_tables
-from .recordings.durable_files import write_all_durably
+from .errors import InvalidCoordinates, InvalidOption
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.figure import Figure
 
+    from .arrays import FloatArray
+    from .game.strategy import TripStrategy
+    from .maps.risk_map import RiskMap
+    from .planning.plan import Plan
     from .recordings.plan_file import SavedPlan
+    from .routes.way_points import WayPoint
 
 # The libraries that each format needs.
 NEEDS: dict[str, tuple[str, ...]] = {
     '.gpkg': ('geopandas', 'rasterio'), '.geojson': ('geopandas', 'rasterio'),
-    '.gpx': ('geopandas', 'gpxpy'), '.csv': (), '.png': ('matplotlib',)}
+    '.gpx': ('gpxpy', 'pyproj'), '.csv': (), '.png': ('matplotlib',)}
 SUFFIXES = tuple(NEEDS)
 PLAN = '.plan'
 NEEDS[PLAN] = ('mcap', 'mcap_ros2', 'zstandard')
-# Points of a GPX route that are nearer to the line through the others are left out [m].
-_STRAIGHT = 0.5
+# Points of a GPX route that are nearer to the line through the others are left out [m], and corners
+# nearer to a way point.
+_STRAIGHT, _APART = 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
     """Paths (L, 2 or 3) [m] drawn from a trip's strategies at ``times``, perhaps for slots.
 
-    Without ``labels``, they are named by their numbers and slots. ``covered`` is the share of
-    departures that an ambush at one of the times covers, if these are drawn.
+    With ``routes_only``, files tell nothing of other routes. Without ``labels``, routes are named
+    by their numbers and slots. ``covered`` is the share of departures that an ambush at one of the
+    times covers, if these are drawn. ``way_points`` are those of their drivers' cards, for each
+    path, or none. ``sources`` are the names of the files of map and roads.
     """
 
     trip: TripStrategy
@@ -57,16 +57,23 @@ class Drawn:
     slots: Sequence[str] = field(default=(), kw_only=True)
     labels: Sequence[str] = field(default=(), kw_only=True)
     covered: float = field(default=1.0, kw_only=True)
+    routes_only: bool = field(default=False, kw_only=True)
+    way_points: Sequence[Sequence[WayPoint]] = field(default=(), kw_only=True)
+    sources: Sequence[str] = field(default=(), kw_only=True)
 
     @property
     def columns(self) -> dict[str, Any]:
         """What files say of each route, by column."""
+        from .planning.route_layers import route_columns
+
         slots = {'slot': self.slots} if self.slots else {}
         return {**route_columns(self.paths, self.times), **slots}
 
     @cached_property
     def routes(self) -> Any:
         """The table of routes."""
+        from .planning.route_layers import line_table
+
         return line_table(self.columns, self.paths, self.risk_map.crs)
 
     @property
@@ -78,18 +85,25 @@ class Drawn:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
-        return {'routes': self.routes, **strategy_tables(self.trip, self.risk_map)}
+        from .planning.route_layers import strategy_tables
+
+        others = {} if self.routes_only else strategy_tables(self.trip, self.risk_map)
+        return {'routes': self.routes, **others}
 
     def picture(self) -> Figure:
         """Draw map, strategy and routes."""
         from matplotlib.figure import Figure
 
-        from .figures import draw_strategy
-        from .map_figures import WIDTH
+        from .figures import draw_routes, draw_strategy
+        from .map_figures import WIDTH, draw_map
 
         figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
-        draw_strategy(figure.subplots(), self.trip, self.risk_map,
-                      [path[:, :2] for path in self.paths], self.covered)
+        axes, lines = figure.subplots(), [path[:, :2] for path in self.paths]
+        if self.routes_only:
+            draw_map(axes, self.risk_map, ', '.join(self.names))
+            draw_routes(axes, lines)
+        else:
+            draw_strategy(axes, self.trip, self.risk_map, lines, self.covered)
         return figure
 
 
@@ -109,6 +123,8 @@ def write_routes(paths: Sequence[Path], drawn: Drawn, plan: Plan | SavedPlan | N
     these, InvalidCoordinates if a format needs a coordinate system and the map has none, and
     OSError; nothing is written then.
     """
+    from .recordings.durable_files import write_all_durably
+
     write_all_durably({path: plan_content(plan) if plan and path.suffix.lower() == PLAN
                        else content_of(path, drawn) for path in paths})
 
@@ -132,7 +148,7 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     if suffix == '.png':
         from .map_figures import as_png
 
-        return as_png(drawn.picture())
+        return as_png(drawn.picture(), path.name, drawn.sources)
     if suffix == '.csv':
         return _csv(drawn)
     if suffix == '.geojson':
@@ -149,6 +165,8 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
 
 
 def _csv(drawn: Drawn) -> bytes:
+    from .planning.route_layers import lines_in_system
+
     columns, text = drawn.columns, io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(['WKT', *columns])
@@ -160,10 +178,13 @@ def _csv(drawn: Drawn) -> bytes:
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:
+    from .maps.coordinates import WGS84, longest_edge
+
     features = []
     for name, table in tables.items():
         shown = table.assign(layer=name)
         if shown.crs:
+            shown.geometry = shown.segmentize(longest_edge(shown.crs))
             shown = shown.to_crs(WGS84)
             shown.geometry = [_cut_at_180(shape) for shape in shown.geometry]
         features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']
@@ -172,6 +193,7 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
 
 def _cut_at_180(shape: Any) -> Any:
     """A shape in degrees; one that crosses 180 degrees as its parts on both sides (RFC 7946)."""
+    import numpy as np
     import shapely
 
     first = shapely.get_coordinates(shape)[0, 0]
@@ -191,20 +213,47 @@ def _cut_at_180(shape: Any) -> Any:
 
 
 def _gpx(drawn: Drawn) -> bytes:
+    """Each path as a track, and as a route of its corners and named way points.
+
+    The way points of a single path are also points of their own.
+    """
     from gpxpy import gpx
 
-    file = gpx.GPX()
+    from .maps.coordinates import Coordinates
+
+    system, file = Coordinates(drawn.risk_map.crs or ''), gpx.GPX()
     file.creator = 'ambush_planner'
-    lines, corners = (each.to_crs(WGS84) for each in (drawn.routes.geometry,
-                                                      drawn.routes.simplify(_STRAIGHT)))
-    for name, line, corner in zip(drawn.names, lines, corners, strict=True):
+    for k, (name, path) in enumerate(zip(drawn.names, drawn.paths, strict=True)):
+        texts, corners = _corners(path[:, :2], drawn.way_points[k] if drawn.way_points else ())
         route, track, segment = gpx.GPXRoute(name), gpx.GPXTrack(name), gpx.GPXTrackSegment()
-        route.points = [gpx.GPXRoutePoint(latitude, longitude)
-                        for longitude, latitude in corner.coords]
-        segment.points = [gpx.GPXTrackPoint(latitude, longitude)
-                          for longitude, latitude in line.coords]
+        route.points = [gpx.GPXRoutePoint(latitude, longitude, name=text)
+                        for text, (latitude, longitude) in
+                        zip(texts, system.to_lat_lon(corners).tolist(), strict=True)]
+        segment.points = [gpx.GPXTrackPoint(*place)
+                          for place in system.to_lat_lon(path[:, :2]).tolist()]
         track.segments.append(segment)
         file.routes.append(route)
         file.tracks.append(track)
+    if len(file.routes) == 1:
+        file.waypoints = [gpx.GPXWaypoint(each.latitude, each.longitude, name=each.name)
+                          for each in file.routes[0].points if each.name]
     text: str = file.to_xml(version='1.1')
     return text.encode()
+
+
+def _corners(path: FloatArray,
+             way_points: Sequence[WayPoint]) -> tuple[Sequence[str | None], FloatArray]:
+    """The corners of a path (L, 2), and its way points (C, 2) with their numbers and names."""
+    import numpy as np
+
+    from .routes.legs import distances_along, main_corners
+
+    at, named = main_corners(path, _STRAIGHT), np.array([each.distance for each in way_points])
+    along = distances_along(path)[at]
+    bare = np.abs(named[:, None] - along).min(axis=0, initial=np.inf) > _APART
+    texts = [f'{number:02} {each.label}'.strip()
+             for number, each in enumerate(way_points, start=1)]
+    places = np.concatenate((path[at[bare]], np.reshape([each.xy for each in way_points], (-1, 2))))
+    order = np.argsort(np.concatenate((along[bare], named)), kind='stable')
+    names = [*[None] * int(bare.sum()), *texts]
+    return [names[k] for k in order], places[order]

@@ -4,9 +4,10 @@
 It drives between two ends of a warehouse and follows the node's paths as regulated pure pursuit
 does: it steers to a place ahead, which cuts corners, and turns on the spot when that lies to its
 side. It asks by the action once a trip or every second. Every tenth request under way is for a goal
-that cannot be reached, and must be refused with the right code. Measured: the driven length over
-that of the drawn path, how often the worst cell is met against the value published at the
-departures, times of answers. Exit code 1 if a target is missed.
+that cannot be reached, and must be refused with the right code. Every third trip, the goal that the
+robot is on its way to is replaced by another one. Each goal must get one departure. Measured: the
+driven length over that of the drawn path, how often the worst cell is met against the value
+published at the departures, times of answers. Exit code 1 if a target is missed.
 
 tf2_msgs and nav2_msgs are built by test/interfaces.py where they are not installed.
 """
@@ -19,6 +20,7 @@ import os
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,6 +70,8 @@ TURN_RATE = 1.8  # rad/s on the spot
 SIDEWAYS = math.radians(45.0)  # angle from which it turns on the spot
 ARRIVED = 0.25  # m, Nav2's goal checker
 UNREACHABLE = 10  # requests under way from one for an unreachable goal to the next
+# Trips from one with a new goal on the way to the next, the goal that is replaced, and where [m].
+REDIRECTED, ASIDE, ON_THE_WAY = 3, np.array([13.0, 1.0]), 5.0
 CODES = {getattr(ComputePathToPose.Result, name): name for name in (
     'UNKNOWN', 'TF_ERROR', 'START_OUTSIDE_MAP', 'GOAL_OUTSIDE_MAP', 'START_OCCUPIED',
     'GOAL_OCCUPIED', 'TIMEOUT', 'NO_VALID_PATH')}
@@ -168,6 +172,7 @@ class Patrol:
         self._closed = itertools.cycle(CLOSED)
         self.trips: list[Trip] = []
         self.departures, self.under_way, self.wrong = [], [], []  # s, s, texts
+        self._departed: np.ndarray | None = None  # the goal of the last departure
         self.answers: Counter[str] = Counter()
 
     def begin(self) -> None:
@@ -182,14 +187,22 @@ class Patrol:
     def drive(self, trips: int) -> None:
         """Make some trips, to and fro."""
         for number in range(trips):
-            self._drive_one(Trip((number + 1) % 2), ENDS[(number + 1) % 2])
+            way = (number + 1) % 2
+            if number % REDIRECTED == REDIRECTED - 1:
+                self._drive_one(Trip(way), ASIDE, lambda: self.robot.driven > ON_THE_WAY)
+                self._drive_one(Trip(way), ENDS[way])
+            else:
+                self.trips.append(self._drive_one(Trip(way), ENDS[way]))
 
-    def _drive_one(self, trip: Trip, goal: np.ndarray) -> None:
+    def _drive_one(self, trip: Trip, goal: np.ndarray,
+                   ends: Callable[[], bool] = lambda: False) -> Trip:
+        """Drive to a goal, or until the trip ``ends`` for another reason."""
         robot, begin = self.robot, time.monotonic()
         robot.begin_trip()
+        self._departed = None
         self._ask(trip, goal)
         due, asked = begin, 0
-        while np.hypot(*(robot.place - goal)) > ARRIVED:
+        while np.hypot(*(robot.place - goal)) > ARRIVED and not ends():
             due += self._period
             self._caller.idle_until(max(due, time.monotonic()))
             if time.monotonic() > begin + 400.0:
@@ -202,7 +215,7 @@ class Patrol:
                     self._ask_for_the_impossible()
                 self._ask(trip, goal)
         trip.driven, trip.trace = robot.driven, np.array(robot.trace)
-        self.trips.append(trip)
+        return trip
 
     def _ask(self, trip: Trip, goal: np.ndarray) -> None:
         """Ask for a path to the goal, and follow it."""
@@ -221,6 +234,10 @@ class Patrol:
         kind = next((each for each in ('continued', 'diverted', 'arrived')
                      if each in result.error_msg), 'new')
         self.answers[kind] += 1
+        if kind == 'new':
+            if self._departed is goal:
+                self.wrong.append('another departure for the same goal')
+            self._departed = goal
         (self.departures if kind == 'new' else self.under_way).append(took)
         self.robot.path = path
         if kind in ('new', 'diverted'):

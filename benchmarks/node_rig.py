@@ -221,6 +221,12 @@ def resident(pid: int) -> float:
     return pages * os.sysconf('SC_PAGE_SIZE') / 2.0**20
 
 
+def processor_time(pid: int) -> float:
+    """Processor time that a process has taken [ms]."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return 1e3 * (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
 def stopwatch(run: Callable[[], object]) -> float:
     """Duration of a call [ms]."""
     begin = time.perf_counter()

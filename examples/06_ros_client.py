@@ -23,8 +23,9 @@ ends = [node.create_publisher(PoseStamped, name, 1) for name in ('start_pose', '
 paths = []
 node.create_subscription(Path, 'path', paths.append, latched)
 new_route = node.create_client(Trigger, '/ambush_planner/new_route')
-while not (new_route.wait_for_service(1.0) and all(p.get_subscription_count() for p in ends)):
-    print('waiting for the node')
+print('waiting for the node')
+while not (new_route.service_is_ready() and all(p.get_subscription_count() for p in ends)):
+    rclpy.spin_once(node, timeout_sec=0.1)
 
 values = np.full((40, 60), 20, np.int8)  # risk, 0 to 100, of cells of 0.5 m
 values[10:30, 28:32] = 100  # an obstacle

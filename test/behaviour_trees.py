@@ -64,7 +64,7 @@ class Script(Node):
         numbers = self.tree.numbers
         for part in self.element.get('code').split(';'):
             name, assigned, value = part.rpartition(':=')
-            result = eval(value, {'__builtins__': {}}, numbers)
+            result = eval(value.replace('&&', 'and'), {'__builtins__': {}}, numbers)
             if not assigned:
                 return SUCCESS if result else FAILURE
             numbers[name.strip()] = result
@@ -108,6 +108,10 @@ class ReactiveFallback(Fallback):
             if status == self.stop:
                 return self.finish(status)
         return self.finish(self.end)
+
+
+class ReactiveSequence(ReactiveFallback):
+    stop, end = FAILURE, SUCCESS
 
 
 class PipelineSequence(Sequence):
@@ -199,11 +203,22 @@ class RateController(Decorator):
         return status
 
 
+class Timeout(Decorator):
+    """Halts a child that has run for ``msec``; the next tick fails."""
+
+    def step(self):
+        if self.status != RUNNING:
+            self.end = self.tree.clock() + float(self.element.get('msec')) / 1e3
+        if self.tree.clock() >= self.end:
+            return self.finish(FAILURE)
+        return super().step()
+
+
 # Children of each control node, None for any number from 1 on.
 CONTROLS = {each.__name__: (each, count) for each, count in (
-    (Sequence, None), (Fallback, None), (ReactiveFallback, None),
+    (Sequence, None), (Fallback, None), (ReactiveFallback, None), (ReactiveSequence, None),
     (PipelineSequence, None), (RoundRobin, None), (RecoveryNode, 2), (Inverter, 1),
-    (ForceSuccess, 1), (KeepRunningUntilFailure, 1), (RateController, 1))}
+    (Timeout, 1), (ForceSuccess, 1), (KeepRunningUntilFailure, 1), (RateController, 1))}
 CONTROLS |= {'Script': (Script, 0), 'ScriptCondition': (Script, 0)}
 
 

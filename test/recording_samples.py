@@ -18,7 +18,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recordings import RecordedMessage, type_name
-from ambush_planner.recordings.recording_file import encode
+from ambush_planner.recordings.encoding import encode
 
 START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -33,7 +33,7 @@ def pose(x, y):
     return message
 
 
-def risk_map(height=40, width=60):
+def risk_map(height=100, width=200):
     message = OccupancyGrid(header=Header(frame_id='map'))
     message.info.width, message.info.height, message.info.resolution = width, height, 0.5
     cells = np.random.default_rng(1).integers(-1, 101, width * height, dtype=np.int8)

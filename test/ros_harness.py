@@ -50,7 +50,7 @@ DOMAINS = itertools.cycle(random.sample(range(1, 51), 50))
 
 def threads():
     """Names of the running threads of planner nodes."""
-    names = ('solves', 'departures', 'recordings', '_ambush_planner_tf')
+    names = ('solves', 'departures', 'recordings', 'maps', '_ambush_planner_listener')
     return [each.name for each in threading.enumerate() if each.name.startswith(names)]
 
 
@@ -199,10 +199,9 @@ class Client:
 def interface_of(planner):
     """Return what a planner publishes, subscribes to and serves: types by name.
 
-    Maps and paths to check arrive at hidden nodes; the one for transforms is left out.
+    Maps, transforms and paths to check arrive at a hidden node.
     """
-    nodes = (planner, planner._listening._maps.node,
-             *([planner._requests.path_checks.node] if planner._requests.path_checks else []))
+    nodes = planner, planner._listener.node
 
     def made(kind, name, type_):
         return {getattr(each, name): type_name(getattr(each, type_))

@@ -17,14 +17,16 @@ OCCUPIED, NO_PATH, STUCK = 206, 208, 105
 class World:
     """A robot on a line, a planner that takes ``solve`` s, and a controller: the leaves of a tree.
 
-    ``fails`` are codes by goal that the planner fails with; the controller is stuck beyond
-    ``wall``, and the path is invalid from ``blocked_at`` s on.
+    ``fails`` are codes by goal that the planner fails with; it never answers what it was ``killed``
+    at. The controller is stuck beyond ``wall``, and drives past all stops of the first paths that
+    it ``cuts``; the path is invalid from ``blocked_at`` s on.
     """
 
     def __init__(self, solve=3.0):
         self.solve, self.now, self.place, self.goals = solve, 0.0, 0.0, []
         self.path, self.fails, self.wall, self.blocked_at = [], {}, 1e9, 1e9
-        self.codes, self.known = {'planner': 0, 'controller': 0}, None
+        self.killed, self.cuts, self.compared, self.known = [], 0, [], {}
+        self.codes = {'planner': 0, 'controller': 0}
         self.asked, self.followed, self.helped = [], 0, []
 
     def clock(self):
@@ -33,10 +35,16 @@ class World:
     def leaf(self, name):
         return getattr(self, re.sub(r'(?<!^)([A-Z])', r'_\1', name).lower())
 
+    def away(self, goal):
+        return abs(goal - self.place)
+
     def global_updated_goal(self, ports):
+        name = ports.get('goals', '{goals}').strip('{}')
+
         def work():
-            before, self.known = self.known, list(self.goals)
-            return SUCCESS if before != self.known else FAILURE
+            before, now = self.known.get(name), list(getattr(self, name))
+            self.known[name] = now
+            return SUCCESS if before != now else FAILURE
         return work
 
     def goal_updated(self, ports):
@@ -47,8 +55,10 @@ class World:
 
     def remove_passed_goals(self, ports):
         def work():
-            while len(self.goals) > 1 and abs(self.goals[0] - self.place) <= float(ports['radius']):
-                self.goals.pop(0)
+            left, radius = list(self.goals), ports['radius'].strip('{}')
+            while len(left) > 1 and self.away(left[0]) <= float(self.numbers.get(radius, radius)):
+                left.pop(0)
+            setattr(self, ports.get('output_goals', '{goals}').strip('{}'), left)
             return SUCCESS
         return work
 
@@ -57,7 +67,7 @@ class World:
         self.asked.append(goals)
 
         def work():
-            if self.now < due:
+            if self.now < due or goals in self.killed:
                 return RUNNING
             self.codes['planner'] = self.fails.get(goals[-1], 0)
             self.path = [] if self.codes['planner'] else list(goals)
@@ -76,6 +86,8 @@ class World:
         def work():
             if self.path and self.path != ahead:
                 ahead[:] = self.path
+            if self.cuts and len(ahead) > 1:
+                self.cuts, self.path[:-1], ahead[:-1] = self.cuts - 1, [], []
             step = max(-SPEED * TICK, min(SPEED * TICK, ahead[0] - self.place))
             if self.place + step > self.wall:
                 self.codes['controller'] = STUCK
@@ -114,6 +126,7 @@ class World:
         """Navigate; ``then`` are (s, new goals). Return the tree's status in the end."""
         self.goals, waiting = list(goals), sorted(then)
         tree = Tree(text, self.leaves, self.clock)
+        self.numbers = tree.numbers
         while self.now < until:
             while waiting and waiting[0][0] <= self.now:
                 self.goals = list(waiting.pop(0)[1])
@@ -160,6 +173,46 @@ def test_stops_are_passed_and_left_out_of_later_requests():
     assert world.place == -3.0 and world.asked[-1] == [-3.0]
 
 
+def test_no_success_while_a_stop_remains():
+    """A controller may go on where the path comes near later; the tree asks again, not for ever."""
+    world = World(0.1)
+    world.cuts = 2
+    assert world.run(POSES, [-3.0, 10.0]) == SUCCESS
+    assert world.asked == [[-3.0, 10.0]] * 3 + [[10.0]]
+    world = World(0.1)
+    world.cuts = 100
+    assert world.run(POSES, [-3.0, 10.0]) == FAILURE
+    assert world.place == 10.0 and len(world.asked) == 11
+
+
+def test_a_stop_that_is_passed_on_the_path_to_an_older_goal_stays():
+    world = World()
+    assert world.run(POSES, [20.0], [(4.0, [6.0, 30.0])]) == SUCCESS
+    assert world.asked == [[20.0], [6.0, 30.0], [30.0]]
+
+
+@TREES
+def test_a_killed_planner_is_waited_for_a_minute_or_until_a_newer_goal(tree):
+    world = World()
+    world.killed = [[10.0]]
+    assert world.run(tree, [10.0], until=100.0) == FAILURE
+    assert world.now == pytest.approx(60.0, abs=0.1) and world.helped == []
+    world = World()
+    world.killed = [[10.0]]
+    assert world.run(tree, [10.0], [(5.0, [30.0])]) == SUCCESS
+    assert world.asked == [[10.0], [30.0]] and world.now == pytest.approx(5 + 3 + 15, abs=0.1)
+
+
+@TREES
+def test_the_failure_of_an_older_goal_does_not_count(tree):
+    for solve in (0.1, 3.0):
+        for at in (0.0, 0.5 * solve, solve - TICK, solve):
+            world = World(solve)
+            world.fails = {10.0: OCCUPIED}
+            found = world.run(tree, [10.0], [(at, [30.0])])
+            assert (found, world.place) == (SUCCESS, 30.0), at
+
+
 @TREES
 def test_a_recovery_is_tried_only_if_it_helps(tree):
     world = World(0.1)
@@ -181,6 +234,15 @@ def test_a_recovery_is_tried_only_if_it_helps(tree):
 
 
 @TREES
+def test_the_failure_of_an_older_goal_does_not_fail_the_newest(tree):
+    """Goals in a rack, and a moment later a good one: the planner fails first for the racks."""
+    world = World(0.3)
+    world.fails = {10.0: OCCUPIED, 11.0: OCCUPIED}
+    assert world.run(tree, [10.0], [(0.05, [11.0]), (0.2, [20.0])]) == SUCCESS
+    assert world.place == 20.0 and world.asked == [[10.0], [11.0], [20.0]]
+
+
+@TREES
 def test_a_path_that_becomes_invalid_is_asked_for_again_on_the_way(tree):
     world = World(0.5)
     world.blocked_at = 2.2
@@ -193,6 +255,7 @@ def test_the_same_goal_again_is_a_new_request(tree):
     """The tree and its blackboard outlive a goal; a path of yesterday is not followed again."""
     world = World(0.1)
     nav = Tree(tree, world.leaves, world.clock)
+    world.numbers = nav.numbers
     for _ in range(2):
         world.place, world.goals = 0.0, [10.0]
         while nav.tick() == RUNNING:
@@ -205,7 +268,7 @@ def test_the_same_goal_again_is_a_new_request(tree):
 PORTS = {
     'RecoveryNode': 'number_of_retries', 'RateController': 'hz', 'Script': 'code',
     'ScriptCondition': 'code', 'Wait': 'wait_duration', 'BackUp': 'backup_dist backup_speed',
-    'IsPathValid': 'path server_timeout', 'ClearEntireCostmap': 'service_name',
+    'IsPathValid': 'path server_timeout', 'ClearEntireCostmap': 'service_name', 'Timeout': 'msec',
     'FollowPath': 'path controller_id server_timeout error_code_id',
     'RemovePassedGoals': 'input_goals output_goals radius',
     'WouldAPlannerRecoveryHelp': 'error_code', 'WouldAControllerRecoveryHelp': 'error_code',
@@ -217,7 +280,9 @@ PORTS = {
 @TREES
 def test_the_trees_set_ports_that_their_nodes_have(tree):
     for node in ElementTree.fromstring(tree).find('BehaviorTree').iter():
-        assert set(node.keys()) - {'name', 'ID'} == set(PORTS.get(node.tag, '').split()), node.tag
+        ports = set(node.keys()) - {'name', 'ID'}
+        assert ports == set(PORTS.get(node.tag, '').split()) or (
+            node.tag == 'GlobalUpdatedGoal' and ports == {'goals'}), node.tag
 
 
 @TREES

@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
+import os
 import re
+import subprocess
+import threading
+from datetime import datetime
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,17 +18,22 @@ from audit_samples import drawn, occupancy, parameters, record_drawn, sample_pla
 from commands import run_here
 from hypothesis import given
 from hypothesis import strategies as st
+from test_report_browser import BINARY
 
-from ambush_planner import GameOptions, PlanningOptions, plan_trip
-from ambush_planner.commands import card
+from ambush_planner import GameOptions, Network, PlanningOptions, plan_trip, solve
+from ambush_planner.commands import card, card_page, draw
+from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.occupancy import risk_from_occupancy
+from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.maps.road_file import RoadGraph
+from ambush_planner.recordings.plan_file import plan_bytes, saved_plan
 from ambush_planner.routes.legs import (
     MAX_LEGS,
     bearings,
+    corners_of_legs,
     distances_along,
     secured_stretches,
-    way_points,
 )
 
 FRAME = 'datum 36.6 -84.3 0.2'
@@ -34,7 +44,7 @@ PLACES = st.tuples(*2 * [st.integers(-50, 50)])
 @given(st.lists(PLACES, min_size=2, max_size=40, unique=True), st.integers(0, 39))
 def test_legs_add_up_and_pass_the_stops(path, stop):
     path = np.array(path, float)
-    at = way_points(path, path[[stop % len(path)]])
+    at = corners_of_legs(path, path[[stop % len(path)]])
     assert {0, stop % len(path), len(path) - 1} <= set(at) and len(at) <= MAX_LEGS + 1
     lengths = np.diff(distances_along(path)[at])
     assert np.all(lengths > 0.0)
@@ -43,7 +53,7 @@ def test_legs_add_up_and_pass_the_stops(path, stop):
 
 def test_corners_are_way_points_and_bearings_are_clockwise_from_y():
     path = np.array([(0, 0), (0, 5), (0, 10), (5, 10), (10, 10), (10, 0)], float)
-    at = way_points(path, NO_STOPS)
+    at = corners_of_legs(path, NO_STOPS)
     assert at.tolist() == [0, 2, 4, 5] and distances_along(path)[at].tolist() == [0, 10, 20, 30]
     assert bearings(path[at]).tolist() == [0, 90, 180]
 
@@ -68,8 +78,12 @@ def written(recording, folder, *options):
     done = run_here(card, recording, '-o', folder / 'card.html', *options)
     assert done.code == 0, done.err
     page = (folder / 'card.html').read_text()
-    rows = re.findall(r'<tr>(<td>.*?)</tr>', page)
-    return page, [re.findall('<td>(.*?)</td>', row) for row in rows]
+    return page, rows_of(page)
+
+
+def rows_of(page):
+    rows = re.findall(r'<tr>(<td.*?)</tr>', page)
+    return [re.findall('<td[^>]*>(.*?)</td>', row) for row in rows]
 
 
 def test_a_card_tells_of_its_departure_only(runs, tmp_path):
@@ -77,7 +91,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--speed', 3.6, '--start-time',
                          '23:59')
     assert (tmp_path / 'card.html').stat().st_mode & 0o777 == 0o600
-    places = np.array([row[1].split(', ') for row in rows], float)
+    places = np.array([row[1].split() for row in rows], float)
     assert all(np.hypot(*(routes[1] - place).T).min() < 0.1 for place in places)
     others = {f'{x:.1f}, {y:.1f}' for k in (0, 2) for x, y in routes[k]}
     assert others - {f'{x:.1f}, {y:.1f}' for x, y in routes[1]}
@@ -89,7 +103,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     assert sum(int(row[3]) for row in rows[:-1]) == int(rows[-1][4]) == pytest.approx(length, abs=1)
     assert '23:59 to 00:0' in page and 'local time' in page
     assert rows[0][5] == '23:59' and rows[-1][5] == f'00:0{round(length / 60) - 1}'
-    assert 'Secured area (circles), 40 m around start and goal: 0 m to 4' in page
+    assert 'Secured area (circles), 40 m around start and goal: 0 to 4' in page
 
 
 def test_grid_references_agree_with_pyproj(runs, tmp_path):
@@ -108,26 +122,131 @@ def test_grid_references_agree_with_pyproj(runs, tmp_path):
         np.testing.assert_allclose(mgrs.MGRS().toLatLon(square.replace(' ', '')),
                                    (latitude, longitude), atol=3e-5)
     # True bearings differ from those of the grid by the convergence of the meridians.
-    grid = bearings(path[way_points(path, NO_STOPS)])
+    grid = bearings(path[corners_of_legs(path, NO_STOPS)])
     turned = (np.array([int(row[4][:-1]) for row in rows[:-1]]) - grid + 180.0) % 360.0 - 180.0
     assert np.ptp(turned) < 1.5 and rows[-1][-1] == f'{float(rows[-1][-2]) / 600.0:.1f}'
 
 
+@pytest.fixture
+def road_plan(tmp_path):
+    """A plan on one road of 1 km at 18 km/h, and 1 km at 72 km/h after a crossing, as a file."""
+    north = 4_000_000.0
+    points = 500_000.0 + np.array([(100.0, 0.0), (1100.0, 0.0), (2100.0, 0.0), (1100.0, 300.0),
+                                   (1100.0, -300.0)])
+    points[:, 1] += north - 500_000.0
+    roads = RoadGraph(points, np.array([(0, 1), (1, 2), (1, 3), (1, 4)]),
+                      np.array([(5.0, 5.0), (20.0, 20.0), (9.0, 9.0), (9.0, 9.0)]), True, '',
+                      ('Slow & Old', 'Fast', 'Side', 'Elm'), np.array([0, 1, 2, 2]),
+                      np.array([(500_400.0, north + 100.0, 3)]))
+    ground = RiskMap(np.ones((70, 230)), np.zeros((70, 230), bool), 10.0,
+                     (500_000.0, north - 350.0, 0.0), 'EPSG:32631')
+    plan = plan_trip(ground, points[0], points[2], PlanningOptions(
+        network=plain_options(method='graph', graph=roads, spacing=100.0),
+        game=GameOptions(ambush_radius=50.0)))
+    file = tmp_path / 'road.plan'
+    file.write_bytes(plan_bytes(saved_plan(plan, names=('Depot', 'Camp <1>'))))
+    return file
+
+
+def test_a_card_on_roads_has_turns_names_and_the_times_of_the_roads(road_plan, tmp_path):
+    pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
+    gpxpy = pytest.importorskip('gpxpy', reason='GPX takes the extra "gis"')
+    drawn = run_here(draw, road_plan, '-o', tmp_path / 'c.html', tmp_path / 'c.gpx', '--date',
+                     '2030-07-01', '--slot', '6:00')
+    assert drawn.code == 0, drawn.err
+    page = (tmp_path / 'c.html').read_text()
+    assert 'Departure 1, 2030-07-01' in page and 'TRAINING' not in page
+    zone = f'{datetime(2030, 7, 1, 6).astimezone():%z}'
+    assert f'06:00 to 06:04 local time, UTC{zone[:3]}:{zone[3:]}' in page
+    assert 'Start 316 m from Elm, goal' in page and 'do not look for another one' in page
+    table = rows_of(page)
+    assert [row[:2] for row in table] == [
+        ['1 start Depot', 'east: Slow &amp; Old'], ['2', 'straight on: Fast'],
+        ['3 goal Camp &lt;1&gt;', '']]
+    assert [row[-1] for row in table] == ['06:00', '06:03', '06:04'], '200 s and 250 s'
+    # The receiver has the same points; the path keeps within a metre of the road.
+    file = gpxpy.parse((tmp_path / 'c.gpx').read_text())
+    names = ['01 start Depot, east: Slow & Old', '02 straight on: Fast', '03 goal Camp <1>']
+    for found in (file.waypoints, [each for each in file.routes[0].points if each.name]):
+        assert [each.name for each in found] == names
+        for each, row in zip(found, table, strict=True):
+            degrees = next(cell for cell in row if ', ' in cell and '.' in cell)
+            assert [each.latitude, each.longitude] == pytest.approx(
+                [*map(float, degrees.split(', '))], abs=6e-6)
+    again = run_here(card, *(tmp_path / 'road.departures').iterdir(), '-o', tmp_path / 'd.html')
+    assert again.code == 0 and rows_of((tmp_path / 'd.html').read_text()) == table
+
+
+def test_a_dry_run_is_a_training_on_card_and_receiver(road_plan, tmp_path):
+    done = run_here(draw, road_plan, '-o', tmp_path / 'c.html', tmp_path / 'c.gpx', '--dry-run',
+                    '--speed', 36)
+    assert done.code == 0, done.err
+    page, file = (tmp_path / 'c.html').read_text(), (tmp_path / 'c.gpx').read_text()
+    assert '<span>TRAINING</span>' in page and 'Training: do not drive this' in page
+    assert '<name>TRAINING 20' in file
+    assert rows_of(page)[1][-1] == '1.7', 'minutes at 36 km/h'
+
+
 def test_one_of_few_routes(tmp_path):
     """Without a speed there are no times."""
-    start, stop, goal = (12.5, 147.5), (180.0, 260.0), (387.5, 152.5)
+    start, goal = (12.5, 147.5), (387.5, 152.5)
     ground = risk_from_occupancy(occupancy(), 5.0)
     options = PlanningOptions(network=plain_options(spacing=20.0), game=GameOptions(
         ambush_radius=25.0, secured_radius=0.0))
-    plan = plan_trip(ground, start, goal, options, stops=[stop], routes=3, rng=1)
+    plan = plan_trip(ground, start, goal, options, routes=3, rng=1)
     plan.save(tmp_path / 'few.plan', n=0)
     page, rows = written(tmp_path / 'few.plan', tmp_path, '--route', 1)
-    places = np.array([row[1].split(', ') for row in rows], float)
+    places = np.array([row[1].split() for row in rows], float)
     assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
-    assert [row[1] for row in rows if 'stop 1' in row[0]] == ['{:.1f}, {:.1f}'.format(*stop)]
     assert 'No area on the way is secured' in page and len(rows[0]) == 5 and 'km/h' not in page
     count = len(plan.few.paths)
     for options, words in (('', 'name a route with --route N'),
                            ('--route 9', f'has routes 1 to {count}, not 9')):
         done = run_here(card, tmp_path / 'few.plan', '-o', tmp_path / 'c.html', *options.split())
         assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
+
+
+@pytest.mark.parametrize('command', ['draw', 'card'])
+def test_progress_is_shown_while_a_card_is_drawn(road_plan, tmp_path, monkeypatch, command):
+    """Drawing it ends when progress has been shown."""
+    assert run_here(draw, road_plan, '--date', '2030-01-01').code == 0
+    said = threading.Event()
+    monkeypatch.setattr(Console, 'step', lambda console, text: said.set())
+    monkeypatch.setattr(card_page, 'card_page', lambda *_: f'a card {said.wait(30.0)}')
+    (recording,) = (tmp_path / 'road.departures').iterdir()
+    done = (run_here(draw, road_plan, '--dry-run', '-o', tmp_path / 'c.html') if command == 'draw'
+            else run_here(card, recording, '-o', tmp_path / 'c.html'))
+    assert done.code == 0 and (tmp_path / 'c.html').read_text() == 'a card True'
+
+
+@pytest.mark.skipif(BINARY is None, reason='no Chromium here; on Debian: apt install chromium')
+@pytest.mark.parametrize(('turns', 'tables'), [(12, 1), (32, 2)])
+def test_a_card_fits_one_page_of_a4_and_of_letter(turns, tables, tmp_path):
+    """Stairs of named roads: a turn at each corner, and a road that goes straight on there."""
+    corners = [(300.0 * ((k + 1) // 2), 300.0 * (k // 2)) for k in range(turns + 2)]
+    beyond = [tuple(2 * np.array(b) - a) for a, b in pairwise(corners)]
+    points = np.array([*corners, *beyond]) + (500_500.0, 4_000_500.0)
+    pairs = [*pairwise(range(turns + 2)), *((k, k + turns + 1) for k in range(1, turns + 1))]
+    names = tuple(f'B {k} Valley Road' for k in range(turns + 1))
+    roads = RoadGraph(points, np.array(pairs), np.ones((len(pairs), 2)), False, '', names,
+                      np.r_[np.arange(turns + 1), np.arange(turns)])
+    ground = RiskMap(np.ones((130, 130)), np.zeros((130, 130), bool), 50.0,
+                     (500_000.0, 4_000_000.0, 0.0), 'EPSG:32631')
+    route = np.arange(turns + 2)
+    network = Network(points[route], np.r_[0.0, np.ones(turns), 0.0], list(pairwise(route)), 0,
+                      turns + 1)
+    trip = solve(network).alone
+    made = card_page.card_of(network.points, ground, trip, (trip, (route,)), roads,
+                             ('Depot', 'Camp'), 30.0, '06:00', 'Departure 7', '2030-07-01', 'UTC')
+    page = card_page.card_page(made, Console('card', as_json=False, quiet=True))
+    assert page.count('<table>') == tables and len(rows_of(page)) == turns + 2
+    for size in ('A4', 'Letter'):
+        file = tmp_path / f'{size}.html'
+        file.write_text(page.replace('@page {', f'@page {{ size: {size};'))
+        subprocess.run([BINARY, '--headless', '--no-sandbox', '--disable-gpu', '--no-first-run',
+                        '--disable-background-networking', '--no-pdf-header-footer',
+                        f'--user-data-dir={tmp_path / "profile"}',
+                        f'--print-to-pdf={tmp_path / "card.pdf"}', file.as_uri()],
+                       check=True, capture_output=True, timeout=120,
+                       env={k: v for k, v in os.environ.items() if k != 'LD_LIBRARY_PATH'})
+        assert re.findall(rb'/Count (\d+)', (tmp_path / 'card.pdf').read_bytes()) == [b'1'], size

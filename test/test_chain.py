@@ -97,6 +97,19 @@ def test_hits_entropy_and_derivatives_are_those_of_all_routes(case):
     assert rows @ (other - p) == pytest.approx((ahead - behind) / 2e-5, abs=1e-7)
 
 
+@examples(10)
+@given(cases)
+def test_without_rare_edges_the_other_routes_are_as_likely_as_before(case):
+    often, seldom = case.strategy(), case.strategy()
+    chain = MarkovChain(case.network, (1.0 - 1e-13) * often + 1e-13 * seldom).without_rare()
+    assert not chain.p[often == 0.0].any()
+    assert chain.p == pytest.approx(often, abs=1e-12)
+    inner = (case.network.head > 0) & (case.network.head < case.network.count - 1)
+    arriving, leaving = (np.bincount(nodes, chain.p, case.network.count)[case.network.head[inner]]
+                         for nodes in (case.network.head, case.network.tail))
+    assert arriving == pytest.approx(leaving, abs=1e-15)
+
+
 def test_without_scipys_product_in_place_the_chain_is_the_same(monkeypatch):
     """That product is a private function, which a version of scipy may lack."""
     case = Case(3, 1.2)

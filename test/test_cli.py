@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 from audit_samples import record_drawn, sample_plan
-from commands import documented_keys, run_here, run_without
+from commands import documented_keys, run_here, run_python, run_without
 
 from ambush_planner.commands import cli
 from ambush_planner.maps.map_file import write_map
@@ -59,6 +59,45 @@ def test_solvers_print_nothing_between_our_lines(tmp_path):
     plan = subprocess.run([*ENTRY, *line.split()], cwd=tmp_path, capture_output=True, timeout=120,
                           text=True)
     assert json.loads(plan.stdout)['verdict'] == 'holds', plan.stderr
+
+
+IMPORTED = """
+import contextlib, sys
+from ambush_planner.commands import cli
+for name in cli.COMMANDS:
+    for line in ("--typo", "none.tif --start 1 1 --goal 2 2 --radius 9 none.gpx -o x.png"):
+        with contextlib.suppress(SystemExit):
+            cli.main([name, *line.split()])
+print(sorted({"numpy", "scipy", "matplotlib", "yaml"} & set(sys.modules)))
+"""
+
+
+def test_mistakes_are_refused_before_anything_that_computes_is_imported(tmp_path):
+    done = run_python(IMPORTED, tmp_path)
+    assert done.stdout == '[]\n' and done.stderr.count('\n') == 2 * len(cli.COMMANDS), done.stderr
+    assert done.stderr.count(': none.tif: No such file or directory') >= 8
+
+
+@pytest.mark.parametrize('module', ['argparse', 'ambush_planner.commands.inputs', 'numpy.linalg',
+                                    'scipy.sparse', 'ambush_planner.planning.trip'])
+def test_ctrl_c_during_an_import_is_one_line(module, inputs):
+    """The finder presses it when the module is asked for; argparse is imported first of all."""
+    line = 'plan map.yaml --start 15 15 --goal 285 185 -o made.plan'
+    done = run_python(f"""
+import os, signal, sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.modules.pop({module!r}, None)
+sys.meta_path.insert(0, Finder())
+from ambush_planner.commands import main
+sys.exit(main({line.split()!r}))
+""", inputs)
+    assert (done.returncode, done.stdout) == (130, '')
+    assert done.stderr in ('ambush: interrupted\n', 'ambush plan: interrupted\n')
 
 
 @pytest.fixture(scope='module')

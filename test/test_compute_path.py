@@ -13,12 +13,13 @@ from nav_msgs.msg import Goals as GoalsMessage
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
+from robots import ROBOT, Robot
 from ros_harness import GOAL, LONG, START, pose, recorded, risk_grid, stage, wait_until
 from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import ACTIONS, poses_of
-from ambush_planner.ros.requests import validity
+from ambush_planner.ros.path_checks import validity
 from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
@@ -30,7 +31,7 @@ class Goals:
     def __init__(self, running, to='pose'):
         name = f'compute_path_{"through" if to == "poses" else "to"}_{to}'
         kind = getattr(import_module('nav2_msgs.action'), ACTIONS[f'~/{name}'])
-        self.action, self.client = kind, running.client
+        self.action, self.client, self.running = kind, running.client, running
         # It ends with its node: to destroy it while that spins would end the executor.
         self._client = ActionClient(
             running.client.node, kind, f'ambush_planner/{name}')
@@ -161,10 +162,11 @@ def test_goals_and_answers_of_later_distributions_are_understood():
 
 
 def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submitted):
-    with asking(None, LONG) as goals:
-        old, one = goals.send(goal=pose(8.0, 1.0)), goals.send()
+    with asking(None, {**LONG, **ROBOT}) as goals:
+        Robot(goals.running).is_at(1.5, 5.5)
+        old, one = goals.send(None, goal=pose(8.0, 1.0)), goals.send(None)
         asked = goals.client.send('new_route')  # another client's
-        newest = goals.send()
+        newest = goals.send(None)
         status, result = goals.result(old)
         assert status == GoalStatus.STATUS_ABORTED and 'a newer request' in result.error_msg
         wait_until(lambda: len(submitted) == 4, 'the requests')
@@ -177,7 +179,7 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submit
         assert goals.client.call('cancel').message == 'the solve was cancelled'
         assert goals.result(newest)[0] == GoalStatus.STATUS_ABORTED
         wait_until(asked.done, 'the answer of new_route')
-        only = goals.send()
+        only = goals.send(None)
         goals.client.diagnostics(state='solving')
         halt_workers()
         assert goals.cancel(only) == 1
@@ -187,13 +189,23 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submit
         assert not goals.client.received['path']
 
 
+def test_goals_from_fixed_places_replace_none():
+    """Nobody knows who sends them: the map's frame is no robot."""
+    with asking() as goals, held(WorkerProcess, 'solve') as (_, go_on):
+        sent = [goals.send(goal=pose(8.5, y)) for y in (2.5, 8.5)]
+        go_on.set()
+        assert [goals.result(each)[0] for each in sent] == [GoalStatus.STATUS_SUCCEEDED] * 2
+
+
 def test_a_goal_that_was_replaced_is_not_tried_again_when_its_solve_ends(submitted, caplog):
     request = GetPlan.Request(start=START, goal=pose(8.0, 1.0))
-    with asking() as goals:
+    with asking(None, ROBOT) as goals:
+        Robot(goals.running).is_at(1.5, 5.5)
         with held(WorkerProcess, 'solve'):
-            old, shares = goals.send(goal=request.goal), goals.client.send('get_plan', request)
+            old = goals.send(None, goal=request.goal)
+            shares = goals.client.send('get_plan', request)
             wait_until(lambda: len(submitted) == 2, 'both')
-            newest = goals.send()
+            newest = goals.send(None)
             assert goals.result(old)[0] == GoalStatus.STATUS_ABORTED
         assert goals.result(newest)[0] == GoalStatus.STATUS_SUCCEEDED
         wait_until(shares.done, 'the answer of get_plan')

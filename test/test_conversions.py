@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to arrays and back: round trips, exactness, what is refused, and serialised markers."""
+"""Messages to arrays and back: round trips, exactness, what is refused, messages from arrays."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from games import examples
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, PoseStamped, Vector3
 from hypothesis import given
 from hypothesis import strategies as st
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import FRAME, header, risk_grid
 from std_msgs.msg import ColorRGBA, Header
@@ -17,11 +20,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.errors import InvalidRiskMap
 from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros, pose_from_ros
-from ambush_planner.ros.cdr import marker_array
-from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
+from ambush_planner.recordings import cdr
+from ambush_planner.ros.conversions import SentPath, occupancy_to_ros, pose_to_ros, row_of
+from ambush_planner.ros.trip import Trip
 
 coordinates = st.floats(-1e6, 1e6)
-NO_COLOURS = np.empty((0, 4), dtype=np.float32)
 NAN, INF = math.nan, math.inf
 
 
@@ -48,15 +51,18 @@ def test_occupancy_round_trip():
 
 
 def test_path_keeps_both_ends_exactly():
-    start, goal = pose_to_ros(0.1, 0.2, 3.0), pose_to_ros(7.3, 0.4, -2.0)
+    start, goal = pose_to_ros(0.1, 0.2, 3.0), pose_to_ros(9.9, 9.9, -2.0)
     start.position.z, goal.position.z = 1.5, 2.5
+    trip = SimpleNamespace(map=SimpleNamespace(frame=FRAME), start_pose=SimpleNamespace(pose=start),
+                           goal_pose=SimpleNamespace(pose=goal))
     rows = np.array([[0.1, 0.2, 0.0], [3.0, 0.2, 0.5], [7.3, 0.4, 0.5]])
-    path = over_the_wire(path_to_ros(rows, start, goal, header()))
-    assert path.poses[0].pose == start
-    assert path.poses[-1].pose == goal
-    assert {stamped.header.frame_id for stamped in path.poses} == {FRAME}
-    rows[[0, -1], 2] = 3.0, -2.0
-    np.testing.assert_allclose(path_from_ros(path), rows, rtol=0, atol=1e-15)
+    for first in (0, 2):  # a robot at the goal gets a path of one pose
+        path = over_the_wire(Trip.path(trip, rows[first:], 5).message)
+        assert first == 2 or path.poses[0].pose == start
+        assert row_of(path.poses[-1].pose) == [7.3, 0.4, *row_of(goal)[2:]]
+        assert {stamped.header.frame_id for stamped in path.poses} == {FRAME}
+    np.testing.assert_allclose(path_from_ros(Trip.path(trip, rows, 5).message),
+                               [[0.1, 0.2, 3.0], rows[1], [7.3, 0.4, -2.0]], rtol=0, atol=1e-15)
 
 
 def spoiled(**changes):
@@ -102,53 +108,72 @@ def test_bad_map_is_refused_by_name_and_number(name):
         occupancy_from_ros(message)
 
 
-# Arrays of markers, which are written without objects.
+# Messages from whole arrays are those that rclpy writes, to the last byte of their length.
 
 
-def some_marker(frame='map', namespace='edges'):
-    """A marker with a value in every field before and after points and colours."""
-    marker = Marker(ns=namespace, id=7, type=Marker.LINE_LIST, frame_locked=True)
-    marker.header = Header(frame_id=frame, stamp=Time(sec=5, nanosec=6))
-    marker.pose.orientation.w = 1.0
-    marker.scale = Vector3(x=0.1, y=0.2, z=0.3)
-    marker.color = ColorRGBA(r=0.5, g=0.25, b=0.125, a=1.0)
-    marker.lifetime.sec = 3
-    marker.text, marker.mesh_resource = 'words', 'package://nowhere/mesh.dae'
-    marker.mesh_use_embedded_materials = True
-    return marker
+TYPES = {cdr.pose_stamped: PoseStamped, cdr.path: PathMessage, cdr.occupancy_grid: OccupancyGrid,
+         cdr.marker_array: MarkerArray}
+FRAMES = st.text(max_size=9).filter(lambda text: '\0' not in text)  # all paddings
 
 
-def plain_array(marker, points, colours):
-    """The message of ``marker_array``, made of objects."""
-    marker.points = [Point(x=x, y=y) for x, y in points.tolist()]
-    marker.colors = [ColorRGBA(r=r, g=g, b=b, a=a) for r, g, b, a in colours.tolist()]
-    return MarkerArray(markers=[marker])
+def read(write, *arguments):
+    """The message of rclpy that is written; its bytes have the length of rclpy's own."""
+    data = write(*arguments)
+    message = deserialize_message(data, TYPES[write])
+    # The padding's content may differ, its length may not.
+    assert len(data) == len(serialize_message(message))
+    return message
 
 
-def random_points(count, coloured=True):
+@examples(30)
+@given(FRAMES, st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 4))
+def test_poses_paths_and_grids_of_arrays(frame, stamp_ns, count):
     rng = np.random.default_rng(count)
-    colours = rng.random((count if coloured else 0, 4), dtype=np.float32)
-    return rng.normal(scale=1e4, size=(count, 2)), colours
+    poses = rng.normal(scale=1e4, size=(count + 1, 7))
+    sec, nanosec = divmod(stamp_ns, 10**9)
+    header = Header(frame_id=frame, stamp=Time(sec=sec, nanosec=nanosec))
+    stamped = read(cdr.pose_stamped, frame, stamp_ns, poses[0])
+    assert (stamped.header, row_of(stamped.pose)) == (header, poses[0].tolist())
+    path = read(cdr.path, frame, stamp_ns, poses[:count])
+    assert path.header == header and all(each.header == header for each in path.poses)
+    assert [row_of(each.pose) for each in path.poses] == poses[:count].tolist()
+    assert SentPath(frame, stamp_ns, poses[:count]).message == path
+    cells = rng.integers(-1, 101, (3, count + 1), dtype=np.int8)
+    grid = read(cdr.occupancy_grid, frame, stamp_ns, cells, 0.25, poses[0])
+    assert (grid.header, grid.info.map_load_time) == (header, header.stamp)
+    assert row_of(grid.info.origin) == poses[0].tolist() and grid.info.resolution == 0.25
+    assert np.array_equal(occupancy_cells(grid), cells)
+
+
+def occupancy_cells(grid):
+    return np.array(grid.data, np.int8).reshape(grid.info.height, grid.info.width)
 
 
 # All lengths modulo 8, and so all paddings before the points.
 @pytest.mark.parametrize('namespace', ['abcdefg'[:length] for length in range(8)])
 @pytest.mark.parametrize('frame', ['', 'map', 'karte_süd'])
-def test_the_same_message_as_from_objects(frame, namespace):
+def test_markers_of_arrays(frame, namespace):
     for count in (0, 1, 2, 300):
-        for coloured in (True, False):
-            points, colours = random_points(count, coloured)
-            serialised = marker_array(some_marker(frame, namespace), points, colours)
-            plain = plain_array(some_marker(frame, namespace), points, colours)
-            assert deserialize_message(serialised, MarkerArray) == plain
-            # The padding's content may differ, its length may not.
-            assert len(serialised) == len(serialize_message(plain))
+        rng = np.random.default_rng(count)
+        points = rng.normal(scale=1e4, size=(count, 2))
+        for colours in (rng.random((count, 4), dtype=np.float32), np.empty((0, 4), np.float32)):
+            (found,) = read(cdr.marker_array, frame, 5 * 10**9 + 6, namespace, cdr.LINE_LIST, -2.5,
+                            (0.1, 0.2, 0.3), (0.5, 0.25, 0.125, 1.0), points, colours).markers
+            plain = Marker(
+                header=Header(frame_id=frame, stamp=Time(sec=5, nanosec=6)), ns=namespace,
+                type=Marker.LINE_LIST, action=Marker.ADD if count else Marker.DELETE,
+                scale=Vector3(x=0.1, y=0.2, z=0.3),
+                color=ColorRGBA(r=0.5, g=0.25, b=0.125, a=1.0),
+                points=[Point(x=x, y=y) for x, y in points.tolist()],
+                colors=[ColorRGBA(r=r, g=g, b=b, a=a) for r, g, b, a in colours.tolist()])
+            plain.pose.position.z, plain.pose.orientation.w = -2.5, 1.0
+            assert found == plain
 
 
 def test_numbers_are_kept_bit_for_bit_in_any_memory_layout():
     points = np.array([[math.inf, -0.0], [math.nan, 5e-324], [-1.7e308, 1 / 3]])
     for array in (points, np.asfortranarray(points)):
-        serialised = marker_array(some_marker(), array, NO_COLOURS)
-        (marker,) = deserialize_message(serialised, MarkerArray).markers
+        (marker,) = read(cdr.marker_array, 'map', 0, 'a', cdr.SPHERE_LIST, 0.0, (0.0,) * 3,
+                         (0.0,) * 4, array, np.empty((0, 4), np.float32)).markers
         found = np.array([(point.x, point.y) for point in marker.points])
         assert found.tobytes() == points.tobytes()

@@ -14,8 +14,9 @@ import pyproj
 import rasterio
 
 from ambush_planner import InvalidRiskMap, RiskMap
+from ambush_planner.errors import InvalidCoordinates
 from ambush_planner.maps import OccupancyOptions
-from ambush_planner.maps.coordinates import Coordinates, InvalidCoordinates, degrees_polynomial
+from ambush_planner.maps.coordinates import Coordinates, degrees_polynomial
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map_file import in_local_frame, read_risk_map, write_geotiff

@@ -10,7 +10,7 @@ from commands import heard
 from rasters import write_geotiff
 from shapely.geometry import LineString, MultiPoint, Point, box
 
-from ambush_planner import AmbushPlannerError, AmbushPlannerWarning
+from ambush_planner import AmbushPlannerError, AmbushPlannerWarning, RiskMap
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_layers import risk_from_layers
 from ambush_planner.maps.track_file import read_tracks
@@ -54,7 +54,8 @@ AREA, STREETS = {'polygons': ''}, {'roads': ''}
     ([ROAD, RING], {**STREETS, 'forbidden': True}, {'highway': ['track', 'footway']},
      'forbidden ground must be whole; put lines that are no roads'),
     ([ROAD, None], {**STREETS, 'held': True}, {}, '1 without a geometry; held'),
-    ([ROAD], {**STREETS, 'passable': True}, {'waterway': ['river']}, 'lines are no roads'),
+    ([ROAD], {**STREETS, 'passable': True}, {'waterway': ['river']}, 'or --all-lines-are-roads'),
+    ([ROAD], {**STREETS, 'road_column': 'a=c'}, {'a': ['b']}, 'road_column .* of a has b 1'),
 ])
 def test_what_would_open_forbidden_or_held_ground_is_refused(shapes, layer, tags, words, tmp_path):
     with pytest.raises(AmbushPlannerError, match=words):
@@ -92,7 +93,7 @@ def test_incidents_from_csv_and_gpx(name, text, tmp_path):
     (tmp_path / name).write_text(text.format(*degrees, x, y))
     layers = {**GRID, 'layers': [{'incidents': name, 'bandwidth': 50}]}
     if ';' in text:
-        with pytest.raises(AmbushPlannerError, match='the columns x and y .* there are y;x'):
+        with pytest.raises(AmbushPlannerError, match='are separated by ";"'):
             risk_from_layers(layers, tmp_path)
         return
     found, said = heard(risk_from_layers, layers, tmp_path)
@@ -130,6 +131,7 @@ def test_a_datum_is_the_frame_of_the_grid(yaw, tmp_path):
 
 
 # Six days on one way, in tracks of one file; the times and positions of receivers.
+GROUND = RiskMap(np.ones((40, 40)), np.zeros((40, 40), bool), 10.0, (WEST, SOUTH, 0.0), CRS)
 DEGREES = Coordinates(CRS).to_lat_lon(np.stack((WEST + np.arange(0, 400, 20.0),
                                                 np.full(20, SOUTH + 9.0)), axis=1))
 
@@ -154,7 +156,7 @@ def gpx(begins, places=DEGREES, step=10):
 ])
 def test_times_that_say_nothing_are_ignored(begin, step, timed, tmp_path):
     (tmp_path / 'a.gpx').write_text(gpx([begin] * 6, step=step))
-    tracks, said = heard(read_tracks, str(tmp_path / 'a.gpx'), CRS)
+    tracks, said = heard(read_tracks, str(tmp_path / 'a.gpx'), GROUND)
     assert len(tracks) == 6 and all((each.times is not None) == timed for each in tracks)
     assert ('the times of 6 of 6 tracks are ignored' in said) == (not timed and begin is not None)
 
@@ -170,7 +172,7 @@ def test_positions_without_a_fix_are_counted(bad, tmp_path):
     rows = ''.join(f'{lat},{lon}\n' for lat, lon in places)
     (tmp_path / 'a.csv').write_text('lat,lon\n' + rows)
     for name in ('a.gpx', 'a.csv'):
-        (track,), said = heard(read_tracks, str(tmp_path / name), CRS)
+        (track,), said = heard(read_tracks, str(tmp_path / name), GROUND)
         assert len(track.xy) == 18 and '2 of 20 positions have no fix' in said
         assert len(said) < 300
 
@@ -180,16 +182,16 @@ def test_positions_without_a_fix_are_counted(bad, tmp_path):
     (lambda text: text[:-6], 20, 'ends early'), (lambda text: text[:-30], 19, 'ends early'),
     (lambda text: text[:600] + '\0\0' + text[602:], 8, 'damaged'),
     (lambda text: text + '\n<trk>', 20, 'damaged'), (lambda text: text[:30], 0, 'ends early'),
-    (lambda text: '', 0, 'ends early'), (lambda text: 'hello', 0, 'damaged'),
+    (lambda text: '', 0, 'an empty file'), (lambda text: 'hello', 0, 'damaged'),
     (lambda text: '<gpx></gpx>', 0, 'there is no track in it'),
 ])
 def test_files_that_end_early_are_read_up_to_there(cut, count, words, tmp_path):
     (tmp_path / 'a.gpx').write_text(cut(gpx([None])))
     if not count:
         with pytest.raises(AmbushPlannerError, match=words) as refused:
-            read_tracks(str(tmp_path / 'a.gpx'), CRS)
+            read_tracks(str(tmp_path / 'a.gpx'), GROUND)
         assert '\n' not in str(refused.value) and len(str(refused.value)) < 200
         return
     with pytest.warns(AmbushPlannerWarning, match=words):
-        (track,) = read_tracks(str(tmp_path / 'a.gpx'), CRS)
+        (track,) = read_tracks(str(tmp_path / 'a.gpx'), GROUND)
     assert count <= len(track.xy) <= count + 2

@@ -81,7 +81,7 @@ FEET = 0.3048
 def test_heights_in_other_units_are_converted(metres, declared, words, tmp_path):
     values, said = read(write(tmp_path / 'a.tif', HILLS / metres, **declared))
     if 'place' not in declared:  # else reprojected
-        np.testing.assert_allclose(values, HILLS, rtol=1e-9)
+        np.testing.assert_allclose(values, HILLS, rtol=1e-7)
     assert words in said and bool(words) == bool(said)
 
 
@@ -202,7 +202,7 @@ def test_files_are_known_by_their_content_and_others_name_the_formats(tmp_path):
     Image.fromarray(RISK).save(tmp_path / 'a.png')
     (tmp_path / 'a.txt').write_text('hello')
     for name, words in (('a.vrt', 'vsicurl.* is not here'), ('a.txt', 'a risk map is a .yaml'),
-                        ('a.png', 'not recognized')):
+                        ('a.png', 'no raster that is read')):
         with pytest.raises(AmbushPlannerError, match=words):
             read_risk_map(tmp_path / name)
     grid = '\n'.join(' '.join(map(str, row)) for row in RISK.tolist())

@@ -2,11 +2,14 @@
 """Changes of the map over DDS: the displayed plan is assessed, solved again, and departed on."""
 
 import re
+from contextlib import contextmanager
 
 import interfaces
 import numpy as np
 import pytest
 from nav_msgs.srv import GetPlan
+from rclpy.qos import QoSProfile
+from robots import Robot
 from ros_harness import (
     FLAT,
     GOAL,
@@ -25,6 +28,9 @@ from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.parameters import values as parameter_values
 from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.verify import Verifier
+from ambush_planner.ros import subscriptions
+from ambush_planner.ros.current_map import CurrentMap
+from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
 
 interfaces.install('map_msgs')
@@ -158,6 +164,72 @@ def test_a_background_solve_that_fails_says_nothing_of_another_plan(running, sub
     client.diagnostics(stale='no', departures='3')
 
 
+@contextmanager
+def maps_read_slowly(running):
+    """Hold up the thread that reads maps once it has begun; more arrives meanwhile."""
+    inputs = running.planner._dispatcher.inputs
+    with held(inputs, 'accept_map') as (reads, go_on):
+        running.client.publish('alpha_map', risk_grid(FLAT + 1))
+        wait_until(reads.is_set, 'a map')
+        yield
+        go_on.set()
+
+
+def waiting(running, count):
+    """Wait until as many messages wait for the thread that reads them."""
+    listening = running.planner._listening
+    wait_until(lambda: len(listening._unread['alpha_map']) == count, 'messages')
+
+
+@pytest.mark.parametrize('newest', ['map', 'update'])
+def test_maps_and_updates_count_in_the_order_in_which_they_were_sent(running, newest):
+    """rclpy hands over the map first, whichever was sent first."""
+    client = running.client
+    send = {'map': lambda: client.publish('alpha_map', risk_grid(FLAT)),
+            'update': lambda: update(client, 10, 0, WALL)}
+    first = 'update' if newest == 'map' else 'map'
+    with maps_read_slowly(running):
+        send[first]()
+        waiting(running, 1)
+        send[newest]()
+        waiting(running, 2)
+    wanted = FLAT.copy()
+    if newest == 'update':
+        wanted[:14, 10:11] = WALL
+    wait_until(lambda: np.array_equal(current_values(running), wanted), 'the newest cells')
+
+
+def test_updates_that_wait_are_taken_at_once(running, monkeypatch):
+    client, copies = running.client, []
+    copy = CurrentMap.updated
+    monkeypatch.setattr(CurrentMap, 'updated', lambda *given: (copies.append(1), copy(*given))[1])
+    wanted = FLAT + 1
+    with maps_read_slowly(running):
+        for number in range(100):
+            update(client, number % 20, number // 20, [[number]])
+            wanted[number // 20, number % 20] = number
+        waiting(running, 100)
+    wait_until(lambda: np.array_equal(current_values(running), wanted), 'all of them')
+    assert len(copies) == 1
+
+
+def test_updates_that_were_lost_are_said_until_the_next_whole_map(monkeypatch):
+    monkeypatch.setattr(subscriptions, 'UPDATES', QoSProfile(depth=5))
+    with stage() as running:
+        client = running.give(risk_grid(FLAT))
+        update(client, 0, 0, [[1]])
+        wait_until(lambda: current_values(running)[0, 0] == 1, 'the first update')
+        with held(FrameTransforms, 'receive') as (received, _):  # the thread that receives
+            Robot(running).moves_to(1.0, 1.0)
+            wait_until(received.is_set, 'a transform')
+            for number in range(20):
+                update(client, number, 0, [[number]])
+        wait_until(lambda: '15 messages on /alpha_map_updates were lost'
+                   in client.diagnostics()['message'], 'the warning')
+        client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: 'were lost' not in client.diagnostics()['message'], 'its end')
+
+
 @pytest.fixture(scope='module')
 def still():
     with stage() as running:
@@ -232,7 +304,7 @@ def test_a_first_plan_is_refined_while_its_departure_leaves(tmp_path, monkeypatc
         nodes = re.search(r'(\d+) nodes', client.call('replan').message)[1]
         assert int(nodes) > 100, 'not a first plan again'
     files = recorded(tmp_path, 2)
-    nodes = [len(read_departure(each).strategy.network.points) for each in files]
+    nodes = [len(read_departure(each).trip.legs[0].network.points) for each in files]
     assert nodes[0] < 70 and nodes[1] > 100
     verifier = Verifier()
     assert not any(verifier.verify(each).problems for each in files)

@@ -2,6 +2,7 @@
 """Pictures: the layers, and the figure of the demo."""
 
 import math
+import re
 from io import BytesIO
 
 import numpy as np
@@ -86,10 +87,14 @@ def test_the_scale_bar_is_far_from_start_and_goal(axes, start):
 
 
 def test_few_routes_are_numbered_and_many_are_not(axes):
-    routes = [np.array([(0.0, 0.0), (5.0, k), (10.0, 0.0)]) for k in range(9)]
+    routes = [np.array([(0.0, 0.0), (5.0, k), (10.0, 0.0)]) for k in range(21)]
     figures.draw_routes(axes, routes[:3])
     assert [text.get_text() for text in axes.texts] == ['1', '2', '3']
     assert len({line.get_color() for line in axes.lines}) == 3
+    twenty = Figure().subplots()
+    figures.draw_routes(twenty, routes[:20])
+    assert len(twenty.texts) == 20
+    assert len({(line.get_color(), line.get_linestyle()) for line in twenty.lines}) == 20
     many = Figure().subplots()
     figures.draw_routes(many, routes)
     assert not many.texts and {line.get_color() for line in many.lines} == {colours.ROUTES[0]}
@@ -103,3 +108,56 @@ def test_paths_on_one_road_are_stripes_and_a_crossing_is_none():
     first, second, third = stripes([road, branch, across])
     assert [over for _, over in first] == [1, 0] and [over for _, over in second] == [0]
     assert [len(piece) for piece, _ in first] == [51, 50] and len(third) == 1
+
+
+def test_a_picture_says_below_what_it_shows_and_a_scale_is_as_tall_as_its_map():
+    figure = Figure((5, 4), layout='compressed')
+    axes = figure.subplots()
+    risk_map = turned_map(0.0)
+    image = map_figures.draw_map(axes, risk_map)
+    map_figures.colour_bar(axes, image, map_figures.LOSS)
+    figure.legend(handles=[map_figures.OBSTACLE], loc='outside lower left')
+    assert map_figures.as_png(figure, 'a.png', ['m.tif', 'roads.osm']).startswith(b'\x89PNG')
+    (note,) = figure.texts
+    assert re.fullmatch(r'a\.png: m\.tif, roads\.osm; drawn \d{4}-\d\d-\d\d \d\d:\d\d',
+                        note.get_text())
+    bar, drawn = axes.child_axes[0].get_window_extent(), axes.get_window_extent()
+    assert (bar.y0, bar.y1) == pytest.approx((drawn.y0, drawn.y1)) and bar.x0 > drawn.x1
+    legend = figure.legends[0].get_window_extent()
+    assert note.get_window_extent().y1 < legend.y0, 'below everything'
+
+
+def test_impassable_ground_is_hatched_unless_it_is_a_lone_cell(axes):
+    """Two of the contours' parts: a square of cells, but not the single one."""
+    obstacles = np.zeros((20, 20), bool)
+    obstacles[2:8, 2:8] = obstacles[15, 15] = True
+    risk_map = RiskMap(np.ones((20, 20)), obstacles, 1.0)
+    map_figures.frame(axes, risk_map)
+    map_figures.draw_risk_map(axes, risk_map)
+    hatched = [each for each in axes.collections if getattr(each, 'hatches', None)]
+    assert [each.hatches for each in hatched] == [[map_figures.HATCH]]
+
+
+def test_the_risk_map_is_the_largest_panel_and_has_the_shapes_of_its_layers(tmp_path):
+    geopandas = pytest.importorskip('geopandas', reason='vector files need geopandas')
+    from shapely.geometry import LineString, Point
+
+    from ambush_planner.commands.risk_figure import layers_figure
+    from ambush_planner.maps.risk_layers import Layer
+
+    risk_map = RiskMap(np.ones((30, 40)), np.zeros((30, 40), bool), 10.0)
+    shapes = {'roads.gpkg': geopandas.GeoDataFrame(
+                  {'part': ['0.3 km']}, geometry=[LineString([(20, 20), (320, 120)])]),
+              'incidents.csv': geopandas.GeoSeries([Point(50, 60), Point(90, 200)])}
+    layers = [Layer(f'{name}: loss', np.ones((30, 40)), each) for name, each in shapes.items()]
+    figure = layers_figure(risk_map, layers)
+    figure.draw_without_rendering()
+    whole, *panels = (each for part in figure.subfigs for each in part.axes)
+    areas = [each.get_window_extent().width * each.get_window_extent().height
+             for each in (whole, *panels)]
+    assert len(panels) == 2 and areas[0] > 2.0 * max(areas[1:])
+    assert any(np.array_equal(line.get_xydata(), [(50, 60), (90, 200)]) for line in whole.lines)
+    assert any(np.array_equal(path.vertices, [(20, 20), (320, 120)])
+               for each in whole.collections for path in each.get_paths())
+    (legend,) = figure.subfigs[0].legends
+    assert [text.get_text() for text in legend.get_texts()] == [*shapes]

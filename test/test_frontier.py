@@ -2,6 +2,7 @@
 """The frontier of budgets: laws of its rows, and the command."""
 
 import csv
+from dataclasses import fields
 from functools import partial
 from itertools import pairwise
 
@@ -21,9 +22,9 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.commands import frontier as command
-from ambush_planner.commands.frontier import COLUMNS
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.operations.frontier import FrontierRow
 
 # Tolerance of entropies: a solve may leave some of the entropy and of the slack unused.
 ENTROPY = 0.02
@@ -99,7 +100,7 @@ def test_command_writes_table_and_picture(map_file, tmp_path):
     assert done.code == 0, done.err
     with (tmp_path / 'f.csv').open(newline='') as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
+    assert [*rows[0]] == [each.name for each in fields(FrontierRow)]
     assert [(row['swept'], row['max_detour'], row['risk_slack']) for row in rows] == [
         ('max_detour', '1.1', '0.01'), ('max_detour', '1.4', '0.01'), ('risk_slack', '1.2', '0.2'),
     ]

@@ -3,6 +3,8 @@
 
 import csv
 import json
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,16 +20,20 @@ from ambush_planner import (
     PlanningOptions,
     RiskMap,
     StrategyOptions,
+    TimeLimit,
     places_to_hold,
     plan_trip,
     solve,
 )
 from ambush_planner.commands import hold
+from ambush_planner.commands.hold_figure import hold_figure
 from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.maps.vector_file import InvalidFeatures
+from ambush_planner.maps.tables import InvalidFeatures
+from ambush_planner.planning import holding
+from ambush_planner.planning.solving import Ground
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
@@ -107,6 +113,29 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
             (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
 
 
+@pytest.mark.parametrize(('games', 'steps'), [(0, 0), (1, 1), (3, 1)])
+def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, steps):
+    """The clock ends it after some games; each has the time that is left of one limit."""
+    limits = []
+
+    class UntilThen(Ground):
+        def solve(self, networks, end, warm=None):
+            if len(limits) == games:
+                raise TimeLimit('the time is up')
+            limits.append(end - time.monotonic())
+            return super().solve(networks, end, warm)
+
+    monkeypatch.setattr(holding, 'Ground', UntilThen)
+    options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))
+    found = places_to_hold(yard, START, GOAL, RADIUS, 2, options)
+    assert not found.complete and len(found.steps) == steps
+    assert limits == sorted(limits, reverse=True) and max(limits, default=0.0) < 1000.0
+    values = [each.value for each in found.strategies]
+    assert values == sorted(values, reverse=True)
+    for step in found.steps:
+        assert step.strategy.value >= step.strategy.lower_bound > 0.0
+
+
 def test_no_candidate_that_the_bounds_rule_out_is_better(yard):
     (step,) = places_to_hold(yard, START, GOAL, RADIUS, 1, OPTIONS, candidates=CANDIDATES).steps
     assert step.candidates == len(CANDIDATES) > step.solved
@@ -174,7 +203,7 @@ def test_the_legend_of_a_square_map_ends_above_the_curve():
     unknown = blocked & (np.mgrid[:30, :30][0] > 20)
     risk_map = RiskMap(np.ones((30, 30)), blocked, 1.0, unknown=unknown)
     found = places_to_hold(risk_map, (3.0, 4.0), (27.0, 26.0), RADIUS, 1, OPTIONS)
-    figure = hold.hold_figure(found, RADIUS, risk_map)
+    figure = hold_figure(found, RADIUS, risk_map)
     figure.draw_without_rendering()
     legend = figure.axes[0].get_legend().get_texts()
     (curve,) = (axes for axes in figure.axes if 'places held' in axes.get_xlabel())

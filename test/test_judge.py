@@ -25,8 +25,8 @@ from ambush_planner.commands import judge as command
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.track_file import InvalidFeatures, Track, read_tracks
-from ambush_planner.planning.habits import MIN_DETOUR, find_trips, judge
-from ambush_planner.planning.path_mixtures import MAX_GAP
+from ambush_planner.operations.judge import MIN_DETOUR, find_trips, judge
+from ambush_planner.operations.path_mixtures import MAX_GAP
 
 # A driver with habits in docs/yard.yaml.
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
@@ -68,6 +68,9 @@ def ground(seed=0):
     obstacles = np.zeros((40, 60), dtype=bool)
     obstacles[14:26, 28:32] = True
     return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
+
+
+IN_UTM = replace(ground(), origin=(*ORIGIN, 0.0), crs=CRS)
 
 
 def tracks_of(lines, times=None):
@@ -135,7 +138,7 @@ def test_a_track_of_a_day_has_several_trips():
 ])
 def test_tracks_that_are_left_out_are_named_with_the_reason(tracks, reason):
     trips, left_out = find(tracks_of(tracks))
-    assert len(left_out) == 1 and left_out[0].startswith(reason)
+    assert len(left_out) == 1 and str(left_out[0]).startswith(reason)
     assert len(trips) == len(tracks) - 1
 
 
@@ -150,7 +153,8 @@ def test_times_tell_trips_apart():
     backwards = Track('e', LINE, np.insert(times[:-1], 5, 0.0))
     trips, left_out = find([first, convoy, again, other, backwards])
     assert [trip.name for trip in trips] == ['a', 'c', 'd']
-    assert left_out == ['b is the same trip as a', 'in e, time goes backwards after position 5']
+    assert [*map(str, left_out)] == ['b is the same trip as a',
+                                     'e goes back in time after position 5']
 
 
 def gpx_text(lines):
@@ -166,7 +170,7 @@ def gpx_text(lines):
 
 def write_tracks(path, lines):
     """Write lines in the coordinates of a map in ``CRS`` as the suffix says."""
-    if path.suffix == '.gpx':
+    if path.suffix.lower() == '.gpx':
         path.write_text(gpx_text(lines))
     elif path.suffix == '.csv':
         degrees = [Coordinates(CRS).to_lat_lon(line) for line in lines]
@@ -183,7 +187,7 @@ def write_tracks(path, lines):
 def test_tracks_are_read_as_they_were_written(suffix, tmp_path):
     lines = [line + ORIGIN for line in habit(1)[-2:]]
     write_tracks(tmp_path / f'a.{suffix}', lines)
-    tracks = read_tracks(str(tmp_path / f'a.{suffix}'), CRS)
+    tracks = read_tracks(str(tmp_path / f'a.{suffix}'), IN_UTM)
     assert [track.name for track in tracks] == [f'track {k} of a.{suffix}' for k in (1, 2)]
     for track, line in zip(tracks, lines, strict=True):
         np.testing.assert_allclose(track.xy, line, atol=1e-3, rtol=0.0)
@@ -193,29 +197,31 @@ def test_tracks_are_read_as_they_were_written(suffix, tmp_path):
 def test_times_are_read(tmp_path):
     (tmp_path / 'a.csv').write_text('x,y,time\n1,2,2026-01-01T00:00:10Z\n3,4,2026-01-01 00:00:12\n')
     (tmp_path / 'b.csv').write_text('x,y,time\n1,2,1.7e9\n3,4,1700000002.5\n')
-    ((a,), (b,)) = (read_tracks(str(tmp_path / f'{name}.csv'), None) for name in 'ab')
-    assert np.diff(a.times) == 2.0 and b.times.tolist() == [1.7e9, 1.7e9 + 2.5]
+    (a,) = read_tracks(str(tmp_path / 'a.csv'), ground())
+    assert np.diff(a.times) == 2.0
+    with pytest.raises(InvalidFeatures, match=r"time has '1.7e9': dates must be ISO 8601"):
+        read_tracks(str(tmp_path / 'b.csv'), ground())
     text = gpx_text([LINE[:2] + ORIGIN]).replace('</trkpt>', '<time>2026-01-01T00:00:10Z</time>'
                                                  '</trkpt>').replace('/>', '></trkpt>')
     (tmp_path / 'c.gpx').write_text(text)
-    assert read_tracks(str(tmp_path / 'c.gpx'), CRS)[0].times is None  # they are equal
+    assert read_tracks(str(tmp_path / 'c.gpx'), IN_UTM)[0].times is None  # they are equal
     (tmp_path / 'c.gpx').write_text(text.replace('10Z', '12Z', 1))
-    assert read_tracks(str(tmp_path / 'c.gpx'), CRS)[0].times.tolist() == [*a.times[::-1]]
+    assert read_tracks(str(tmp_path / 'c.gpx'), IN_UTM)[0].times.tolist() == [*a.times[::-1]]
 
 
 @pytest.mark.parametrize(('name', 'text', 'reason'), [
     ('a.gpx', gpx_text([]), 'there is no track in it'), ('a.gpx', 'no', 'a.gpx'),
     ('a.gpx', None, 'No such file'), ('a.geojson', None, 'no such file'),
-    ('a.csv', '', 'No columns'), ('a.csv', 'x,y\n', 'there is no track in it'),
+    ('a.csv', '', 'an empty file'), ('a.csv', 'x,y\n', 'there is no track in it'),
     ('a.csv', 'x,z\n1,2\n', 'the columns x and y .* there are x, z'),
-    ('a.csv', 'x,y\n1,\n2,b\n', 'there is no track in it'),
+    ('a.csv', 'x,y\n1,\n2,b\n', "no row has numbers of a position, .* y has ''"),
     ('a.csv', 'lat,lon\n1,2\n', 'coordinate system of the map is unknown'),
 ])
 def test_unusable_files_are_refused(name, text, reason, tmp_path):
     if text is not None:
         (tmp_path / name).write_text(text)
     with pytest.raises((InvalidFeatures, OSError), match=reason):
-        read_tracks(str(tmp_path / name), CRS if name == 'a.gpx' else None)
+        read_tracks(str(tmp_path / name), IN_UTM if name == 'a.gpx' else ground())
 
 
 PLACES = ('--start', *START, '--goal', *GOAL)
@@ -268,6 +274,29 @@ def test_recordings_are_judged(tmp_path):
                'network.refine=0')
     assert done.code == 0, done.err
     assert done.out.startswith('3 trips within')
+
+
+def test_a_folder_is_judged_and_each_reason_is_one_line(tmp_path):
+    write_ground(tmp_path, origin=(*ORIGIN, 0.0), crs=CRS)
+    folder = tmp_path / 'old tracks'
+    (folder / 'may').mkdir(parents=True)
+    there, back = [line + ORIGIN for line in habit(1)], [LINE[::-1] + ORIGIN + k for k in range(3)]
+    write_tracks(folder / 'a.GPX', there[:4])
+    write_tracks(folder / 'may' / 'b.gpx', [*there[4:], *back])
+    write_tracks(folder / 'c.csv', [LINE[[0, -1]] + ORIGIN])
+    (folder / 'notes.txt').write_text('left alone')
+    places = '--start', *(ORIGIN + START), '--goal', *(ORIGIN + GOAL)
+    done = run(tmp_path, folder, *places, *QUICK)
+    assert done.code == 0, done.err
+    said = [' '.join(each.split()) for each in done.out.replace('\n  ', ' ').splitlines()]
+    assert said[:3] == [
+        '9 trips within 2.6 m of start and goal',
+        'left out: track 1 of c.csv has a jump of 52.17 m, more than 31.2 m',
+        'left out: 2 tracks, such as track 6 of b.gpx, which leads from the goal to the start: the '
+        'return trip is planned separately']
+    (tmp_path / 'empty').mkdir()
+    done = run(tmp_path, tmp_path / 'empty', *places, *QUICK)
+    assert done.code == 3 and 'no .gpx, .csv or .mcap file in this folder' in done.err
 
 
 def test_tracks_without_a_trip_are_named(tmp_path):

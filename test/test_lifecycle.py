@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
+import warnings
+from collections import Counter
 from unittest.mock import Mock
 
 import interfaces
@@ -9,6 +11,7 @@ from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
+from rclpy.service import Service
 from ros_harness import GOAL, LATCHED, LONG, START, recorded, stage, threads, wait_until
 from waiting import TIMEOUT, answer_of, held
 
@@ -59,6 +62,24 @@ def start(running):
     manager = Manager(running.client)
     manager.go(configure='inactive', activate='active')
     return manager
+
+
+def test_answers_are_sent_again_to_a_client_that_is_not_known_yet(monkeypatch):
+    """As rclpy warns when the middleware has discovered only half of a client that calls."""
+    send, tries = Service.send_response, Counter()
+
+    def late(service, response, header):
+        tries[service.srv_name] += 1
+        if tries[service.srv_name] % 3:
+            warnings.warn('failed to send response (timeout): client', RuntimeWarning, stacklevel=1)
+        else:
+            send(service, response, header)
+
+    monkeypatch.setattr(Service, 'send_response', late)
+    with stage(parameters=WAITING) as running:
+        start(running)
+        assert 'no risk map' in running.client.call('new_route').message
+    assert {'change_state', 'new_route'} <= {name.rpartition('/')[2] for name in tries}
 
 
 def test_without_autostart_it_waits_and_refuses_in_each_state():
@@ -204,7 +225,7 @@ def test_a_recording_that_fails_after_cleanup_says_nothing_of_the_next_configura
 
 
 @pytest.mark.parametrize('method, transition', [
-    ('set_active', 'deactivate'), ('stop_solving', 'cleanup')])
+    ('_deactivate', 'deactivate'), ('stop', 'cleanup')])
 def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):
     def broken(*_):
         raise AmbushPlannerError('no good')
@@ -215,9 +236,10 @@ def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method
         if transition == 'cleanup':
             manager.go(deactivate='inactive')
         with monkeypatch.context() as patch:
-            patch.setattr(type(dispatcher), method, broken)
+            patch.setattr(type(running.planner if transition == 'deactivate' else dispatcher),
+                          method, broken)
             assert not manager.change(transition)
-        if method == 'stop_solving':
+        if method == 'stop':
             dispatcher.close()
         assert manager.state == 'unconfigured'
         assert 'no good' in client.diagnostics(state='unconfigured')['message']
@@ -240,5 +262,10 @@ def test_a_manager_hears_the_heartbeat_of_an_active_node():
             assert heard[0].heartbeat_timeout == 4.0
             manager.go(deactivate='inactive')
             wait_until(lambda: not heard[-1].active, 'the end')
+            count = len(heard)
+            manager.go(activate='active')
+            wait_until(lambda: len(heard) > count and heard[-1].active, 'heartbeats again')
+            running.planner.stop_solving(Mock())
+            wait_until(lambda: not heard[-1].active, 'the end of the node')
     finally:
         interfaces.uninstall('bond')

@@ -69,7 +69,7 @@ def test_everything_else_answers_during_a_solve(submitted):
         client.diagnostics(departures='2', state='solving')
         assert not any(each.done() for each in waiting)
         assert client.call('cancel').success
-        assert {answer(each).message for each in waiting} == {'the solve was cancelled'}
+        assert {answer(each).message for each in waiting} == {'the request was cancelled'}
         client.diagnostics(code='CANCELLED', state='ready')
 
 

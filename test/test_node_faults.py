@@ -7,13 +7,16 @@ import subprocess
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from nav_msgs.srv import GetPlan
 from recording_samples import read_with_rosbags
-from ros_harness import GOAL, START, free_domain, risk_grid, stage, wait_until
+from robots import ROBOT, Robot
+from ros_harness import FLAT, GOAL, START, free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
 from waiting import TIMEOUT, held, stderr_in
 
+from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
@@ -115,24 +118,121 @@ def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
     assert not left.exists() and recordings(tmp_path) == [path]
 
 
+def disk_is_idle(running):
+    (recordings,) = running.planner._recordings
+    wait_until(lambda: not recordings._unwritten, 'the disk')
+
+
+@contextmanager
+def hung_disk(running, monkeypatch, patience):
+    """A disk that counts as hung after this time [s]; yields what sets it going again."""
+    disk_is_idle(running)
+    monkeypatch.setattr(recordings_module, '_MAX_WAIT', patience)
+    with held(durable.os, 'fsync') as (_, go_on):
+        yield go_on
+
+
 def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
     with stage(tmp_path / 'runs') as running:
         client = running.give()
         departs(client)
-        wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
-        wait_until(lambda: not running.planner._recordings[0]._unwritten, 'the disk')
-        with held(durable.os, 'fsync') as (stuck, _):
-            departs(client)
-            assert stuck.wait(TIMEOUT)
-            for _ in range(5):  # the last one waits in vain, and goes without a recording
+        with hung_disk(running, monkeypatch, 0.5):
+            for _ in range(10):  # the last ones go without a recording
                 departs(client)
-            report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
-            assert 'the disk does not respond' in report['message']
-            # Nobody waits any more: this would not be answered in time.
-            monkeypatch.setattr(recordings_module, '_MAX_WAIT', 10 * TIMEOUT)
-            for _ in range(5):
-                departs(client)
+            client.diagnostics(code='RECORDING_FAILED', recording='failed')
+            for words in ('4 departures wait for it', 'has not responded for 1 s'):
+                wait_until(lambda words=words: words in client.diagnostics()['message'], words)
+        disk_is_idle(running)
+        wait_until(lambda: 'has not responded' not in client.diagnostics()['message'], 'its end')
     assert len(recordings(tmp_path)) == 5, 'what could wait was written in the end'
+
+
+def wall(column):
+    """A map with a wall that leaves a way round in the north."""
+    values = FLAT.copy()
+    values[:17, column] = 100
+    return values
+
+
+def assert_clear(path, values):
+    """No pose of a dense path is in an obstacle."""
+    cells = np.floor(path_from_ros(path)[:, :2] / 0.5).astype(int)
+    assert not (values[cells[:, 1], cells[:, 0]] == 100).any()
+
+
+DENSE = {'route.path_spacing': 0.05, 'replan.tolerance': 1e9}
+
+
+def test_a_departure_that_waits_for_the_disk_is_drawn_after_the_wait(tmp_path, monkeypatch):
+    """On the map and from the place of then; a robot on its way waits for nobody's recording."""
+    with stage(tmp_path / 'runs', {**ROBOT, **DENSE}) as running:
+        client, robot = running.client, Robot(running)
+        robot.is_at(1.5, 5.5)
+        running.know(FLAT)
+        here = pose(0.0, 0.0, frame='base_link')
+        whole = path_from_ros(client.get_plan(here, GOAL))
+        with hung_disk(running, monkeypatch, 10 * TIMEOUT) as go_on:
+            for _ in range(4):
+                departs(client)
+            request = GetPlan.Request(start=START, goal=GOAL)
+            waits = client.send('get_plan', request)
+            robot.is_at(*whole[len(whole) // 3, :2])
+            rest = client.get_plan(here, GOAL)
+            assert len(rest.poses) > 1 and not waits.done(), 'answered at once'
+            running.know(wall(10))
+            assert not waits.done()
+            go_on.set()
+            wait_until(waits.done, 'the answer')
+        assert waits.result().plan.poses
+        assert_clear(waits.result().plan, wall(10))
+
+
+def test_a_path_that_a_new_map_blocks_while_it_is_recorded_does_not_leave(tmp_path):
+    with stage(tmp_path / 'runs', {'recording.required': True, **DENSE}) as running:
+        client = running.give(risk_grid(FLAT))
+        with held(durable.os, 'fsync') as (stuck, _):
+            answer = client.send('get_plan', GetPlan.Request(start=START, goal=GOAL))
+            wait_until(stuck.is_set, 'the recording')
+            running.know(wall(10))
+        wait_until(answer.done, 'the answer')
+        assert_clear(answer.result().plan, wall(10))
+        client.diagnostics(departures='2')  # the first one has not left
+        assert len(client.received['path']) == 1 == len(recordings(tmp_path))
+
+
+def test_a_required_recording_that_hangs_is_refused_and_said(tmp_path, monkeypatch):
+    with stage(tmp_path / 'runs', {'recording.required': True}) as running:
+        client = running.give()
+        assert client.call('new_route').success
+        with hung_disk(running, monkeypatch, 0.5):
+            for _ in range(2):  # the second one at once
+                answer = client.call('new_route')
+                assert not answer.success and 'the disk does not respond' in answer.message
+            client.diagnostics(code='RECORDING_FAILED', recording='failed')
+            wait_until(lambda: 'has not responded' in client.diagnostics()['message'], 'the disk')
+        disk_is_idle(running)
+        assert client.call('new_route').success
+        assert len(client.received['path']) == 2 == len(recordings(tmp_path))
+
+
+@pytest.mark.parametrize('how, words', [('cancel', 'was cancelled'), ('deactivate', 'inactive')])
+def test_a_required_recording_that_hangs_is_ended(tmp_path, monkeypatch, how, words):
+    with stage(tmp_path / 'runs', {'recording.required': True}) as running:
+        client = running.give()
+        assert client.call('new_route').success
+        with hung_disk(running, monkeypatch, 10 * TIMEOUT):
+            waiting = [client.send('new_route') for _ in range(6)]  # two wait for room in the queue
+            dispatcher = running.planner._dispatcher
+            wait_until(lambda: len(dispatcher._aside) == 2, 'all of them')
+            if how == 'cancel':
+                assert client.call('cancel').message == '6 departures no longer wait for the disk'
+            else:
+                running.planner.trigger_deactivate()
+            wait_until(lambda: all(each.done() for each in waiting), 'the answers')
+            assert all(words in each.result().message for each in waiting)
+        disk_is_idle(running)
+        assert len(client.received['path']) == 1
+        wait_until(lambda: len(recordings(tmp_path)) == 1, 'the end of the other file')
 
 
 def test_all_departures_are_recorded_when_the_node_ends(tmp_path):

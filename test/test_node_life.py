@@ -5,11 +5,12 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_harness import (
     Client,
     free_domain,
@@ -95,7 +96,7 @@ def test_clear_routes_that_exceed_the_length_budget_are_a_warning():
 
 @pytest.mark.parametrize('worth, warned', [(0.9996, True), (0.54, False)])
 def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned):
-    plan = SimpleNamespace(strategy=SimpleNamespace(value=0.504))
+    plan = SimpleNamespace(value=0.504)
     last = SimpleNamespace(number=1, id='x', assessment=Assessment(worth, 0.5, 1.0, 10.0),
                            tight_turns=0, held=SimpleNamespace(plan=plan),
                            trip=SimpleNamespace(parameters=SimpleNamespace(
@@ -105,22 +106,28 @@ def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned
     assert ('0.9996, its plan had 0.504' in reported.message) is warned
 
 
-@pytest.mark.parametrize('topic', ['alpha_map', 'costmap'])
-def test_warns_of_a_volatile_map_as_long_as_it_is_published(topic):
+VOLATILE, BEST_EFFORT = (QoSProfile(depth=1, reliability=each) for each in (
+    ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT))
+
+
+@pytest.mark.parametrize('topic, kind, qos', [
+    ('alpha_map', OccupancyGrid, VOLATILE), ('costmap', OccupancyGrid, VOLATILE),
+    ('goal_pose', PoseStamped, BEST_EFFORT)])
+def test_warns_of_what_does_not_arrive_as_long_as_it_is_published(topic, kind, qos):
     with stage(parameters={'map.costmap': topic == 'costmap'}) as running:
         client = running.client
         # Of its own and not spun, so that it can be destroyed at any time.
         other = Node('mapper', context=client.node.context)
-        other.create_publisher(OccupancyGrid, topic, QoSProfile(depth=1))
+        other.create_publisher(kind, topic, qos)
 
         def message():
             return client.diagnostics(state='waiting')['message']
 
-        words = f'/mapper publishes /{topic} with volatile durability'
+        words = f'/mapper publishes /{topic}, from where nothing arrives'
         wait_until(lambda: words in message(), 'a warning')
         assert client.diagnostics(state='waiting')['level'] == b'\1'
         other.destroy_node()
-        wait_until(lambda: 'volatile' not in message(), 'no warning')
+        wait_until(lambda: 'mapper' not in message(), 'no warning')
 
 
 def test_a_missing_highspy_is_information_and_no_warning(tmp_path, monkeypatch):

@@ -37,14 +37,30 @@ def test_a_plan_that_gives_way_to_others_is_freed(monkeypatch, no_collection):
 def test_the_maps_of_earlier_diversions_are_freed(no_collection):
     with stage(parameters={**ROBOT, 'replan.tolerance': 1e9, 'seed': 1}) as running:
         drive = Drive(running)
-        trips = running.planner._dispatcher._departures.trips
         drive.begin()
         rest, maps = drive.ask('continued'), []
         for paths in (2, 3, 4):
             rest = diverted(drive, rest, 0.2, paths)
-            maps.append(ref(trips._trips[0].departure.trip.map))
+            maps.append(ref(running.planner._dispatcher.inputs.map))
         wait_until(lambda: maps[0]() is None, 'the map being freed')
         assert maps[-1]() is not None
+
+
+def test_trips_keep_neither_plans_nor_maps(monkeypatch, no_collection):
+    monkeypatch.setattr(plan_cache, '_MAX_PLANS', 1)
+    with stage(parameters=ROBOT) as running:
+        maps, values = [], FLAT.copy()
+        for number in range(5):
+            values[0, 0] = number
+            robot = Drive(running, f'robot_{number}')
+            robot.robot.is_at(1.5, 2.5 + number)
+            running.know(values)
+            goal = pose(8.5, 2.5 + number)
+            robot.ask('new', goal)
+            maps.append(ref(running.planner._dispatcher.inputs.map))
+        wait_until(lambda: all(each() is None for each in maps[:-1]), 'the maps being freed')
+        assert len(running.planner._dispatcher._departures.trips._trips) == 5
+        robot.ask('continued', goal)
 
 
 def test_what_kept_plans_know_of_earlier_maps_is_freed(no_collection):

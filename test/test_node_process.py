@@ -103,14 +103,14 @@ def test_departures_and_a_clean_exit(tmp_path):
 # Sends a signal at every call that the handler of another signal makes.
 NESTED = """
 import signal, sys
-from ambush_planner.ros.planner_node import noted_signals
+from ambush_planner.ros.program import noted_signals
 came, depth = noted_signals(), []
 def at_call(frame, event, _):
     if event == 'call' and len(depth) < 20:
         depth.append(frame)
-        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
 sys.setprofile(at_call)
-signal.raise_signal(signal.SIGINT)
+signal.raise_signal(signal.SIGTERM)
 sys.setprofile(None)
 print(sorted(set(came)))
 """
@@ -122,6 +122,30 @@ def test_a_signal_may_interrupt_the_handler_of_another():
     assert done.stdout == f'{[signal.SIGINT.value, signal.SIGTERM.value]}\n'
 
 
+# Says when signals are noted, and then hangs.
+HANGS = """
+import sys
+from ambush_planner.ros.program import noted_signals
+came = noted_signals()
+print('noted', flush=True)
+while True:
+    sys.stdin.read(1)
+    print(came, flush=True)
+"""
+
+
+def test_a_second_sigterm_ends_a_process_that_hangs():
+    with subprocess.Popen([sys.executable, '-c', HANGS], text=True, stdin=subprocess.PIPE,
+                          stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == 'noted\n'
+        for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM):
+            process.send_signal(number)
+        process.stdin.write('x')
+        process.stdin.flush()
+        assert '15' in process.stdout.readline(), 'it goes on'
+        assert exit_code(process, signal.SIGTERM) == -signal.SIGTERM
+
+
 def other_heaps(pid):
     """The heaps of glibc besides the main one: 64 MB, of which the end is not in use yet."""
     maps = [re.match(r'(\w+)-(\w+) (\S+)', line).groups()
@@ -131,7 +155,8 @@ def other_heaps(pid):
             and other == (one[1], one[0] + 2**26, '---p')]
 
 
-def test_a_node_has_one_heap_and_other_users_cannot_read_its_shared_memory(tmp_path, monkeypatch):
+def test_a_node_has_one_heap_no_core_dump_and_shared_memory_that_others_cannot_read(
+        tmp_path, monkeypatch):
     monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE')  # which switches it off
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     with free_domain() as domain, node_process(domain, tmp_path) as process:
@@ -139,6 +164,8 @@ def test_a_node_has_one_heap_and_other_users_cannot_read_its_shared_memory(tmp_p
         (own,) = segments(process.pid)
         assert stat.S_IMODE(own.stat().st_mode) == 0o600
         assert other_heaps(process.pid) == []
+        limits = Path(f'/proc/{process.pid}/limits').read_text()
+        assert re.search(r'^Max core file size +0 ', limits, re.MULTILINE), 'it would hold routes'
         assert exit_code(process, signal.SIGINT) == 0
     assert not own.exists()
 
@@ -187,7 +214,7 @@ STARTS = """
 import sys
 from ambush_planner.ros.planner_node import main
 for arguments in sys.stdin:
-    print('exit code', main(['--ros-args', *arguments.split()]), file=sys.stderr)
+    print('exit code', main(['--ros-args', *arguments.split()], []), file=sys.stderr)
 """
 
 

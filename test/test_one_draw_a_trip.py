@@ -2,8 +2,11 @@
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json
+import math
+from contextlib import contextmanager
 from importlib import import_module
 from itertools import pairwise
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from nav_msgs.srv import GetPlan
 from robots import ROBOT, Robot
 from ros_harness import FLAT, GOAL, pose, recorded, risk_grid, stage, wait_until
 from test_compute_path import Goals
-from waiting import answer_of, held
+from waiting import TIMEOUT, answer_of, held
 
 from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -22,7 +25,7 @@ from ambush_planner.recordings import durable_files, read_departures
 from ambush_planner.recordings.recorded_departures import together
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import departures
-from ambush_planner.ros.dispatcher import Dispatcher
+from ambush_planner.ros import recordings as recordings_module
 from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
@@ -101,9 +104,12 @@ def test_a_trip_that_is_continued_is_one_departure(tmp_path):
     assert not any(Verifier().verify(file).problems for file in files)
 
 
+@contextmanager
 def slow_disk():
     """A disk that does not answer until the second of the yielded events is set."""
-    return held(durable_files.os, 'fsync')
+    with (mock.patch.object(recordings_module, '_MAX_WAIT', 10 * TIMEOUT),
+          held(durable_files.os, 'fsync') as events):
+        yield events
 
 
 def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(tmp_path):
@@ -115,11 +121,11 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(tm
             answers = [client.send('get_plan', request) for _ in range(5)]
             wait_until(asked.is_set, 'a recording')
             answers.append(client.send('get_plan', request))
-            client.call('cancel')  # answered after it, on the same executor
+            assert not client.get_plan(pose(math.nan, 0.0), GOAL).poses, 'answered after it'
             assert not client.received['path'] and not any(each.done() for each in answers)
             drive.robot.is_at(3.0, 7.5)  # on another path
             answers.append(client.send('get_plan', request))
-            client.call('cancel')
+            assert not client.get_plan(pose(math.nan, 0.0), GOAL).poses, 'answered after it'
             go_on.set()
             wait_until(lambda: all(each.done() for each in answers), 'the answers')
         drawn, *rests = [path_from_ros(each.result().plan) for each in answers]
@@ -138,7 +144,6 @@ def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(tmp_path):
             first = goals.send(start=None)
             wait_until(asked.is_set, 'a recording')
             second = goals.send(start=None, goal=pose(8.5, 2.0))
-            wait_until(lambda: len(running.planner._recordings[0]._unwritten) == 2, 'the other')
             go_on.set()
         for goal in (first, second):
             assert goals.result(goal)[0] == GoalStatus.STATUS_SUCCEEDED
@@ -195,22 +200,6 @@ def test_a_goal_that_is_looked_up_ends_no_trip(drive):
     drive.departures(5)
 
 
-def test_the_plan_for_a_new_goal_is_solved_before_the_robot_asks(drive, submitted):
-    whole = drive.begin()
-    drive.robot.is_at(*whole[3, :2])
-    drive.client.publish('goal_pose', pose(8.5, 1.5))
-    wait_until(lambda: len(set(submitted)) == 2, 'a solve')
-    assert tuple(drive.ask('new', pose(8.5, 1.5))[-1, :2]) == (8.5, 1.5)
-    assert len(set(submitted)) == 2
-    drive.client.publish('goal_pose', GOAL)  # it is on its way there
-    drive.ask('continued')
-    assert len(set(submitted)) == 2
-    drive.client.publish('goal_pose', pose(99.0, 1.5))
-    wait_until(lambda: len(set(submitted)) == 3, 'a solve')
-    drive.ask('continued')
-    drive.client.diagnostics(code='NONE', state='ready')  # whoever asks gets the reason
-
-
 def diverted(drive, whole, share, paths):
     """The rest of the path (L, 3), once an obstacle has come up halfway along what remains."""
     at = int(share * len(whole))
@@ -251,13 +240,13 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
     assert together(verdicts) == ([], [])
     found = read_departures(files, pytest.fail)
     assert [each.metadata.departure for each in found] == [1, 2, 3, 4, 5]
-    driven, network = found[0], found[0].drawn_from.network
+    driven, leg = found[0], found[0].drawn_from.legs[0]
     assert [len(each.parts) for each in found] == [3, 1, 1, 1, 1]
     parts = [whole[:int(0.25 * len(whole)) + 1], once[:int(0.3 * len(once)) + 1], twice]
     np.testing.assert_allclose(driven.path_poses[:, :2], np.vstack(parts)[:, :2], atol=1e-9)
-    chances = dict(zip(map(tuple, network.edges.tolist()),
-                       driven.drawn_from.edge_probability.tolist(), strict=True))
-    assert all(chances[step] > 0.0 for step in pairwise(driven.route.tolist()))
+    chances = dict(zip(map(tuple, leg.network.edges.tolist()),
+                       leg.edge_probability.tolist(), strict=True))
+    assert all(chances[step] > 0.0 for step in pairwise(driven.route[0].tolist()))
     seen = json.loads(run_here(audit, tmp_path, '--json').out)
     assert (seen['departures'], seen['impossible']) == (5, 0)
     assert [each for each in seen['findings'] if BY_CHANCE not in each] == []
@@ -310,11 +299,12 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         client.publish('start_pose', HERE)
         client.publish('goal_pose', GOAL)
         client.call_until('replan', lambda answer: answer.success)
+        drive.ask('continued')
         drive.robot.is_at(1.5, 5.0)  # off its path, within the plan's tolerance
         wanted = pose(8.5, 5.5, 1.0)
         client.publish('goal_pose', wanted)
         inputs, solves = running.planner._dispatcher.inputs, len(submitted)
-        wait_until(lambda: inputs.goal.message == wanted, 'the goal')
+        wait_until(lambda: inputs.goal == wanted, 'the goal')
         client.get_plan(HERE, GOAL)
         assert len(submitted) == solves, 'a plan for it is kept'
         drive.robot.is_at(0.5, 5.5)
@@ -370,60 +360,33 @@ class Tour(Drive):
         result = self.goals.result(handle)[1]
         return path_from_ros(result.path), result.error_msg
 
-    def undecided(self):
-        return self.running.planner._dispatcher._undecided
-
 
 def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end():
-    """The last requests of Nav2's trees still name stops; who asks at once for a tour waits."""
+    """The last requests of Nav2's trees still name stops."""
     with stage(parameters=ROBOT) as running:
         tour = Tour(running, pose(5.0, 8.0), GOAL)
         whole, _ = tour.take(tour.send())
         for at in (len(whole) // 4, len(whole) // 2, 3 * len(whole) // 4):
             tour.robot.is_at(*whole[at, :2])
             assert tour.take(tour.send())[1] == 'departure 1 continued'
-        tour.robot.is_at(8.3, 5.5)
-        last = tour.send()
-        wait_until(tour.undecided, 'the request being kept')
-        tour.robot.is_at(8.45, 5.5)  # the controller ends, and with it the tree
-        assert tour.goals.cancel(last) == 1
-        tour.departures(1)
-        again = tour.send()
-        wait_until(lambda: tour.robot.moves_to(8.45, 5.5) or not tour.undecided(), 'standing')
-        path, said = tour.take(again)
-        assert said == '' and tuple(path[0, :2]) == (8.45, 5.5)
+        tour.robot.is_at(7.95, 5.9)
+        assert tour.take(tour.send())[1] == 'departure 1 continued', 'it still drives'
+        (trip,) = running.planner._dispatcher._departures.trips._trips
+        wait_until(lambda: tour.robot.moves_to(7.95, 5.9) or trip.track.arrived, 'standing')
+        path, said = tour.take(tour.send())
+        assert 'continued' not in said and tuple(path[0, :2]) == (7.95, 5.9)
         tour.departures(2)
 
 
-@pytest.mark.parametrize('required', [False, True])
-def test_a_tour_that_ends_where_it_begins_is_recorded_once_it_has_begun(tmp_path, required):
-    """Nav2's controllers can take the robot to be at the end at once."""
-    parameters = {**ROBOT, 'recording.required': required}
-    with stage(tmp_path, parameters=parameters) as running:
+def test_a_tour_that_ends_where_it_begins_is_one_departure(tmp_path):
+    """Nav2's controllers can take the robot to be at the end at once, and its trees ask again."""
+    with stage(tmp_path, parameters=ROBOT) as running:
         tour = Tour(running, pose(5.0, 8.0), pose(1.6, 5.5))
         whole, _ = tour.take(tour.send())
         assert np.array_equal(tour.take(tour.send())[0][1:], whole[1:]), 'the same tour'
         tour.departures(1)
-        assert len(list(tmp_path.rglob('*.mcap'))) == required
-        tour.robot.is_at(*whole[len(whole) // 3, :2])
         (file,) = recorded(tmp_path, 1)
     assert Verifier().verify(file).problems == []
-
-
-def test_a_tour_is_recorded_before_it_is_forgotten(tmp_path, monkeypatch):
-    monkeypatch.setattr(Dispatcher, 'follow', lambda _: None)  # as within its first second
-    with stage(tmp_path, parameters=ROBOT) as running:
-        tour = Tour(running, pose(5.0, 8.0), pose(1.6, 5.5))
-        for number in (1, 2):
-            whole, _ = tour.take(tour.send())
-            tour.robot.is_at(*whole[len(whole) // 3, :2])
-            if number == 1:
-                running.client.publish('goal_pose', tour.poses[-1])
-                running.client.call_until('new_route', lambda answer: answer.success)
-                recorded(tmp_path, 2)
-                tour.robot.is_at(1.5, 5.5)
-        tour.departures(3)
-    assert not any(Verifier().verify(file).problems for file in recorded(tmp_path, 3))
 
 
 def test_a_path_that_comes_back_past_the_robot_is_looked_at_from_where_it_is_now():

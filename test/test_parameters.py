@@ -2,6 +2,7 @@
 """Parameters: described, ranged, checked as a set, and set in any order."""
 
 import math
+import os
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ import yaml
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
-from waiting import answer_of
+from test_roads import nav2_graph
+from waiting import answer_of, held, wait_until
 
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
@@ -19,6 +21,7 @@ from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.parameters.table import PARAMETERS
 from ambush_planner.parameters.values import parameters_from
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
+from ambush_planner.ros import parameter_changes
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
@@ -66,11 +69,15 @@ def test_defaults_are_the_cores_own():
 
 
 @pytest.mark.parametrize('values, words', [
-    ({'map__alpha_max': 1e10}, 'map.alpha_max must be 0 or in 1e-09..1e+09'),
+    ({'map__alpha_min': 1e-10}, 'map.alpha_min must be 0 or in 1e-09..1e+09'),
+    ({'game__ambush_radius': 5e-324}, 'game.ambush_radius must be 0 or in 0.001..1e+06 [m]'),
+    ({'game__ambush_radius': 1e308}, 'Max: 1000000'),
+    ({'map__crs': 'xxx'}, "map.crs: not a coordinate system: 'xxx'"),
+    ({'map__crs': 'datum 41.0 nan 0.0'}, 'map.crs: a datum is'),
     ({'map__obstacle_threshold': 102}, 'Max: 101'),
     ({'map__obstacle_threshold': 50.0}, 'Wrong parameter type'),
     ({'network__method': 'hexagons'}, 'network.method must be one of uniform_delaunay'),
-    ({'network__spacing': math.inf}, 'network.spacing must be finite'),
+    ({'network__spacing': math.inf}, 'out of range'),
     ({'network__clearance': math.nan}, 'out of range'),
     ({'route__tube': -0.5}, 'route.tube must be finite and >= 0'),
     ({'route__tracking_error': 0.2, 'game__ambush_radius': 0.0}, 'game.ambush_radius must be'),
@@ -180,3 +187,28 @@ def test_contradicting_parameters_are_reported_and_requests_refused():
         assert answer.successful and answer.reason == ''
         assert client.call('new_route').success
         assert 'contradict' not in client.diagnostics(departures='1')['message']
+
+
+def test_a_file_with_roads_is_read_while_the_node_goes_on(tmp_path):
+    file, pipe = tmp_path / 'graph.geojson', tmp_path / 'pipe'
+    file.write_text(nav2_graph([(0, 1), (1, 0), (1, 2), (2, 1), (0, 3), (3, 2)]))
+    os.mkfifo(pipe)
+    with stage() as running:
+        client, planner = running.give(start=(1.0, 1.0), goal=(9.0, 1.0)), running.planner
+        assert 'is not a regular file' in change(planner, network__graph=str(pipe)).reason
+        assert 'No such file' in change(planner, network__graph=str(tmp_path / 'none.gpkg')).reason
+        with held(parameter_changes, 'read_roads') as (reads, _):
+            answer = change(planner, network__graph=str(file), network__method='graph')
+            assert answer.successful and 'is being read' in answer.reason
+            wait_until(reads.is_set, 'the reading')
+            assert 'is being read' in client.call('new_route').message
+            client.last('/diagnostics', len(client.received['/diagnostics']) + 2)
+            client.diagnostics(code='INVALID_OPTION')
+        assert client.call_until('new_route', lambda answer: answer.success)
+        client.diagnostics(state='ready', code='NONE', departures='1')
+        file.write_text('no roads')
+        assert change(planner, network__node_crossings=True).successful
+        words = 'network.graph: '
+        wait_until(lambda: words in client.call('new_route').message, words)
+        assert change(planner, network__method='uniform_delaunay').successful
+        assert client.call('new_route').success

@@ -298,7 +298,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
 @pytest.mark.parametrize(('arguments', 'code', 'reason'), [
     (('--start', '36.5,-84.2'), 2, '36.5,-84.2 is a latitude and longitude, but the coordinate '
                                    'system of the map is unknown'),
-    (('--start', 5000, 5), 2, r'start \(5000.000, 5.000\) is outside the map'),
+    (('--start', 5000, 5), 2, 'start 5000 5 is outside the map'),
     (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 2, r'36.6,-84.2 is outside .*\(latitude'),
     (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 2, 'the unit of a map must be the metre'),
     (('--crs', 'EPSG:99'), 2, "not a coordinate system: 'EPSG:99'"),
@@ -307,7 +307,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--set', 'game.ambush_radius=far'), 2, "--reach must be a number, got 'far'"),
     (('-o', 'r.gpx'), 2, 'GPX holds latitude and longitude, but'),
     (('-o', 'r.shp'), 2, 'suffix must be one of .plan, .gpkg'),
-    (('--start', 'here'), 2, r"--start: must be X Y .*LAT,LON .*MGRS.* got 'here'"),
+    (('--start', 'here'), 2, r'--start: must be X Y .*LAT,LON .*MGRS.* got here'),
     (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
     (('--routes', 0), 2, 'must be a number from 1 to 100'),
     (('--routes', 3), 2, r'\(--reach\) must be over 0: paths are judged by what'),
@@ -323,7 +323,9 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--reach', -3), 2, '--reach must be'),
     (('--set', 'network.spacing=-1'), 2, '--set network.spacing must be'),
     (('--set', 'network.graph=a.gpkg'), 2, 'no effect without .*network.method=graph'),
-    (('--node-crossings',), 2, 'no effect without .*network.method=graph'),
+    (('--node-crossings',), 2, '--node-crossings has no effect without roads'),
+    (('--two-way',), 2, '--two-way has no effect without roads'),
+    (('--reach', '0,5km'), 2, "--reach must be a number, with a decimal point, got '0,5km'"),
     (('--set', 'network.join_distance=9'), 2, 'no effect without .*network.method=graph'),
     (('--slope-limit', 0.5), 2, '--slope-limit goes with --terrain'),
     (('--weapon-range', 90), 2, '--weapon-range goes with --terrain'),

@@ -60,12 +60,3 @@ def test_plans_that_a_node_cannot_draw_from_are_refused(tmp_path):
         file.write_bytes(plan_bytes(saved_plan(plan)) if plan else b'no plan')
         with pytest.raises(InvalidOption, match=words):
             read_plan_for_node(str(file))
-
-
-def test_a_plan_with_an_option_that_the_node_does_not_take_is_refused(tmp_path):
-    options = PlanningOptions(network=replace(plain_options(spacing=3.0), refine=25))
-    file = tmp_path / 'week.plan'
-    file.write_bytes(plan_bytes(saved_plan(plan_trip(ground(), START, GOAL, options))))
-    with pytest.raises(InvalidOption, match='week.plan: .*network.refine'):
-        with stage(parameters={'plan': str(file)}):
-            pass

@@ -199,5 +199,5 @@ def test_help_is_printed_and_a_stray_argument_is_an_error(capsys):
         check_arguments(['--ros-args', '-p', 'seed:=1', '--', '-h'])
     assert ended.value.code == 0 and 'usage: ros2 run' in capsys.readouterr().out
     with pytest.raises(SystemExit) as ended:
-        main(['--params-file', 'my.yaml'])
+        main(['--params-file', 'my.yaml'], [])
     assert ended.value.code == 2 and '--params-file my.yaml' in capsys.readouterr().err

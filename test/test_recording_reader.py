@@ -1,29 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
+import hashlib
+import json
+import os
 import shutil
 import struct
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from io import BytesIO
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from audit_samples import departure, drawn, record, sample_plan
 from commands import NO_ROS
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger
 from games import plain_options
 from geometry_msgs.msg import PoseArray
+from mcap import records
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
-from recording_samples import file_of, recorded, small_departure
+from recording_samples import file_of, metadata_entries, recorded, small_departure
 
 from ambush_planner import PlanningOptions, StrategyOptions, plan_trip
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.operations.slots import Slots
 from ambush_planner.recordings import (
     UnreadableRecording,
     read_departure,
@@ -32,8 +41,12 @@ from ambush_planner.recordings import (
     recordings_in,
     source_findings,
 )
+from ambush_planner.recordings.bag_folder import listed_in
+from ambush_planner.recordings.encoding import encode
+from ambush_planner.recordings.metadata import InvalidEntry, typed
+from ambush_planner.recordings.plan_file import digest_of
 from ambush_planner.recordings.recorded_departure import ground_of
-from ambush_planner.recordings.recording_file import FORMAT, decode
+from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode
 
 VERIFY = NO_ROS + """
 from ambush_planner.commands import cli
@@ -138,12 +151,12 @@ def test_a_summary_that_misleads_other_readers_is_damage(tmp_path):
             read_recording(path)
 
 
-def other_bag(name):
+def other_bag(name, **entries):
     """A bag of another program with one message and perhaps a metadata record."""
     stream = BytesIO()
     writer = Writer(stream)
     writer.start(profile='ros2')
-    writer.add_metadata(name, {'format': FORMAT}) if name else None
+    writer.add_metadata(name, {'format': FORMAT, **entries}) if name else None
     schema = writer.register_schema('std_msgs/msg/Header', 'ros2msg', b'string frame_id')
     writer.add_message(writer.register_channel('/a', 'cdr', schema), 1, b'', 1)
     writer.finish()
@@ -169,14 +182,83 @@ def test_files_of_others(tmp_path, change, words):
         read_recording(path)
 
 
+def test_what_unpacks_to_more_than_the_memory_is_refused_before_it_does(tmp_path, monkeypatch):
+    """Also where the parts are small, and where a chunk states less than it holds."""
+    zeros, arrays = bytes(10**8), BytesIO()
+    np.savez_compressed(arrays, **{f'a{k}': np.zeros(10**6) for k in range(8)})
+    monkeypatch.setattr('ambush_planner.recordings.recording_errors.MAX_BYTES', 10**7)
+    sent = small_departure()
+    noise = recorded('/noise', PoseArray())
+    bombs = [
+        *(encode([*sent, replace(noise, data=zeros)], metadata_entries(), {}, compression)
+          for compression in ('zstd', 'lz4')),
+        encode(sent, metadata_entries(), {'a.npz': arrays.getvalue()}, 'none'),
+        *(chunk_of(compression, pack(zeros), stated) for stated in (2 * 10**8, 1000)
+          for compression, pack in (('zstd', zstandard.compress), ('lz4', lz4.frame.compress)))]
+    del zeros
+    assert max(map(len, bombs)) < 10**6
+    for data in bombs:
+        path = tmp_path / 'x.mcap'
+        path.write_bytes(data)
+        tracemalloc.start()
+        with pytest.raises(UnreadableRecording, match='bytes of memory|damaged'):
+            read_recording(path)
+        assert tracemalloc.get_traced_memory()[1] < 10**7
+        tracemalloc.stop()
+
+
+def chunk_of(compression, data, stated):
+    """A file with one chunk, which states its size."""
+    builder = RecordBuilder()
+    for each in (records.Header('ros2', ''), records.Chunk(compression, data, 1, 1, 0, stated),
+                 records.DataEnd(0), records.Footer(0, 0, 0)):
+        each.write(builder)
+    return MAGIC + builder.end() + MAGIC
+
+
+def test_a_list_of_files_by_others_is_read_in_no_time(tmp_path):
+    aliases = ['a0: &a0 [x, x, x, x, x, x, x, x, x]', *(
+        f'a{k}: &a{k} [{", ".join([f"*a{k - 1}"] * 9)}]' for k in range(1, 12))]
+    for text in ('\n'.join(aliases), '[' * 10**5, 'null', '[1]', '{"a": 1}',
+                 '{"rosbag2_bagfile_information": {"relative_file_paths": 3}}'):
+        (tmp_path / 'metadata.yaml').write_text(text)
+        assert listed_in(tmp_path) == []
+    named = {'relative_file_paths': ['a.mcap', [['b']], 3]}
+    (tmp_path / 'metadata.yaml').write_text(json.dumps({'rosbag2_bagfile_information': named}))
+    assert listed_in(tmp_path) == ['a.mcap']
+
+
+def test_a_large_source_of_a_plan_is_hashed_in_blocks(tmp_path):
+    with (tmp_path / 'dem.tif').open('wb') as file:
+        file.truncate(10**8)
+    tracemalloc.start()
+    found = digest_of(tmp_path / 'dem.tif')
+    assert tracemalloc.get_traced_memory()[1] < 10**7
+    tracemalloc.stop()
+    assert found == hashlib.sha256(bytes(10**8)).hexdigest()
+
+
 def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch):
-    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '5')
+    monkeypatch.setattr('ambush_planner.recordings.encoding.FORMAT', '5')
     data = file_of(small_departure())
     monkeypatch.undo()
     path = tmp_path / 'x.mcap'
     path.write_bytes(data)
     with pytest.raises(UnreadableRecording, match=f"'5'.*'{FORMAT}'"):
         read_recording(path)
+
+
+def a_day(**changes):
+    return {'date': '2026-12-01', 'slot': '', 'slot_drawn': False, 'few_route': None, **changes}
+
+
+@pytest.mark.parametrize(('times', 'shares', 'window'), [
+    ([], [], 1), (['08:00'], [], 1), (['08:00'], [0.9], 1), (['08:00', '09:00'], [1.5, -0.5], 1),
+    (['08:00'], [1.0], 0), (['8 am'], [1.0], 1)])
+def test_slots_that_are_none_are_refused(times, shares, window):
+    slots = {'times': times, 'shares': shares, 'window': window, 'value': 1.0, 'lower_bound': 1.0}
+    with pytest.raises(InvalidOption):
+        typed(slots, Slots, 'slots')
 
 
 @pytest.mark.parametrize(('spoil', 'words'), [
@@ -194,6 +276,10 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
     (lambda f: f.entries.update(route_entropy_source=[0.5]), 'departure: route_entropy_source is'),
     (lambda f: f.entries.update(ends=[[1.0, 2.0]]), 'departure: ends is not of the type tuple'),
     (lambda f: f.entries['trip'].update(start=[float('nan'), 0.0]), 'departure: start is not'),
+    (lambda f: f.entries['call'].update(request_ns=10**30), 'departure: request_ns is out of ra'),
+    (lambda f: f.entries.update(departure=-2**64), 'departure: departure is out of range'),
+    (lambda f: f.entries.update(day=a_day(date='2026-13-01')), 'departure: a date or time is not'),
+    (lambda f: f.entries.update(day=a_day(slot='25:00')), 'departure: a date or time is not of'),
     (lambda f: f.entries.update(joined='no'), 'departure: joined is not of the type bool'),
     (lambda f: f.entries.update(diversion={'number': 1}), 'departure: left is missing'),
     (lambda f: f.entries.update(topics={'path': '/path'}), 'departure: missing'),
@@ -230,7 +316,10 @@ def test_routes_that_are_still_clear_may_cost_less_than_the_bound_within_the_bud
 
 
 def test_what_is_no_file(tmp_path):
-    for path, words in ((tmp_path / 'none', 'No such file'), (tmp_path, 'Is a directory')):
+    os.mkfifo(tmp_path / 'pipe')
+    (tmp_path / 'deep').write_bytes(other_bag('ambush_planner', call='[' * 10**5))
+    for path, words in ((tmp_path / 'none', 'No such file'), (tmp_path, 'Is a directory'),
+                        (tmp_path / 'pipe', 'neither a file'), (tmp_path / 'deep', 'Recursion')):
         with pytest.raises(UnreadableRecording, match=words):
             read_recording(path)
     with pytest.raises(UnreadableRecording, match='no .mcap file in this folder'):

@@ -148,7 +148,7 @@ def test_a_file_that_would_fill_the_memory_is_refused_and_no_other_arrays_are_re
     stream = BytesIO()
     np.savez_compressed(stream, points=np.zeros(10**6), other=np.zeros(10**6), alpha=np.ones(3))
     assert stream.tell() < 10**5
-    with pytest.raises(ValueError, match=r'points would take 8e\+06 bytes'):
+    with pytest.raises(ValueError, match=r'arrays would take 8e\+06 bytes'):
         strategy_from_file(stream.getvalue(), GameOptions())
     stream.seek(0)
     assert arrays.arrays_in(stream, ('alpha', 'absent')).keys() == {'alpha'}

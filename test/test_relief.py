@@ -3,9 +3,11 @@
 
 import numpy as np
 import pytest
+from commands import heard
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import label
 
 from ambush_planner.maps import (
     Elevation,
@@ -16,7 +18,7 @@ from ambush_planner.maps import (
     relative_depth,
     slope,
 )
-from ambush_planner.maps.relief import disc_rectangles
+from ambush_planner.maps.relief import barriers, disc_rectangles
 
 
 def plane(rows, columns, north, east):
@@ -78,12 +80,65 @@ def test_wide_roads_have_no_holes_on_finer_cells():
 
 
 @pytest.mark.parametrize(('rows', 'corner', 'crs'), [
-    (50, (0.0, 0.0), 'EPSG:32616'), (60, (0.0, 50.0), 'EPSG:32616'), (60, (0.0, 0.0), 'EPSG:32617'),
+    (50, None, 'EPSG:32616'), (60, (0.0, 600.0), 'EPSG:32616'), (60, (0.0, 0.0), 'EPSG:32617'),
+    (60, (0.0, 0.0), None),
 ])
 def test_rejects_roads_that_cover_another_area(rows, corner, crs):
-    elevation = Elevation(np.zeros((60, 50)), 10.0, crs='EPSG:32616')
-    with pytest.raises(InvalidTerrain, match='same area'):
+    elevation = Elevation(np.zeros((60, 50)), 10.0, (0.0, 0.0), 'EPSG:32616')
+    with pytest.raises(InvalidTerrain, match='same area|the roads are in'):
         mask_from_raster(Raster(np.zeros((rows, 50)), 10.0, 10.0, corner, crs), elevation)
+
+
+@examples(20)
+@given(st.integers(-20, 50), st.integers(-18, 40), st.integers(1, 4), st.booleans())
+def test_roads_lie_where_their_corner_says(down, left, ratio, known):
+    """Each road is a cell at a place of the world, also if its raster begins elsewhere."""
+    crs, step = 'EPSG:32616' if known else None, 12.0 / ratio
+    roads = np.zeros((100, 80))
+    rows, columns = np.random.default_rng(ratio).integers(0, 80, (2, 60))
+    roads[rows, columns] = 1
+    elevation = Elevation(np.zeros((60, 50)), 12.0, (100.0, 200.0), crs)
+    corner = 100.0 + 12.0 * left, 200.0 + 12.0 * down
+    mask, said = heard(mask_from_raster, Raster(roads, step, step, corner, crs), elevation)
+    expected = np.zeros((220, 220), bool)
+    expected[rows // ratio + down + 60, columns // ratio + left + 60] = True
+    np.testing.assert_array_equal(mask, expected[60:120, 60:110])
+    inside = [0 >= at and at + count // ratio >= size
+              for at, count, size in ((down, 100, 60), (left, 80, 50))]
+    assert ('lies beyond the area of the roads' in said) == (not all(inside))
+
+
+@examples(40)
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 0.6), st.floats(1.05, 9.0))
+def test_a_way_over_cells_is_a_way_over_the_finer_cells_in_them(seed, steep, ratio):
+    """One connected part of the raster's ground reaches all larger cells that are connected."""
+    rng = np.random.default_rng(seed)
+    walls = rng.random((40, 50)) < steep / 4
+    for row, column, length in rng.integers(0, (40, 50, 30), (5, 3)):
+        walls[row, column: column + length] = walls[row: row + length, column] = True
+    heights = np.where(walls, 100.0, 0.0)
+    raster = Raster(heights.astype(np.float32), 1.0, 1.0)
+    cells = elevation_from_raster(raster, ratio)
+    free = ~barriers(raster, cells, 9.0)
+    passable = slope(elevation_from_raster(raster)) <= 9.0
+    row, column = ((np.arange(count) + 0.5) / ratio for count in heights.shape)
+    row, column = (each[each < count].astype(int)
+                   for each, count in zip((row, column), free.shape, strict=True))
+    fine = label(passable[:len(row), :len(column)])[0]
+    part, box = (each[np.ix_(row, column)]
+                 for each in (label(free)[0], np.arange(free.size).reshape(free.shape)))
+    for k in range(1, part.max() + 1):
+        within = np.unique(np.stack((fine, box))[:, (part == k) & (fine > 0)], axis=1)
+        assert np.bincount(within[0]).max() == len(np.unique(box[part == k]))
+
+
+def test_gaps_in_walls_stay_open_and_boulders_block_nothing():
+    heights = np.zeros((60, 60), np.float32)
+    heights[21:24, :25] = heights[21:24, 38:] = heights[5, 5] = heights[51, 30] = 9.0
+    raster = Raster(heights, 1.0, 1.0)
+    found = barriers(raster, elevation_from_raster(raster, 10.0), 0.5)
+    assert found.sum(axis=1).tolist() == [0, 0, 4, 0, 0, 0] and not found[2, 2:4].any()
+    assert not barriers(raster, elevation_from_raster(raster, 0.7), 0.5).any()
 
 
 @examples(20)

@@ -2,10 +2,12 @@
 """Recordings of a real node go out again over DDS."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import accumulate
@@ -13,6 +15,7 @@ from itertools import accumulate
 import pytest
 from commands import run_here
 from forging import GET_PLAN, NEW_ROUTE, Forger
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
@@ -23,6 +26,7 @@ from waiting import TIMEOUT, wait_until
 from ambush_planner.commands import replay
 from ambush_planner.commands.replay import _message_class, qos_from_yaml
 from ambush_planner.recordings import read_departure, read_recording
+from ambush_planner.recordings.schemas import definitions
 
 # The command, which finds who listens on a slow machine, too.
 COMMAND = f"""
@@ -37,8 +41,8 @@ PADDING = 3
 
 @pytest.fixture(scope='module')
 def slow(files, tmp_path_factory):
-    """A departure whose ten messages are 0.1 s apart."""
-    return paced(files[NEW_ROUTE], [0.1] * 9, tmp_path_factory.mktemp('slow') / 'slow.mcap')
+    """A departure whose nine messages are 0.1 s apart."""
+    return paced(files[NEW_ROUTE], [0.1] * 8, tmp_path_factory.mktemp('slow') / 'slow.mcap')
 
 
 def paced(path, pauses, target):
@@ -181,7 +185,7 @@ def test_listeners_get_the_same_bytes_in_order_and_latched_topics_until_sigint(s
         assert process.wait(TIMEOUT) == 0
         said = process.stderr.read()
     assert 'nobody listens' not in said and 'Traceback' not in said
-    assert 'slow.mcap: 10 messages' in said
+    assert 'slow.mcap: 9 messages' in said
 
 
 def test_a_signal_ends_it_cleanly_before_anybody_listens(slow):
@@ -207,6 +211,36 @@ def test_another_planner_is_fed(files):
         ends = client.last('path').poses[0], client.last('path').poses[-1]
     recorded = read_departure(files[which]).metadata.ends
     assert [(each.pose.position.x, each.pose.position.y) for each in ends] == [*recorded]
+
+
+FOREIGN = (
+    ({'type': 'antigravity/msg/Any'}, 'x.mcap would publish antigravity/msg/Any on /path'),
+    ({'topic': '/cmd_vel', 'type': 'geometry_msgs/msg/Twist'}, 'Twist on /cmd_vel'),
+    ({'topic': '/plan'}, 'nav_msgs/msg/Path on /plan'),
+    ({'type': 'geometry_msgs/msg/PoseStamped'}, 'PoseStamped on /path'),
+    ({'topic': '/rosout', 'type': 'diagnostic_msgs/msg/DiagnosticArray'}, 'Array on /rosout'),
+    ({'topic': '/x/markers', 'type': 'visualization_msgs/msg/MarkerArray'}, 'on /x/markers'),
+    ({'topic': '/\x1b[2J'}, r'on /\x1b[2J'),
+    ({'qos': '[{history: 1}]'}, '/path cannot be published'),
+    ({'qos': 'x'}, '/path cannot be published'))
+
+
+def test_what_recordings_do_not_hold_is_refused_and_nothing_is_published(
+        slow, tmp_path, monkeypatch):
+    shutil.copy(slow, tmp_path / 'a.mcap')
+    path_text = definitions()['nav_msgs/msg/Path']
+    monkeypatch.setattr('ambush_planner.recordings.encoding.definitions',
+                        lambda: defaultdict(lambda: path_text, definitions()))
+    with listener() as (found, domain):
+        found.listen('/goal_pose', PoseStamped, 1)
+        for change, words in FOREIGN:
+            forger = Forger(slow)
+            forger.messages = [replace(each, **change) if each.topic == '/path' else each
+                               for each in forger.messages]
+            forger.save(tmp_path / 'x.mcap')
+            code, said = replayed(domain, tmp_path)
+            assert (code, found.count()) == (2, 0) and words in said, said
+    assert 'antigravity' not in sys.modules
 
 
 def test_wrong_usage(slow):

@@ -53,8 +53,9 @@ def town():
                         .reshape(-1, 2).tolist() + [each[-1].tolist()]) for each in streets]
     lines.append(LineString([place[0, 0], (560.0, 610.0), place[11, 11]]))
     speeds = [30.0] * 24 + [90.0]
-    return geopandas.GeoDataFrame({'oneway': [*one_way, None], 'speed_kph': speeds},
-                                  geometry=lines, crs=CRS)
+    return geopandas.GeoDataFrame({
+        'highway': 'tertiary', 'oneway': [*one_way, None], 'speed_kph': speeds}, geometry=lines,
+        crs=CRS)
 
 
 @pytest.fixture(scope='module')
@@ -197,8 +198,8 @@ def test_a_graph_of_nav2_route(tmp_path):
 
 
 def lines(*coordinates, crs=CRS, **attributes):
-    return geopandas.GeoDataFrame(attributes or None, geometry=list(map(LineString, coordinates)),
-                                  crs=crs)
+    return geopandas.GeoDataFrame({'highway': ['road'] * len(coordinates), **attributes},
+                                  geometry=list(map(LineString, coordinates)), crs=crs)
 
 
 STREET = [(10.0, 10.0), (90.0, 10.0)]
@@ -249,11 +250,19 @@ def test_a_node_logs_what_its_road_file_leaves_open(tmp_path):
     """Roads that cross without a shared vertex, once for each time that the file is read."""
     ros, waiting = map(pytest.importorskip, ('ros_harness', 'waiting'))
     file = tmp_path / 'roads.gpkg'
-    lines([(1.0, 5.0), (9.0, 5.0)], [(5.0, 1.0), (5.0, 9.0)], crs=None).to_file(file)
-    parameters = {'network.method': 'graph', 'network.graph': str(file)}
+    rows = lines([(1.0, 5.0), (9.0, 5.0)], [(5.0, 1.0), (5.0, 9.0)], crs=None)
+    rows.rename(columns={'highway': 'klasse'}).to_file(file)
+    parameters = {'network.method': 'graph', 'network.graph': str(file),
+                  'network.road_column': 'klasse=road', 'network.two_way': True}
     with waiting.stderr_in(tmp_path / 'log') as said, ros.stage(parameters=parameters) as running:
-        assert said().count('[WARN]') == 1 and 'roads cross' in said()
+        assert said().count('[WARN]') == 2 and 'roads cross' in said()
+        assert 'its coordinate system is unknown' in said()
         running.use({'network.node_crossings': True})
+        # What is possible with other parameters is, whatever the present ones are.
+        running.use({'network.graph': f'{file}|layername=roads'})
+        changed = [ros.Parameter(f'network.{name}', value=value)
+                   for name, value in (('road_column', ''), ('all_lines_are_roads', True))]
+        assert running.planner.set_parameters_atomically(changed).successful
 
 
 def test_a_robot_on_roads_departs_on_a_plan_although_tf_is_noisy(tmp_path, submitted):

@@ -13,8 +13,8 @@ from commands import NO_ROS, run_python
 import ambush_planner
 
 PACKAGE = Path(ambush_planner.__file__).parent
-ROOMS = ('maps', 'network', 'game', 'routes', 'planning', 'parameters', 'worker', 'recordings',
-         'ros', 'commands')
+ROOMS = ('maps', 'network', 'game', 'routes', 'planning', 'operations', 'parameters', 'worker',
+         'recordings', 'ros', 'commands')
 FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).rglob('*.py'))
 # Everything before the worker needs only these; map files also need a YAML reader.
 CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}

@@ -3,6 +3,7 @@
 
 import json
 import re
+import shlex
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -26,10 +27,12 @@ from ambush_planner import (
     solve,
     solve_many,
 )
-from ambush_planner.commands import plan
+from ambush_planner.commands import hold, plan
 from ambush_planner.commands.inputs import as_typed
+from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.planning.concerns import concerns, wide_gap
+from ambush_planner.planning.one_place import find_one_place
 from ambush_planner.planning.options import DriveOptions
 
 START, GOAL = (10.0, 50.0), (190.0, 50.0)
@@ -103,7 +106,60 @@ def test_a_passage_far_from_the_ends_is_named():
     made = plan_trip(RiskMap(np.ones(wall.shape), wall, 5.0), START, GOAL, PlanningOptions(
         network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=10.0)))
     (text,) = concerns(made)
-    assert 'hits every route' in text and 'hold' not in text
+    assert 'one place hits every route, at (1' in text and 'detour' not in text
+    assert text.endswith('What helps: hold places on the way (ambush hold finds them), choose '
+                         'another start or goal')
+
+
+def gate(at, rows=(9, 11)):
+    """Open ground with a wall at a column, and a gate in it."""
+    wall = np.zeros((20, 40), bool)
+    wall[:, at] = True
+    wall[slice(*rows), at] = False
+    return RiskMap(np.ones(wall.shape), wall, 5.0)
+
+
+@pytest.mark.parametrize('at', [5, 8, 33])
+def test_the_secured_area_that_is_proposed_helps(at):
+    """A gate near the start or the goal: with that radius, no place hits every route any more."""
+    options = PlanningOptions(network=plain_options(spacing=10.0), game=GameOptions(
+        ambush_radius=10.0, secured_radius=10.0))
+    made = plan_trip(gate(at), START, GOAL, options)
+    (text,) = concerns(made)
+    found = re.search(r'secure \d+ m around start and goal \(game.secured_radius=(\d+)\), hold',
+                      text)
+    x, y = map(float, re.search(r', at \((.*?)\), ', text)[1].split(', '))
+    assert np.hypot(x - 5.0 * at, y - 50.0) < 25.0
+    better = plan_trip(gate(at), START, GOAL, replace(options, game=replace(
+        options.game, secured_radius=float(found[1]))))
+    assert better.value < 0.8 * made.value and not find_one_place(better)
+
+
+def test_a_way_around_is_proposed_if_it_helps():
+    """On the shortest ways only, all pass the gate; the other one is 1.2 times as long."""
+    wall = gate(20, (0, 2)).obstacles & gate(20, (9, 11)).obstacles
+    made = plan_trip(RiskMap(np.ones(wall.shape), wall, 5.0), START, GOAL, PlanningOptions(
+        network=plain_options(spacing=5.0), game=GameOptions(ambush_radius=10.0),
+        strategy=StrategyOptions(max_detour=1.0)))
+    (text,) = concerns(made)
+    assert re.search(r'or drive around it \(strategy.max_detour=1\.[12]\)$', text), text
+
+
+def test_the_command_writes_the_place_as_asked_and_the_call_of_hold(tmp_path):
+    pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
+    area = replace(gate(20), crs='EPSG:32616', origin=(735_000.0, 4_050_000.0, 0.0))
+    file = tmp_path / 'my map.npz'
+    file.write_bytes(npz_bytes(area))
+    ends = Coordinates('EPSG:32616').to_lat_lon(np.add((START, GOAL), area.origin[:2]))
+    one, other = (f'{lat:.6f},{lon:.6f}' for lat, lon in ends)
+    done = run_here(plan, file, '--start', one, '--goal', other, '--reach', 10, '--set',
+                    'network.spacing=10', 'network.refine=0', '-o', tmp_path / 'r.csv')
+    assert done.code == 0 and re.search(r'every route, at 36\.\d{5},-84\.\d{5}, ', done.err)
+    line = re.search('To find what to hold: (.*)', done.err)[1]
+    words = shlex.split(line.replace('-o hold.csv hold.png', f'-o {tmp_path}/h.csv'))
+    assert words[:3] == ['ambush', 'hold', str(file)] and '--reach 10' in line
+    held = run_here(hold, *words[2:], '-k', 1)
+    assert held.code == 0 and (tmp_path / 'h.csv').exists(), held.err
 
 
 def test_a_wide_slack_does_not_make_an_ambush_certain():

@@ -16,7 +16,7 @@ def errors():
 
 @pytest.fixture
 def executor(errors):
-    made = SerialExecutor('work', lambda: None, errors.append)
+    made = SerialExecutor('work', errors.append)
     yield made
     made.close()
 

@@ -66,7 +66,7 @@ def test_a_worker_that_cannot_be_forked_is_not_said_to_have_been_killed():
 def queue(monkeypatch):
     """A queue whose worker may be one that an earlier test left idle."""
     monkeypatch.setattr(solve_queue, 'WorkerProcess', HandedOn.take)
-    queue = SolveQueue()
+    queue = SolveQueue(lambda: None)
     yield queue
     queue.close()
 
@@ -96,34 +96,31 @@ def test_an_internal_error_has_frames_but_no_values(queue):
     assert 'nowhere' not in str(caught.value) + caught.value.frames
 
 
-def test_background_solves_run_last(queue):
+def test_a_background_solve_runs_last_and_gives_way_to_the_next_solve(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
-    outcomes = []
     first, last = (submit(queue, k, request(), background=True) for k in ('first', 'last'))
-    with pytest.raises(SolveCancelled, match='a newer background'):
+    with pytest.raises(SolveCancelled, match='a newer solve'):
         first.result(0.0)
     asked = submit(queue, 'asked', request(), size=1)
-    for name, each in (('last', last), ('asked', asked)):
-        each.add_done_callback(lambda done, name=name: outcomes.append(name))
+    with pytest.raises(SolveCancelled, match='a newer solve'):
+        last.result(0.0)
     os.kill(process_id(queue._worker), signal.SIGKILL)
-    assert asked.result(TIMEOUT) and last.result(TIMEOUT)
-    # A future has its result before its callbacks are called.
-    wait_until(lambda: len(outcomes) == 2, 'both')
-    assert outcomes == ['asked', 'last']
+    assert asked.result(TIMEOUT)
 
 
 def test_a_request_overtakes_a_running_background_solve(queue):
     background = submit(queue, 'background', slow_request(), background=True)
     begun(queue)
     assert submit(queue, 'asked', request()).result(TIMEOUT), 'long before the other one'
-    assert not background.done() and any(queue.activity), 'it has begun again'
+    with pytest.raises(SolveCancelled, match='a newer solve'):
+        background.result(0.0)
+    shared = submit(queue, 'shared', slow_request(), background=True)
     begun(queue)
-    newer = submit(queue, 'newer', request(), background=True)
-    asked = submit(queue, 'newer', request())
-    assert asked is newer and asked.result(TIMEOUT), 'a request for the same plan shares it'
-    with pytest.raises(SolveCancelled, match='a newer background'):
-        background.result(TIMEOUT)
+    assert submit(queue, 'shared', slow_request()) is shared, 'a request for the same plan'
+    queue.cancel('enough')
+    with pytest.raises(SolveCancelled, match='enough'):
+        shared.result(TIMEOUT)
 
 
 def test_a_worker_of_low_priority_solves_nothing_else():
@@ -151,17 +148,15 @@ def test_a_worker_that_overruns_the_time_limit_is_killed(monkeypatch):
     worker.close()
 
 
-def test_a_withdrawn_request_leaves_the_background_solve(queue):
+def test_a_solve_ends_when_the_last_request_for_it_is_withdrawn(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
-    kept = submit(queue, 'kept', request(), background=True)
-    queue.withdraw(submit(queue, 'kept', request()))
-    assert not kept.done()
-    asked = submit(queue, 'asked', request())
-    queue.withdraw(asked)
+    one, other = (submit(queue, 'asked', request()) for _ in range(2))
+    queue.withdraw(one)
+    assert not other.done()
+    queue.withdraw(other)
     with pytest.raises(SolveCancelled, match='all callers'):
-        asked.result(0.0)
-    assert not kept.done()
+        other.result(0.0)
 
 
 def test_an_idle_worker_that_dies_is_replaced_before_the_next_solve(queue):
@@ -185,15 +180,16 @@ def test_after_a_start_that_fails_another_one_is_tried(queue, monkeypatch):
     assert submit(queue, 'next', request()).result(TIMEOUT)
 
 
-def test_a_queue_that_refuses_solves_ends_those_that_it_has(queue):
-    solves = [submit(queue, name, slow_request()) for name in ('runs', 'waits')]
-    queue.refuse(lambda: SolveCancelled('not now'))
-    for each in solves:
-        assert str(each.exception(TIMEOUT)) == 'not now'
+def test_solves_are_refused_by_a_closed_gate_and_after_the_end(queue):
+    queue._check = Mock(side_effect=SolveCancelled('not now'))
     with pytest.raises(SolveCancelled, match='not now'):
         submit(queue, 'refused', request(), background=True)
-    queue.refuse(None)
-    assert submit(queue, 'next', request()).result(TIMEOUT)
+    queue._check = lambda: None
+    solves = [submit(queue, name, slow_request()) for name in ('runs', 'waits')]
+    queue.close()
+    assert {str(each.exception(TIMEOUT)) for each in solves} == {'the planner is shutting down'}
+    with pytest.raises(SolveCancelled, match='shutting down'):
+        submit(queue, 'late', request())
 
 
 ORPHAN = """
@@ -201,7 +197,7 @@ import sys
 from handed_on import process_id
 from test_solve_queue import begun, slow_request, submit
 from ambush_planner.worker.solve_queue import SolveQueue
-queue = SolveQueue()
+queue = SolveQueue(lambda: None)
 submit(queue, 'slow', slow_request())
 begun(queue)
 print(process_id(queue._worker), flush=True)

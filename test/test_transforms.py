@@ -8,8 +8,8 @@ from contextlib import closing, nullcontext
 import interfaces
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from rclpy.node import Node
+from rclpy.time import Time
 from robots import ROBOT, Robot, transform
 from ros_harness import free_domain, pose, recorded, risk_grid, ros_context, stage
 from rosgraph_msgs.msg import Clock
@@ -19,6 +19,7 @@ from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.error_codes import FrameMismatch
+from ambush_planner.ros.listener import Listener
 from ambush_planner.ros.topics import TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
@@ -31,7 +32,8 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 def frames():
     with free_domain() as domain, ros_context(domain) as context:
         node = Node('planner', context=context)
-        with closing(FrameTransforms(node)) as frames:
+        with (closing(Listener(node)) as listener,
+              closing(FrameTransforms(node, listener)) as frames):
             yield frames
         node.destroy_node()
 
@@ -75,16 +77,41 @@ def test_a_moving_transform_far_from_now_is_an_error_with_its_age(frames):
     assert x_of(frames, 'early', 60.0) == 5.0
 
 
-def test_a_simulation_that_restarts_clears_the_buffer():
+def test_a_clock_that_goes_back_by_however_little_clears_the_buffer():
     with stage(parameters={**ROBOT, 'use_sim_time': True}) as running:
         robot, clock = Robot(running), running.planner.get_clock()
-        for sec, x in ((1000, 7.0), (1, 3.0)):
-            def time_is(sec=sec):
-                running.client.publish('/clock', Clock(clock=Time(sec=sec)))
-                return clock.now().nanoseconds == sec * 10**9
+        for time_ns, x in ((10**12, 7.0), (10**12 - 7 * 10**8, 5.0), (10**9, 3.0)):
+            stamp = Time(nanoseconds=time_ns).to_msg()
 
-            wait_until(time_is, f'{sec} s')
-            robot.is_at(x, 0.0, Time(sec=sec))
+            def time_is(stamp=stamp, time_ns=time_ns):
+                running.client.publish('/clock', Clock(clock=stamp))
+                return clock.now().nanoseconds == time_ns
+
+            wait_until(time_is, f'{time_ns} ns')
+            robot.is_at(x, 0.0, stamp)
+
+
+def test_a_transform_from_before_1970_is_used_if_any_age_will_do(frames):
+    frames.receive(False, TFMessage(transforms=[transform('map', 'old', 3.0, sec=-5)]))
+    assert x_of(frames, 'old', math.inf) == 3.0
+
+
+def test_a_place_in_a_frame_that_does_not_move_is_no_robot():
+    """The same route each day would be published for it."""
+    depot, answers = pose(0.5, 0.5, frame='depot'), []
+    with stage(parameters={'transform.max_age': math.inf}) as running:
+        client = running.give()
+        fixed = client.node.create_publisher(TFMessage, '/tf_static', TF_STATIC)
+        fixed.publish(TFMessage(transforms=[transform('map', 'depot', 1.0, 5.0)]))
+        wait_until(lambda: client.get_plan(depot, pose(8.5, 5.5)).poses, 'the transform')
+        for number in range(2, 5):
+            answers.append(client.get_plan(depot, pose(8.5, 5.5)))
+            client.diagnostics(departures=str(number), last_answer='new')
+        robot = Robot(running)
+        robot.is_at(1.5, 5.5)
+        for answer in ('new', 'continued'):
+            client.get_plan(pose(0.0, 0.0, frame='base_link'), pose(8.5, 5.5))
+            client.diagnostics(departures='5', last_answer=answer)
 
 
 def test_a_departure_starts_where_the_robot_is_now():

@@ -93,8 +93,7 @@ def test_a_costmap_that_comes_once_is_used_when_its_transform_comes(capfd):
         wait_until(lambda: client.diagnostics()['solve_seconds'] != planned, 'another plan')
 
 
-def test_a_risk_map_that_is_refused_stays_reported_while_costmaps_come(monkeypatch):
-    monkeypatch.setattr(subscriptions, '_JOIN_PERIOD', 0.05)
+def test_a_risk_map_that_is_refused_stays_reported_while_costmaps_come():
     with stage(parameters=BOTH) as running:
         client = running.client
         client.publish('alpha_map', risk_grid(FLAT))
@@ -114,5 +113,12 @@ def test_every_map_without_risk_is_warned_of_as_long_as_it_is_used():
         client = running.client
         for values, warned in ((None, False), (FLAT, True), (None, False), (FLAT + 1, True)):
             client.publish('alpha_map', risk_grid(values))
+            wait_until(lambda warned=warned: warned == (
+                'carries no risk' in client.diagnostics()['message']), 'the report')
+        values = FLAT.copy()
+        values[:, 10:] = 50
+        for threshold, warned in ((100, False), (50, True), (100, False)):
+            client.publish('alpha_map', risk_grid(values))
+            running.use({'map.obstacle_threshold': threshold})
             wait_until(lambda warned=warned: warned == (
                 'carries no risk' in client.diagnostics()['message']), 'the report')

@@ -20,21 +20,22 @@ from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_tr
 from ambush_planner.commands import audit, card, draw, export, report, verify
 from ambush_planner.game.strategy import with_certificate
 from ambush_planner.maps.road_file import RoadGraph
+from ambush_planner.operations.path_mixtures import PathMixtures
+from ambush_planner.operations.slots import Slots
 from ambush_planner.planning.concerns import concerns, plan_numbers
 from ambush_planner.planning.evaluation import evaluate
-from ambush_planner.planning.path_mixtures import PathMixtures
 from ambush_planner.recordings import read_departure, read_departures
-from ambush_planner.recordings.metadata import RecordedSlots
+from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.plan_departures import departure_bytes, draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
-from ambush_planner.recordings.recording_file import encode, read_recording
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.route_files import Drawn
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=3.0), game=GameOptions(ambush_radius=2.5))
-SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1)
+SLOTS = Slots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1)
 
 
 def roads():
@@ -297,7 +298,7 @@ def test_a_full_disk_leaves_nothing_and_nothing_has_been_drawn(plans, tmp_path):
     (tmp_path / 'card.html').write_text('yesterday')
     script = (f'import resource\nfrom ambush_planner.commands import cli, draw\n'
               'from ambush_planner.commands import card_page\n'
-              'draw.card_page = lambda *_: "a card"\n'
+              'card_page.card_page = lambda *_: "a card"\n'
               'resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n'
               f'raise SystemExit(cli.main(["draw", "{file}", "-o", "{tmp_path}/card.html"]))')
     done = run_python(script)
@@ -321,7 +322,7 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
     assert run_here(draw, file).code == 0
     (recording,) = (tmp_path / 'week.departures').iterdir()
     for path, words in ((recording, 'it is a recorded departure, not a plan'),
-                        (tmp_path / 'none.plan', 'none.plan cannot be read as a recording or'),
+                        (tmp_path / 'none.plan', 'none.plan: No such file or directory'),
                         (tmp_path, 'Is a directory')):
         done = run_here(draw, path)
         assert done.code == 3 and words in done.err and done.err.count('\n') == 1

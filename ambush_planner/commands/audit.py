@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..recordings import RecordedDeparture, source_findings
-from ..recordings.audit import Audit, NotAuditable, audit
-from ..recordings.durable_files import write_all_durably
-from ..recordings.recorded_departures import drawn_twice
 from . import cli, readers
-from .report_words import leaving
+
+if TYPE_CHECKING:
+    from ..recordings import RecordedDeparture
+    from ..recordings.audit import Audit
 
 PICTURE = 'audit.png'
 SENSITIVITY = (
@@ -46,6 +46,10 @@ def parser() -> argparse.ArgumentParser:
 
 def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
     """Audit departures; return the audit (None: too few departures), findings, and notes."""
+    from ..recordings import source_findings
+    from ..recordings.audit import NotAuditable, audit
+    from ..recordings.recorded_departures import drawn_twice
+
     findings = source_findings((part.path.name, part.metadata) for each in departures
                                for part in each.parts) + [
         f'{each.path.name} was drawn with a fixed seed, so it can be predicted'
@@ -87,6 +91,8 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from .report_words import leaving
+
     if options.output:
         readers.refuse_existing(options.output / PICTURE, options.replace)
     departures, unreadable, struck = readers.read_all(options.recordings, console)
@@ -119,6 +125,8 @@ def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
           console: cli.Console) -> None:
     """Write the picture: of the departures on the latest map, if there are several maps."""
     from ..map_figures import as_png  # the text needs no matplotlib
+    from ..recordings.audit import NotAuditable, audit
+    from ..recordings.durable_files import write_all_durably
     from .audit_figure import audit_figure
 
     risk_map = departures[-1].risk_map
@@ -130,7 +138,7 @@ def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
         except NotAuditable as error:
             console.say(f'There is no {PICTURE}: {error}.')
             return
-    write_all_durably({folder / PICTURE: as_png(audit_figure(risk_map, result))})
+    write_all_durably({folder / PICTURE: as_png(audit_figure(risk_map, result), PICTURE)})
     console.secret([folder / PICTURE])
 
 

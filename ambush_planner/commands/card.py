@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
+from datetime import date
+from typing import TYPE_CHECKING
 
-from ..recordings import read_departure
-from ..recordings.durable_files import write_all_durably
-from ..recordings.plan_file import read_plan
 from ..route_files import PLAN
 from ..words import distance
 from . import cli
-from .card_page import Card, add_speed, card_of, card_page
-from .positions import add_crs, crs_text
+from .positions import add_crs, in_named_system
+
+if TYPE_CHECKING:
+    from ..recordings import RecordedDeparture
+    from .card_page import Card
 
 EPILOG = """\
 FILE is a recorded departure (.mcap), of the node or of ambush draw, or with --route a plan of few
@@ -31,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('card', 'Write the map, legs and times of one departure for its driver.',
                           EPILOG)
-    made.add_argument('departure', type=Path, metavar='FILE', help='a recording, or a plan')
+    made.add_argument('departure', type=cli.existing, metavar='FILE', help='a recording, or a plan')
     made.add_argument('--route', type=int, metavar='NUMBER', help='the route in a plan of few')
     made.add_argument('-o', '--output', type=cli.file_of('.html'), required=True,
                       metavar='CARD.html', help='the page to write')
@@ -43,7 +44,17 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """Add the argument ``--speed``."""
+    parser.add_argument('--speed', type=cli.number(0.01, 1000.0), metavar='KM/H',
+                        help='mean speed, for the times on the card (default: as the roads allow, '
+                        'if the plan has their speeds)')
+
+
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..recordings.durable_files import write_all_durably
+    from .card_page import card_page
+
     of_plan = arguments.departure.suffix.lower() == PLAN
     if of_plan == (arguments.route is None):
         file = cli.place(arguments.departure)
@@ -52,11 +63,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             f'{arguments.output}, or name a route with --route N if it was made with --routes'
             if of_plan else
             f'{file} is a departure, which has one route: leave out --route')
-    card = _chosen(arguments) if of_plan else _recorded(arguments)
-    if crs := crs_text(arguments):
-        card = replace(card, risk_map=replace(card.risk_map, crs=crs))
-    file, length = arguments.output, float(card.distances[-1])
-    write_all_durably({file: card_page(card, console).encode()})
+    with console.waiting('drawing the card'):
+        card = _chosen(arguments) if of_plan else _recorded(arguments)
+        card = replace(card, risk_map=in_named_system(card.risk_map, arguments, console))
+        file, length = arguments.output, float(card.distances[-1])
+        write_all_durably({file: card_page(card, console).encode()})
     legs = len(card.points) - 1
     (name,) = console.secret([file], f'{cli.count(legs, "leg")}, {distance(length)}; ')
     console.result = {'file': name, 'legs': legs, 'length': length}
@@ -64,18 +75,41 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 
 def _recorded(arguments: argparse.Namespace) -> Card:
+    from ..recordings import read_departure
+
     if arguments.departure.is_dir():
         raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
                              'departure, so name its recording (.mcap)')
-    departure = read_departure(arguments.departure)
-    day = departure.metadata.day
+    return departure_card(read_departure(arguments.departure), arguments.speed,
+                          arguments.start_time)
+
+
+def departure_card(departure: RecordedDeparture, speed: float | None = None,
+                   start: str | None = None) -> Card:
+    """The card of a recorded departure."""
+    from .card_page import card_of
+
+    said, day = departure.metadata, departure.metadata.day
+    slot, zone = (day.slot, day.zone) if day and not start else (start, _zone(start))
     return card_of(departure.path_poses, departure.risk_map, departure.trip,
-                   (departure.drawn_from, departure.route), arguments.speed,
-                   arguments.start_time or (day.slot if day else ''), day.date if day else '')
+                   (departure.drawn_from, departure.route),
+                   departure.parameters.planning.network.roads, said.trip.names, speed, slot,
+                   f'Departure {said.departure}', day.date if day else '', zone)
+
+
+def _zone(start: str | None) -> str:
+    """Return the time zone of this computer today, at a time if it is known."""
+    from ..recordings.plan_departures import local_zone
+
+    return local_zone(date.today().isoformat(), start) if start else ''
 
 
 def _chosen(arguments: argparse.Namespace) -> Card:
-    plan = read_plan(arguments.departure).plan
+    from ..recordings.plan_file import read_plan
+    from .card_page import card_of
+
+    saved = read_plan(arguments.departure)
+    plan = saved.plan
     file = cli.place(arguments.departure)
     if plan.few is None:
         raise cli.UsageError(f'{file} is not a plan of few routes: make one with --routes K, or '
@@ -83,8 +117,9 @@ def _chosen(arguments: argparse.Namespace) -> Card:
     if not 1 <= arguments.route <= (count := len(plan.few.paths)):
         raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
     k = arguments.route - 1
-    return card_of(plan.few.paths[k], plan.own_map, plan.trip,
-                   (plan.trip, plan.few.routes[k]), arguments.speed, arguments.start_time)
+    return card_of(plan.few.paths[k], plan.own_map, plan.trip, (plan.trip, plan.few.routes[k]),
+                   plan.options.network.roads, saved.names, arguments.speed, arguments.start_time,
+                   f'Route {arguments.route}', zone=_zone(arguments.start_time))
 
 
 main = cli.command(parser, _work)

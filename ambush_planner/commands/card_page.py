@@ -6,139 +6,207 @@ Nothing on it tells of other routes: no probabilities, ambush sites or values.
 
 from __future__ import annotations
 
-import argparse
 from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from functools import cached_property
+from html import escape
 from string import Template
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from .. import figures, map_figures
-from ..arrays import FloatArray, IndexArray
-from ..colours import PROBABILITY
+from ..arrays import FloatArray
 from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy
 from ..maps.coordinates import Coordinates
 from ..maps.grid_references import mgrs_references, true_bearings, utm_references
 from ..maps.risk_map import RiskMap
-from ..planning.plan import Route, path_lengths
-from ..routes.legs import bearings, distances_along, secured_stretches, way_points
+from ..maps.road_file import RoadGraph
+from ..planning.plan import Route
+from ..routes.legs import bearings, distances_along, secured_stretches
+from ..routes.way_points import WayPoint, way_points
 from ..words import distance, duration, ends, rounded
-from .cli import Console, number, resource
+from .cli import Console, resource
 
-_ROUTE = PROBABILITY[2]
 # Minimum length of a path with distances in km [m].
 _KILOMETRES = 2000.0
-# Margin around the route on the map, as a share of the map's longer side.
-_MARGIN = 0.12
-# Minimum of the map's shorter side, as a share of the longer one.
-_MIN_SIDE = 0.7
+# Height [mm] of a page of A4 or Letter that is left for the map and the rows of way points, of a
+# row and of a further line in it, and of the map at least and at most.
+_TO_DO = 'what to do'
+# Columns of positions, of which two tables next to each other have the first one only.
+_PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x, y [m]')
+# Rows of one table at most; characters in a line of its texts, and in those of one of two tables.
+_MOST_ROWS, _WIDE, _NARROW = 20, 28, 26
+_FREE, _ROW, _LINE, _LOWEST, _HIGHEST = 172.0, 4.95, 3.75, 60.0, 120.0
 
 
 @dataclass(frozen=True, eq=False)
 class Card:
     """A path (L, 2) [m], and what its driver may know.
 
-    ``places`` (P, 2) are start, stops and goal, around which the area is secured. ``speed`` is in
-    km/h, None if that is unknown; ``start`` is when he leaves, on which ``day``.
+    ``places`` (P, 2) are start, stops and goal, around which the area is secured. ``clock`` has
+    distances along the path [m] and when they are reached [s], None if that is unknown; ``start``
+    is when the convoy leaves, in a time ``zone``. ``title`` and ``day`` are for the head.
     """
 
     path: FloatArray
     risk_map: RiskMap
     places: FloatArray
     secured_distance: float
-    speed: float | None
+    way_points: Sequence[WayPoint]
+    roads: RoadGraph | None
+    clock: tuple[FloatArray, FloatArray] | None
     start: datetime | None
+    title: str
     day: str = ''
-
-    @cached_property
-    def at(self) -> IndexArray:
-        """Where in the path the way points are."""
-        return way_points(self.path, self.places[1:-1])
+    zone: str = ''
+    training: bool = False
 
     @property
     def points(self) -> FloatArray:
         """The way points (W, 2) [m]."""
-        return self.path[self.at]
+        return np.array([each.xy for each in self.way_points])
 
     @property
     def distances(self) -> FloatArray:
         """Distances (W,) to the way points along the path [m]."""
-        return distances_along(self.path)[self.at]
+        return np.array([each.distance for each in self.way_points])
 
-    @cached_property
-    def names(self) -> dict[int, str]:
-        """The way points that are start, stops or goal."""
-        stops = {int(np.hypot(*(self.points - stop).T).argmin()): f'stop {k}'
-                 for k, stop in enumerate(self.places[1:-1], start=1)}
-        return {0: 'start', **stops, len(self.points) - 1: 'goal'}
+    def seconds(self, metres: float) -> float:
+        """When the convoy has gone so far [s]."""
+        return float(np.interp(metres, *self.clock)) if self.clock else 0.0
 
     def time(self, metres: float) -> str:
         """When the convoy has gone so far: time of day, or minutes from departure."""
-        minutes = 0.06 * metres / (self.speed or 1.0)
+        minutes = self.seconds(metres) / 60.0
         return (f'{self.start + timedelta(minutes=round(minutes)):%H:%M}' if self.start
                 else f'{minutes:.1f}')
 
 
 def card_of(path: FloatArray, risk_map: RiskMap, trip: TripStrategy,
-            drawn: tuple[TripStrategy, Route], speed: float | None, start: str | None,
-            day: str = '') -> Card:
+            drawn: tuple[TripStrategy, Route], roads: RoadGraph | None, names: Sequence[str],
+            speed: float | None, start: str | None, title: str, day: str = '', zone: str = '',
+            training: bool = False) -> Card:
     """The card of a path (L, 2 or 3): ``drawn`` is its route, and the strategies of that.
 
-    Without a ``speed``, the networks' speeds give the mean one; ``start`` is HH:MM, if it is known.
+    ``names`` are those of start and goal, '' if they have none. Without a ``speed`` [km/h], times
+    are those that the roads allow. ``start`` is HH:MM, if it is known.
     """
-    return Card(path[:, :2], risk_map, figures.places_of(trip),
-                trip.game.options.secured_distance,
-                speed or _mean_speed(*drawn, float(path_lengths([path])[0])),
-                datetime.strptime(start, '%H:%M') if start else None, day)
+    path, points = path[:, :2], trip.game.network.points
+    places = points[[trip.legs[0].network.source, *(leg.network.target for leg in trip.legs)]]
+    roles = ['start', *(f'stop {k}' for k in range(1, len(places) - 1)), 'goal']
+    roles[0], roles[-1] = f'start {names[0]}'.strip(), f'goal {names[1]}'.strip()
+    line, seconds = _driven(*drawn)
+    end, clock = float(distances_along(path)[-1]), None
+    if speed:
+        clock = np.array((0.0, end)), np.array((0.0, 3.6 * end / speed))
+    elif seconds is not None:
+        along = distances_along(line)
+        clock = along * end / along[-1], seconds
+    return Card(path, risk_map, places, trip.game.options.secured_distance,
+                way_points(path, roles, places[1:-1], line, roads), roads, clock,
+                datetime.strptime(start, '%H:%M') if start else None, title, day, zone, training)
 
 
-def _mean_speed(trip: TripStrategy, route: Route, length: float) -> float | None:
-    """The mean speed [km/h] over a route, None if the networks have no speeds."""
-    if trip.game.network.seconds is None:
-        return None
-    steps = [leg.network.travel_costs[route_edges(leg.network, nodes)].sum()
-             for leg, nodes in zip(trip.legs, route, strict=True)]
-    return 3.6 * length / float(sum(steps))
+def _driven(trip: TripStrategy, route: Route) -> tuple[FloatArray, FloatArray | None]:
+    """The nodes (K, 2) of a route, and when each is passed [s], None if that is unknown."""
+    networks = [leg.network for leg in trip.legs]
+    line = np.concatenate([networks[0].points[route[0][:1]], *(
+        network.points[nodes[1:]] for network, nodes in zip(networks, route, strict=True))])
+    steps = [network.seconds[route_edges(network, nodes)]
+             for network, nodes in zip(networks, route, strict=True)
+             if network.seconds is not None]
+    return line, np.concatenate(([0.0], *steps)).cumsum() if steps else None
 
 
-def add_speed(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--speed``."""
-    parser.add_argument('--speed', type=number(0.01, 1000.0), metavar='KM/H',
-                        help='mean speed, for the times on the card (default: as the roads allow, '
-                        'if the plan has their speeds)')
+def _near(card: Card) -> str:
+    """The places nearest to start and goal that the roads' file names, with their distances."""
+    if card.roads is None or not len(card.roads.places):
+        return ''
+    said = []
+    for xy in card.places[[0, -1]]:
+        away = np.hypot(*(card.roads.places[:, :2] - xy).T)
+        nearest = int(away.argmin())
+        name = card.roads.names[int(card.roads.places[nearest, 2])]
+        said.append(f'{distance(float(away[nearest]))} from {escape(name)}')
+    return f'Start {said[0]}, goal {said[1]}; '
 
 
 def card_page(card: Card, console: Console) -> str:
     """Return the page; the console says if MGRS is missing."""
-    columns, end = _columns(card, console), card.distances[-1]
+    from .card_map import card_map
+
+    end = card.distances[-1]
+    tables, height = _tables(card, _columns(card, console))
+    picture = card_map(card, min(max(_FREE - height, _LOWEST), _HIGHEST))
     times = ''
-    if card.speed:
-        hours = f', {card.time(0.0)} to {card.time(end)} local time' if card.start else ''
-        times = f' at {rounded(card.speed)} km/h: {duration(3.6 * end / card.speed)}{hours}'
+    if card.clock:
+        hours = f', {card.time(0.0)} to {card.time(end)}' if card.start else ''
+        seconds = card.seconds(end)
+        times = f' at {rounded(3.6 * end / seconds)} km/h: {duration(seconds)}{hours}'
     elif card.start:
-        times = f', departure {card.time(0.0)} local time'
+        times = f', departure {card.time(0.0)}'
+    zone = f' local time{card.zone and f", {card.zone}"}' if card.start else ''
+    title = ', '.join(filter(None, (card.title, card.day)))
     return Template(resource('card_page.html')).substitute(
-        summary=f'{card.day}{card.day and ": "}{distance(end)}{times}',
-        map=b64encode(_picture(card)).decode(),
-        head=''.join(f'<th scope="col">{name}</th>' for name in columns),
-        rows='\n'.join('<tr>' + ''.join(f'<td>{cell}</td>' for cell in row) + '</tr>'
-                       for row in zip(*columns.values(), strict=True)),
+        training='<span>TRAINING</span>' * (3 * card.training), title=escape(title),
+        secret='Training: do not drive this' if card.training else 'Secret: destroy after use',
+        summary=f'{_near(card)}{distance(end)}{times}{zone}',
+        map=b64encode(picture.png).decode(), width=f'{picture.width:.1f}', scale=picture.scale,
+        tables=tables, two=' two' * (tables.count('<table>') > 1),
         notes=''.join(f'<li>{note}</li>' for note in _notes(card)),
     )
 
 
+def _tables(card: Card, columns: dict[str, list[str]]) -> tuple[str, float]:
+    """One table, or two with fewer columns next to each other; and their height, about [mm]."""
+    rows, wide = len(card.way_points), _WIDE
+    parts = [slice(0, rows)]
+    if card.roads is not None and rows > _MOST_ROWS:
+        columns, wide = _narrow(card, columns), _NARROW
+        parts = [slice(0, -(-rows // 2)), slice(-(-rows // 2), rows)]
+    texts = columns.get(_TO_DO, [''] * rows)
+    high = [_ROW + _LINE * (max(len(text) - 1, 0) // wide) for text in texts]
+    head = ''.join(f'<th scope="col"{_kind(name)}>{name}</th>' for name in columns)
+    body = ['<tr>' + ''.join(f'<td{_kind(name)}>{escape(cell)}</td>'
+                             for name, cell in zip(columns, row, strict=True)) + '</tr>'
+            for row in zip(*columns.values(), strict=True)]
+    return '\n'.join(
+        '\n'.join((f'<table><thead><tr>{head}</tr></thead><tbody>', *body[part],
+                   '</tbody></table>')) for part in parts), max(sum(high[part]) for part in parts)
+
+
+def _narrow(card: Card, columns: dict[str, list[str]]) -> dict[str, list[str]]:
+    """The columns of one of two tables next to each other."""
+    first, *_ = (name for name in columns if name in _PLACES)
+    cells, head = columns[first], first
+    if first == 'MGRS' and len(zones := {cell.partition(' ')[0] for cell in cells}) == 1:
+        cells, head = [cell.partition(' ')[2] for cell in cells], f'MGRS {zones.pop()}'
+    return {'': [str(k) for k in range(1, len(cells) + 1)],
+            _TO_DO: [each.label for each in card.way_points], head: cells,
+            **{name: column for name, column in columns.items()
+               if name.startswith(('from start', 'time', 'minutes'))}}
+
+
+def _kind(column: str) -> str:
+    return ' class="text"' if column == _TO_DO else ''
+
+
+def _unit(card: Card) -> tuple[float, int, str]:
+    """Metres of the unit of all distances, its decimals, and its name."""
+    return (1000.0, 2, 'km') if card.distances[-1] >= _KILOMETRES else (1.0, 0, 'm')
+
+
 def _columns(card: Card, console: Console) -> dict[str, list[str]]:
     """The cells of all way points by the heads of the columns."""
-    points, crs = card.points, card.risk_map.crs
-    scale, digits, unit = ((1000.0, 2, 'km') if card.distances[-1] >= _KILOMETRES
-                           else (1.0, 0, 'm'))
+    points, crs, on_roads = card.points, card.risk_map.crs, card.roads is not None
+    scale, digits, unit = _unit(card)
     # Rounded before they are subtracted, so that the legs add up to the total.
     total = np.round(card.distances / scale, digits)
-    columns = {'way point': [f'{k + 1} {card.names.get(k, "")}' for k in range(len(points))]}
+    columns = {'way point': [f'{k} {each.name}'.strip()
+                             for k, each in enumerate(card.way_points, start=1)]}
+    if on_roads:
+        columns[_TO_DO] = [each.text for each in card.way_points]
     if crs:
         lat_lon = Coordinates(crs).to_lat_lon(points)
         turns = true_bearings(lat_lon)
@@ -146,56 +214,45 @@ def _columns(card: Card, console: Console) -> dict[str, list[str]]:
             columns['MGRS'] = mgrs_references(lat_lon)
         except ModuleNotFoundError:
             console.say("Without MGRS: in a checkout of ambush_planner, run pip install '.[gis]'")
-        columns['UTM zone, east, north'] = utm_references(lat_lon)
+        if not (on_roads and 'MGRS' in columns):  # which has the same numbers
+            columns['UTM zone, east, north'] = utm_references(lat_lon)
         columns['latitude, longitude'] = [f'{lat:.5f}, {lon:.5f}' for lat, lon in lat_lon]
     else:
         turns = bearings(points)
         columns['x, y [m]'] = [f'{x:.1f}, {y:.1f}' for x, y in points]
+    if not on_roads:
+        columns['bearing to next'] = [*(f'{round(turn) % 360:03d}°' for turn in turns), '']
     return columns | {
-        'bearing to next': [*(f'{round(turn) % 360:03d}°' for turn in turns), ''],
         f'to next [{unit}]': [*(f'{leg:.{digits}f}' for leg in np.diff(total)), ''],
         f'from start [{unit}]': [f'{each:.{digits}f}' for each in total],
         **({'time' if card.start else 'minutes': [card.time(each) for each in card.distances]}
-           if card.speed else {}),
+           if card.clock else {}),
     }
 
 
 def _notes(card: Card) -> list[str]:
-    unit = '' if card.start else ' min'
-    stretches = [f'{distance(first)} to {distance(last)}' + (
-                     f' ({card.time(first)} to {card.time(last)}{unit})' if card.speed else '')
+    on_roads, minutes = card.roads is not None, '' if card.start else ' min'
+    scale, digits, unit = _unit(card)
+    stretches = [f'{first / scale:.{digits}f} to {last / scale:.{digits}f} {unit}' + (
+                     f' ({card.time(first)} to {card.time(last)}{minutes})' if card.clock else '')
                  for first, last in secured_stretches(card.path, card.places,
                                                       card.secured_distance)]
     secured = (f'Secured area (circles), {distance(card.secured_distance)} around '
                f'{ends(len(card.places) - 2)}: {"; ".join(stretches)}.'
             if card.secured_distance > 0.0 else 'No area on the way is secured.')
     north, systems = (
-        ('true north; a compass differs by the local declination',
-         ' Positions are WGS 84; N or S after the UTM zone is the hemisphere.')
+        ('true north; a compass differs by the local declination', ' Positions are WGS 84.')
         if card.risk_map.crs else ("the map's y axis", ''))
-    colour = 'darker' if card.risk_map.heights is None else 'browner'
-    return [secured,
-            f'On the map, the {colour} the ground, the more dangerous it is; black: obstacles.',
-            f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
-            f'follow the path.{systems}']
-
-
-def _picture(card: Card) -> bytes:
-    """The ground around the route, which is the only one on it."""
-    low, high = card.path.min(axis=0), card.path.max(axis=0)
-    longer, middle = (high - low).max(), (low + high) / 2.0
-    half = np.maximum((high - low) / 2.0 + _MARGIN * longer, _MIN_SIDE / 2.0 * longer)
-    first, last = card.risk_map.bounds
-    box = np.maximum(middle - half, first), np.minimum(middle + half, last)
-    width, height = box[1] - box[0]
-    figure = Figure((map_figures.WIDTH, map_figures.WIDTH * height / width), layout='compressed')
-    axes = figure.subplots()
-    map_figures.draw_map(axes, card.risk_map, box=box, avoid=card.places)
-    axes.plot(*card.path.T, color=_ROUTE, linewidth=2.2, path_effects=map_figures.HALO, zorder=4)
-    figures.draw_places(axes, card.places, card.secured_distance)
-    numbered = sorted(set(range(len(card.points))) - set(card.names))
-    apart = figures.BADGE * max(width, height)
-    spots = figures.free_spots(card.points[numbered], card.places, apart)
-    for k, spot in zip(numbered, spots, strict=True):
-        figures.number_badge(axes, k + 1, card.points[k], _ROUTE, spot)
-    return map_figures.as_png(figure)
+    if card.risk_map.crs and not on_roads:
+        systems += ' N or S after the UTM zone is the hemisphere.'
+    passed = ' Then pass 2: go straight on at the next two junctions.' * any(
+        each.passed for each in card.way_points)
+    follow = (f'Distances follow the road.{passed}' if on_roads else
+              f'Bearings lead straight to the next way point, clockwise from {north}. Distances '
+              'follow the path.')
+    return [f'<b>If the {"road" if on_roads else "way"} is blocked, do not look for another '
+            'one.</b> Turn back, report, and wait in a secured area for a new card.',
+            secured,
+            'On the map, the darker the ground, the more dangerous it is; hatched: impassable'
+            f'{"; grey lines: other roads" * on_roads}.',
+            f'{follow}{systems}']

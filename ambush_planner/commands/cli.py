@@ -19,11 +19,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
 
-from .. import __version__
 from ..errors import (
     AmbushPlannerError,
     BudgetInfeasible,
     GoalBlocked,
+    InvalidCoordinates,
     InvalidNetwork,
     InvalidOption,
     NoRoute,
@@ -33,7 +33,6 @@ from ..errors import (
     telling_warnings,
 )
 from ..gone import remedy_for
-from ..maps.coordinates import InvalidCoordinates
 from ..words import count as count
 from .console import Console as Console
 from .console import place as place
@@ -62,7 +61,7 @@ _EXTRAS = {
     'gis': ('geopandas', 'gpxpy', 'mgrs', 'pyogrio', 'pyproj', 'rasterio', 'shapely'),
     'recordings': ('lz4', 'mcap', 'mcap_ros2', 'zstandard'),
 }
-_SOUTHERN = re.compile(r'-[\d.]+,-?[\d.]*$')  # LAT,LON
+_SOUTHERN = re.compile('-[0-9.]+[,°]')  # LAT,LON
 _TIME = re.compile(r'([01]?\d|2[0-3]):[0-5]\d')
 _BROKEN_PIPE, _INTERRUPTED = 141, 130  # exit codes of a shell after SIGPIPE and SIGINT
 
@@ -133,6 +132,12 @@ def file_of(*suffixes: str) -> Callable[[str], Path]:
     return file
 
 
+def existing(text: str) -> Path:
+    """Parse the name of a file or folder; raises OSError if there is none."""
+    Path(text).stat()
+    return Path(text)
+
+
 def require(packages: Collection[str]) -> None:
     """Raise MissingPackages if one of the packages is not installed."""
     if missing := [name for name in packages if not _imports(name)]:
@@ -169,12 +174,17 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     parser = make_parser()
     # argparse takes a token that begins with a minus for an option unless it is a number.
     given = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args([f' {each}' if _SOUTHERN.match(each) else each for each in given])
+    try:
+        options = parser.parse_args(
+            [f' {each}' if _SOUTHERN.match(each) else each for each in given])
+    except OSError as error:  # of ``existing``
+        parser.exit(Exit.UNREADABLE, f'{parser.prog}: {_words(error)}\n')
     console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
     if 'reach' in options:  # messages name what can be typed
         from .inputs import as_typed
+        from .positions import as_typed_places
 
-        console.words = as_typed
+        console.words = lambda text: as_typed(as_typed_places(options, text))
     try:
         with telling_warnings(console.warn):
             code = work(options, console)
@@ -255,10 +265,22 @@ class _HelpAll(argparse.Action):
         parser.exit()
 
 
+class _Version(argparse.Action):
+    """Print the version, and exit."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, dest, 0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from .. import __version__
+
+        parser.exit(message=f'ambush_planner {__version__}\n')
+
+
 def _parser(program: str, description: str, epilog: str) -> _Parser:
     parser = _Parser(prog=program, description=description, epilog=epilog,
                      formatter_class=_Formatter)
-    parser.add_argument('--version', action='version', version=f'ambush_planner {__version__}')
+    parser.add_argument('--version', action=_Version, help='print the version')
     return parser
 
 

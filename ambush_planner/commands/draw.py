@@ -9,20 +9,21 @@ import time
 from collections.abc import Iterator
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..planning.concerns import wide_gap
-from ..recordings import plan_departures, sources
-from ..recordings.durable_files import write_all_durably
-from ..recordings.metadata import Metadata, RecordedDay
-from ..recordings.plan_file import SavedPlan, read_plan
-from ..route_files import Drawn, content_of
+from ..route_files import SUFFIXES
 from ..words import distance
 from . import cli
-from .card_page import add_speed, card_of, card_page
+from .card import add_speed
 from .console import when
 from .geo_files import require_for
 
-SUFFIXES = ('.html', '.gpx')
+if TYPE_CHECKING:
+    from ..recordings import plan_departures
+    from ..recordings.metadata import Metadata, RecordedDay
+    from ..recordings.plan_file import SavedPlan
+
+CARD = '.html'
 DESCRIPTION = """\
 Draw a departure from a plan, and record it. The operating system's entropy draws.
 
@@ -31,14 +32,15 @@ Draw a departure from a plan, and record it. The operating system's entropy draw
 EPILOG = """\
 PLAN is a file of ambush plan -o PLAN. The recording is in the folder PLAN.departures next to it,
 which verify, audit, report, judge, export and card read. FILE is the driver's card (.html) or the
-route for his receiver (.gpx); nothing in it tells of other routes. With --days, the day is in
-the name of each file, as in card_2026-11-30.html, and the console does not tell the routes.
+route in a format of ambush export (.gpx for a receiver, .gpkg, .geojson, .csv, .png); nothing in it
+tells of other routes. With --days, the day is in the name of each file, as in
+card_2026-11-30.html, and the console does not tell the routes.
 If a departure for the same day and slot was drawn before, from this plan or from one next to it for
 the same trip, say with --earlier whether it was driven; on a terminal, the command asks. One that
 was not driven does not count in audit and report; they name it, and --why.
-The exit code is 1, and nothing is drawn, if map, roads or layers of the plan have changed.
-If a file cannot be written, nothing is, and nothing has been drawn. If the plan's gap is wide, it
-warns and the exit code is 1.
+The exit code is 1, and nothing is drawn, if map, roads or layers of the plan have changed. If the
+plan's gap is wide, it warns and the exit code is 1.
+If a file cannot be written, nothing is, and nothing has been drawn.
 """
 DETAILS = """\
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
@@ -52,9 +54,9 @@ def parser() -> argparse.ArgumentParser:
         'draw', DESCRIPTION, EPILOG,
         ('-o', '--date', '--days', '--slot', '--speed', '--earlier', '--why', '--dry-run'), DETAILS,
         'ambush draw PLAN [options]')
-    made.add_argument('plan', type=Path, metavar='PLAN', help='the plan, such as week.plan')
-    made.add_argument('-o', '--output', type=cli.file_of(*SUFFIXES), nargs='+', default=[],
-                      metavar='FILE', help='card.html or route.gpx')
+    made.add_argument('plan', type=cli.existing, metavar='PLAN', help='the plan, such as week.plan')
+    made.add_argument('-o', '--output', type=cli.file_of(CARD, *SUFFIXES), nargs='+', default=[],
+                      metavar='FILE', help=f'card{CARD}, or a route: {", ".join(SUFFIXES)}')
     made.add_argument('--date', type=_date, metavar='YYYY-MM-DD',
                       help='day of the departure, or of the first one (default: today)')
     made.add_argument('--days', type=cli.number(1, 366, int), metavar='COUNT',
@@ -85,10 +87,15 @@ def _date(text: str) -> date:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..planning.concerns import wide_gap
+    from ..recordings import plan_departures
+    from ..recordings.plan_file import read_plan
+
     require_for(arguments.output)
     if arguments.why and arguments.earlier != 'unused':
         raise cli.UsageError('--why is the reason of --earlier unused')
-    saved = read_plan(arguments.plan)
+    with console.waiting('reading the plan'):
+        saved = read_plan(arguments.plan)
     if not _ground_is_the_same(arguments, saved, console):
         return cli.Exit.FINDING
     if saved.plan.gap_is_wide:
@@ -112,15 +119,19 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.warn(passed)
     dates = [(first + timedelta(days=k)).isoformat() for k in range(arguments.days or 1)]
     if arguments.dry_run:
-        return _finish(arguments, console, saved, folder, dates, {})
+        with console.waiting('drawing'):
+            return _finish(arguments, console, saved, folder, dates, {})
     with plan_departures.locked(folder):
         replaced = _replaced(arguments, saved, folder, dates)
-        return _finish(arguments, console, saved, folder, dates, replaced)
+        with console.waiting('drawing'):
+            return _finish(arguments, console, saved, folder, dates, replaced)
 
 
 def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
                         console: cli.Console) -> bool:
     """Whether the plan's sources are as they were, or the user says that the ground is."""
+    from ..recordings import sources
+
     files = {sources.MAP: arguments.map, sources.ROADS: arguments.roads}
     changed = sources.changes(saved.sources, arguments.plan.parent, files)
     if not changed or arguments.ground_unchanged:
@@ -138,6 +149,8 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
 def _replaced(arguments: argparse.Namespace, saved: SavedPlan, folder: Path,
               dates: list[str]) -> dict[str, str]:
     """Dates and ids of the departures that were drawn before, but not driven; raises UsageError."""
+    from ..recordings import plan_departures
+
     _check_clock(folder, arguments.date)
     slot = arguments.slot
     again = [(day, said) for day, said in plan_departures.earlier_departures(saved, folder, dates)
@@ -150,6 +163,8 @@ def _replaced(arguments: argparse.Namespace, saved: SavedPlan, folder: Path,
 
 def _check_clock(folder: Path, named: date | None) -> None:
     """Raise UsageError if the clock is behind the last departure, unless the day is named."""
+    from ..recordings import plan_departures
+
     if (names := plan_departures.names_in(folder)) and not named:
         last = max(path.stat().st_mtime_ns for _, _, path in names)
         if last > time.time_ns():
@@ -173,6 +188,9 @@ def _asked(day: RecordedDay, said: Metadata) -> str:
 def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan, folder: Path,
             dates: list[str], replaced: dict[str, str]) -> cli.Exit:
     """Draw, write everything or nothing, and tell."""
+    from ..recordings import plan_departures
+    from ..recordings.durable_files import write_all_durably
+
     names = [] if arguments.dry_run else plan_departures.names_in(folder)
     number = max((each for each, *_ in names), default=0)
     files: dict[Path, bytes] = {}
@@ -182,7 +200,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
                'route': None if drawn.few_route is None else drawn.few_route + 1,
                'length': drawn.length, 'recording': None}
-        for path, data in _outputs(arguments, console, saved, drawn, day):
+        for path, data in _outputs(arguments, console, saved, drawn, number + k, day):
             files[path] = data
         if not arguments.dry_run:
             path = folder / plan_departures.file_name(number + k, day)
@@ -209,19 +227,27 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
 
 
 def _outputs(arguments: argparse.Namespace, console: cli.Console, saved: SavedPlan,
-             drawn: plan_departures.DrawnDeparture, day: str) -> Iterator[tuple[Path, bytes]]:
+             drawn: plan_departures.DrawnDeparture, number: int,
+             day: str) -> Iterator[tuple[Path, bytes]]:
     """The files that were asked for, with the day in their names if there are several days."""
-    plan, name = saved.plan, ' '.join(filter(None, (day, drawn.slot)))
+    from ..recordings.plan_departures import local_zone
+    from ..route_files import Drawn, content_of
+    from .card_page import card_of, card_page
+
+    plan, training = saved.plan, 'TRAINING ' * arguments.dry_run
+    name = training + ' '.join(filter(None, (day, drawn.slot)))
+    card = card_of(drawn.poses, plan.own_map, plan.trip, (plan.trip, drawn.route),
+                   plan.options.network.roads, saved.names, arguments.speed, drawn.slot,
+                   f'Departure {number}', day, local_zone(day, drawn.slot), arguments.dry_run)
     for asked in arguments.output:
         path = asked.with_stem(f'{asked.stem}_{day}') if arguments.days else asked
-        if path.suffix.lower() == '.html':
-            card = card_of(drawn.poses, plan.own_map, plan.trip, (plan.trip, drawn.route),
-                           arguments.speed, drawn.slot, day)
+        if path.suffix.lower() == CARD:
             yield path, card_page(card, console).encode()
         else:
             times = [datetime.now(timezone.utc)]
-            yield path, content_of(path, Drawn(plan.drawn_from, plan.own_map, [drawn.poses], times,
-                                               labels=[name]))
+            route = Drawn(plan.drawn_from, plan.own_map, [drawn.poses], times, slots=[name],
+                          labels=[name], way_points=[card.way_points], routes_only=True)
+            yield path, content_of(path, route)
 
 
 main = cli.command(parser, _work)

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from datetime import datetime, timezone
 
-from ..route_files import Drawn, write_routes
 from . import cli, readers
+from .card import departure_card
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .positions import add_crs, crs_text
-from .report_words import leaving
+from .positions import add_crs, in_named_system
 
 EPILOG = f"""\
 Routes are the recorded paths, numbered in order of time; strategy, map and ground are those of the
@@ -32,6 +30,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..route_files import Drawn, write_routes
+    from .report_words import leaving
+
     check_outputs(options.output, console)
     departures, unreadable, _ = readers.read_all(options.recordings, console)
     for error in unreadable:
@@ -40,12 +41,14 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.error('no recording could be read, so nothing was exported')
         return cli.Exit.UNREADABLE
     last = departures[-1]
-    risk_map = replace(last.newest_risk_map, crs=crs_text(options) or last.risk_map.crs)
+    risk_map = in_named_system(last.newest_risk_map, options, console)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
     slots = [leaving(each) for each in departures] if any(
         each.metadata.day for each in departures) else ()
     drawn = Drawn(last.departed_on, risk_map, [each.path_poses for each in departures], times,
-                  slots=slots, covered=last.covered)
+                  slots=slots, covered=last.covered,
+                  way_points=[departure_card(each).way_points for each in departures],
+                  sources=[options.recordings.name])
     write_routes(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

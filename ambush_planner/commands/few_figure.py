@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from .. import figures, map_figures
-from ..colours import AMBUSHER, ROUTES
-from ..planning.few_routes import FewRoutes
+from ..colours import AMBUSHER
+from ..planning.few import FewRoutes
 from .few_files import FewDrawn
 
 # Maximum number of routes with a panel each.
@@ -22,8 +22,6 @@ MAX_PANELS = 6
 MAX_KEYS = 20
 _WORST: dict[str, Any] = {'marker': 'o', 'markersize': 9, 'color': AMBUSHER,
                           'markeredgecolor': 'white', 'linestyle': 'none'}
-# Line styles, one after another when all colours have been used.
-_STYLES = ('solid', 'dashed', 'dotted', 'dashdot')
 
 
 def few_figure(drawn: FewDrawn) -> Figure:
@@ -35,34 +33,29 @@ def few_figure(drawn: FewDrawn) -> Figure:
     figure = Figure(figsize=(map_figures.WIDTH, head + tall), layout='constrained')
     top, below = (figure.subfigures(2, 1, height_ratios=(head, tall)) if rows
                   else (figure.subfigures(), None))
-    grid = top.add_gridspec(2, 2, width_ratios=(2.1, 1.0), height_ratios=(1.9, 1.0))
+    grid = top.add_gridspec(2, 2, width_ratios=(2.7, 1.0), height_ratios=(1.9, 1.0))
     overview = top.add_subplot(grid[:, 0])
     title = f'Mean loss {drawn.few.value * drawn.covered:#.3g}'
     risk = figures.draw_ground(overview, drawn.trip, drawn.risk_map, title)
-    map_figures.risk_bar(top, risk, overview, location='bottom', shrink=0.6, aspect=30)
+    map_figures.colour_bar(overview, risk, map_figures.LOSS)
     _key(drawn, top.add_subplot(grid[0, 1]))
     _curve(top.add_subplot(grid[1, 1]), drawn.few, drawn.covered)
     paths = [path[:, :2] for path in drawn.paths]
-    figures.draw_stripes(overview, paths, [_style(k) for k in range(len(paths))])
+    figures.draw_stripes(overview, paths, [figures.route_style(k) for k in range(len(paths))])
     for k, place in enumerate(figures.badge_places(paths, drawn.few.worst_xy)):
-        figures.number_badge(overview, k + 1, place, _style(k)['color'])
+        figures.number_badge(overview, k + 1, place, figures.route_style(k)['color'])
     overview.plot(*drawn.few.worst_xy, zorder=9, **_WORST)
     for k, axes in enumerate(below.subplots(rows, 3).flat if below else ()):
         if k < panels:
             figures.draw_ground(axes, drawn.trip, drawn.risk_map, drawn.names[k], small=True)
-            figures.draw_stripes(axes, [paths[k]], [_style(k)])
+            figures.draw_stripes(axes, [paths[k]], [figures.route_style(k)])
         else:
             axes.set_axis_off()
     return figure
 
 
-def _style(k: int) -> dict[str, Any]:
-    return {'color': ROUTES[k % len(ROUTES)], 'path_effects': map_figures.HALO,
-            'linestyle': _STYLES[k // len(ROUTES) % len(_STYLES)]}
-
-
 def _key(drawn: FewDrawn, axes: Axes) -> None:
-    lines = [Line2D([], [], linewidth=figures.ROUTE_WIDTH, **_style(k),
+    lines = [Line2D([], [], linewidth=figures.ROUTE_WIDTH, **figures.route_style(k),
                     label=name.removeprefix('Route '))
              for k, name in enumerate(drawn.names[:MAX_KEYS])]
     worst = Line2D([], [], label='worst ambush', **_WORST)

@@ -9,20 +9,19 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from itertools import count
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from ..colours import AMBUSHER
-from ..figures import PROBABILITY
-from ..map_figures import HALO, WIDTH
-from ..maps.risk_map_file import read_risk_map
-from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .inputs import options_from, planner_parser
+from .planner_parser import planner_parser, source_names
 from .positions import places_on
 
-COLUMNS = tuple(field.name for field in fields(FrontierRow))
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..operations.frontier import FrontierRow
+
 EPILOG = """\
 The table (.csv) has value, length, exposure and entropy for each budget, the picture (.png) the
 same as curves.
@@ -44,25 +43,30 @@ def parser() -> argparse.ArgumentParser:
         EPILOG, DETAILS, '--start POSITION --goal POSITION [options] -o FILE ...',
         ('--detours', '--slacks'), stops=False)
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
-    made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
+    made.add_argument('--detours', type=float, nargs='+', metavar='D',
                       help="length budgets, as multiples of the shortest route's length "
                       '(default: 1.02 to 1.5)')
-    made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
+    made.add_argument('--slacks', type=float, nargs='+', metavar='E', help='shares '
                       'of the value to give up for less predictable routes (default: 0 to 0.3)')
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..maps.risk_map_file import read_risk_map
+    from ..operations.frontier import DETOURS, SLACKS, trip_frontier
+    from .inputs import options_from
+
     of_map, planning = options_from(arguments)
     check_outputs(arguments.output, console)
     risk_map = read_risk_map(arguments.map, of_map)
     (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
-    detours, slacks = arguments.detours, arguments.slacks
+    detours, slacks = arguments.detours or DETOURS, arguments.slacks or SLACKS
     show, solved = console.bar('budgets solved'), count(1)
     rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
     budgets = planning.strategy
-    write_frontier(arguments.output, rows, budgets.max_detour, budgets.risk_slack)
+    write_frontier(arguments.output, rows, budgets.max_detour, budgets.risk_slack,
+                   source_names(arguments))
     console.line(_as_text(rows))
     files = [cli.place(path) for path in arguments.output]
     console.line('\n' + ', '.join(files))
@@ -71,10 +75,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 
 def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detour: float,
-                   risk_slack: float) -> None:
+                   risk_slack: float, sources: Sequence[str] = ()) -> None:
     """Write tables (.csv) and pictures (.png) with mode 0600."""
-    write_table(paths, COLUMNS, [asdict(row) for row in rows],
-                lambda: frontier_figure(rows, max_detour, risk_slack))
+    from ..operations.frontier import FrontierRow
+
+    write_table(paths, [each.name for each in fields(FrontierRow)], [asdict(row) for row in rows],
+                lambda: frontier_figure(rows, max_detour, risk_slack), sources)
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:
@@ -96,6 +102,11 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
 
     Dashed lines mark ``max_detour`` and ``risk_slack``, which are fixed in each other's sweep.
     """
+    from matplotlib.figure import Figure
+
+    from ..figures import PROBABILITY
+    from ..map_figures import HALO, WIDTH
+
     figure = Figure(figsize=(WIDTH, 6.2), layout='constrained')
     panels = figure.subplots(3, 2, sharex='col', sharey='row')
     words = {'max_detour': 'detour', 'risk_slack': 'slack'}

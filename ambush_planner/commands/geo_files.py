@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..recordings.durable_files import write_all_durably
-from ..route_files import NEEDS, PLAN, SUFFIXES, Drawn
+from ..route_files import NEEDS, PLAN, SUFFIXES
 from .cli import Console, count, file_of, place, require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ..route_files import Drawn
 
 FORMATS_HELP = """\
 FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
@@ -47,12 +48,13 @@ def check_outputs(paths: Sequence[Path], console: Console) -> None:
 
 
 def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Mapping[str, Any]],
-                figure: Callable[[], Figure]) -> None:
-    """Write a table to .csv files, and its picture to .png files, with mode 0600."""
+                figure: Callable[[], Figure], sources: Sequence[str] = ()) -> None:
+    """Write a table to .csv files, and its picture of ``sources`` to .png files, with mode 0600."""
     from ..map_figures import as_png
+    from ..recordings.durable_files import write_all_durably
 
     write_all_durably({path: _as_csv(columns, rows) if path.suffix.lower() == '.csv' else
-                       as_png(figure()) for path in paths})
+                       as_png(figure(), path.name, sources) for path in paths})
 
 
 def _as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:
@@ -73,6 +75,6 @@ def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
     what = ', '.join([*['plan'] * bool(plans), *routes])
     files = console.secret(paths, f'{what}; ')
     if plans:
-        gpx = ' route.gpx' * bool(drawn.risk_map.crs)
-        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html{gpx}')
+        suffix = '.gpx' if drawn.risk_map.crs else '.csv'
+        console.line(f'Each day: ambush draw {place(plans[0])} -o card.html route{suffix}')
     console.result |= {'files': files, 'departures': len(drawn.paths)}

@@ -4,29 +4,19 @@
 from __future__ import annotations
 
 import argparse
-from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-
-from .. import figures, map_figures
-from ..colours import AMBUSHER
-from ..game.strategy import within_slack
-from ..maps.coordinates import Coordinates
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import read_risk_map
-from ..maps.vector_file import InvalidFeatures, attribute, features_on
-from ..planning.holding import Held, Holding, places_to_hold
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
-from .inputs import options_from, planner_parser
+from .planner_parser import planner_parser, source_names
 from .positions import Position, places_on
 
-# Held places in the picture: a green that is none of the routes'.
-HELD = '#35c48c'
-NAME_WIDTH = 12  # characters in a line below the curve
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..maps.risk_map import RiskMap
+    from ..operations.hold import Held, Holding
+
 EPILOG = """\
 PLACES has points with a name: a CSV file with name, and x, y or lat, lon, or a vector file.
 The table (.csv) has a row for each place, the picture (.png) the places on the map.
@@ -37,7 +27,8 @@ and nobody who drives there is hit; then the next one, given the first, and so o
 In a row of the table, value and lower_bound are those if this place and those before it are held;
 no other candidate can bring the value below others instead. The picture also has the strategy if
 all are held, and the value as a curve.
---json: {"verdict", "files", "value", "lower_bound", "places": [{...}]}
+It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
+--json: {"verdict", "files", "value", "lower_bound", "complete", "places": [{...}]}
 """
 
 
@@ -58,12 +49,18 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..game.strategy import within_slack
+    from ..maps.risk_map_file import read_risk_map
+    from ..operations.hold import places_to_hold
+    from .inputs import options_from
+
     of_map, planning = options_from(arguments)
     risk_map = read_risk_map(arguments.map, of_map)
     check_outputs(arguments.output, console)
     start, goal, stops = places_on(arguments, risk_map)
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
-    with console.waiting('solving games'):
+    limit = planning.strategy.time_limit
+    with console.waiting(f'solving games, at most {limit:g} s (strategy.time_limit)'):
         found = places_to_hold(
             risk_map, start, goal, arguments.radius, arguments.count, planning,
             stops=stops, candidates=given, progress=lambda number, left: console.step(
@@ -71,15 +68,27 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
     columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
     write_table(arguments.output, columns, rows,
-                lambda: hold_figure(found, arguments.radius, risk_map))
+                lambda: _picture(found, arguments.radius, risk_map), source_names(arguments))
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
+    if not found.complete:
+        console.warn(f'time is up after {limit:g} s: the last place is the best of those tried; '
+                     'to find better ones, name a few --candidates, or allow more time '
+                     '(strategy.time_limit)')
     console.result['files'] = console.secret(arguments.output)
     sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
 
+def _picture(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
+    from .hold_figure import hold_figure  # the table needs no matplotlib
+
+    return hold_figure(found, radius, risk_map)
+
+
 def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
     """The row of one place; the columns lat and lon are for maps with a coordinate system."""
+    from ..maps.coordinates import Coordinates
+
     at = dict(zip('xy', step.xy, strict=True))
     if risk_map.crs:
         at |= zip(('lat', 'lon'), Coordinates(risk_map.crs).to_lat_lon([step.xy])[0], strict=True)
@@ -100,48 +109,20 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
         others = '' if row['others'] is None else f'; {stay} above {row["others"]:.4g}'
         console.line(f'{row["number"]:>2} {at:<23} {row["value"]:.4g}, lower bound '
                      f'{row["lower_bound"]:.4g}{others}')
-    if len(rows) < wanted:
+    if len(rows) < wanted and found.complete:
         console.say('No further place: the value is 0, or no candidate remains.')
     held = found.strategies[-1].game.options.held_places
     places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
     console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
-    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows}
-
-
-def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
-    """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
-    lines = 2 + len(map_figures.ground_key(risk_map))
-    heights = 6.1 + 0.3 * lines, 2.1
-    figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
-    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=heights))
-    figures.draw_strategy(overview, found.strategies[-1], risk_map)
-    held = f'{cli.count(len(found.steps), "place")} held (green)'
-    overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
-                     linespacing=1.4)
-    for step in found.steps:
-        overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.35, linewidth=0, zorder=5))
-    points = np.array([step.xy for step in found.steps]).reshape(-1, 2)
-    apart = figures.BADGE * float(np.ptp(overview.get_xlim()))
-    spots = figures.free_spots(points, figures.marks_of(found.strategies[-1]), apart)
-    for k, spot in enumerate(spots):
-        figures.number_badge(overview, k + 1, points[k], HELD, spot)
-    style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
-    curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
-               label='lower bound', **style)
-    curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
-    names = [fill(f'{number} {step.name}', NAME_WIDTH)
-             for number, step in enumerate(found.steps, 1)]
-    curve.set_xticks(range(len(found.strategies)), ['0', *names])
-    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
-              ylabel='mean loss\nby the best ambush')
-    curve.grid(color='0.92')
-    curve.legend(frameon=False)
-    return figure
+    console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows,
+                      'complete': found.complete}
 
 
 def read_places(source: str, risk_map: RiskMap) -> dict[str, tuple[float, float]]:
     """World positions [m] by the names of points in a file; raises InvalidFeatures."""
+    from ..maps.tables import InvalidFeatures
+    from ..maps.vector_file import attribute, features_on
+
     points = features_on(risk_map, source, 'Point', crs=risk_map.crs,
                          refused='each place needs a position')
     names = attribute(points, 'candidates', 'name').astype(str).str.strip()

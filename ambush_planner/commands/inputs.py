@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments and options of commands that plan."""
+"""Options of commands that plan, from their arguments."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import fields, replace
 from difflib import get_close_matches
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -19,44 +18,18 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..gone import remedy_for
 from ..maps.occupancy import OccupancyOptions
+from ..maps.road_file import ROAD_OPTIONS
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
-from .cli import new_parser
-from .positions import add_crs, add_places, crs_text
+from .planner_parser import WORDS
+from .positions import crs_text
 
-# Options of all commands that plan which their short help shows.
-COMMON = ('-o', '--start', '--goal', '--via', '--reach', '--held', '--detour', '--slack', '--crs',
-          '--set')
-HELP = """\
-MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
-A POSITION is X Y in its metres, LAT,LON in degrees, or an MGRS reference.
-"""
-DETAILS = """
-A GeoTIFF has the values of map_server, -1..100; an npz file has alpha and obstacles (H, W), row 0
-the lowest, resolution [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate
-system. LAT and LON are negative in the south and west.
-The options of --set are named like the node's parameters (map., network., game., strategy.,
-route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
-that strategy.time_limit is 60 s.
-"""
 # Default options by their groups, in which the time limit of a solve is the node's.
 DEFAULTS: dict[str, Any] = {
     'map': OccupancyOptions(), 'network': NetworkOptions(), 'game': GameOptions(),
     'strategy': StrategyOptions(time_limit=60.0), 'route': DriveOptions()}
 # Options that a plan or an argument of its own sets.
 SET_BY_PLAN = ('game.tube', 'game.widened')
-# Words for the options that every user sets.
-WORDS = {
-    'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
-              '(default: 0, only the network nodes that he waits at)'),
-    'held': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
-             'start, stops and goal: nobody can wait there (default: as far as an ambush reaches: '
-             'the reach and the tube)'),
-    'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
-               "route's (default: 1.2)"),
-    'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '
-              'routes (default: 0.01)'),
-}
 # What the types of options are called; the first one that a field's type names is its own.
 _KINDS = {tuple: 'a list of lists', str: 'text', float: 'a number', int: 'a whole number',
           bool: 'true or false'}
@@ -65,43 +38,16 @@ _TYPES = {f'{group}.{each.name}': next(kind for kind in _KINDS if kind.__name__ 
           if f'{group}.{each.name}' not in SET_BY_PLAN}
 # How options are typed, by their names without the group; and other texts in messages.
 _TYPED = {name.partition('.')[2]: f'--set {name}' for name in _TYPES} | {
-    name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()}
-_PHRASES = {'--node-crossings (network.node_crossings)': '--node-crossings',
-            ' (game.secured_radius -1)': ' (leave out --held)',
+    name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()} | {
+    'graph': '--roads'} | {name: f'--{name.replace("_", "-")}' for name in ROAD_OPTIONS}
+_PHRASES = {' (node_crossings)': '', ' (road_column, all_lines_are_roads)': '', ' (two_way)': '',
+            ' (all_lines_are_roads)': '', ' (game.secured_radius -1)': ' (leave out --held)',
             ' (strategy.time_limit, or max_planning_time of the node)':
             ' (--set strategy.time_limit=SECONDS)',
             'max_planning_time': 'strategy.time_limit'}
 # Qualified names, and those that are no ordinary words.
 _NAMED = re.compile(rf"(?<!--set )(?<!')(?<![.\w])((?:{'|'.join(DEFAULTS)})\.)?"
                     rf"({'|'.join(_TYPED)})(?!\w)")
-
-
-def planner_parser(command: str, description: str, epilog: str, details: str, usage: str,
-                   common: Sequence[str] = (), stops: bool = True,
-                   hidden: str = '') -> argparse.ArgumentParser:
-    """Return the parser of a command that plans: with a map, places, options, ``--crs``.
-
-    ``epilog``, ``details`` and ``usage`` are as in ``new_parser``; ``common`` are the command's own
-    options in its short help. Help omits the option ``hidden``.
-    """
-    parser = new_parser(command, description, HELP + epilog, (*COMMON, *common), DETAILS + details,
-                        f'ambush {command} MAP {usage}')
-    parser.add_argument('map', type=Path, metavar='MAP', help='the risk map')
-    add_places(parser, stops)
-    _add_options(parser, hidden)
-    add_crs(parser)
-    return parser
-
-
-def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
-    """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``; help omits ``hidden``."""
-    for word, (_, unit, text) in WORDS.items():
-        parser.add_argument(f'--{word}', metavar=unit,
-                            help=argparse.SUPPRESS if word == hidden else text)
-    parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
-                        'cross without a shared vertex (network.node_crossings)')
-    parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
-                        help='other options: network.spacing=50 strategy.time_limit=300')
 
 
 def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, PlanningOptions]:
@@ -113,8 +59,9 @@ def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, Plann
     given = [f'{name}={_in_metres(value) if unit == "METRES" else value}'
              for word, (name, unit, _) in WORDS.items()
              if (value := getattr(arguments, word)) is not None]
-    given += ['network.node_crossings=true'] * arguments.node_crossings
-    if getattr(arguments, 'roads', None):
+    given += [f'network.{name}={str(value).lower() if value is True else value}'
+              for name in ROAD_OPTIONS if (value := getattr(arguments, name))]
+    if arguments.roads:
         given += ['network.method=graph', f'network.graph={arguments.roads}']
     of_map, of_plan = options_of([*arguments.set, *given])
     crs = crs_text(arguments)
@@ -138,9 +85,10 @@ def options_of(assignments: Iterable[str]) -> tuple[OccupancyOptions, PlanningOp
             raise InvalidOption(f'{name} has two values; give one')
         changes[group][option] = _value(name, text)
     network = changes['network']
-    for option in ('graph', 'node_crossings', 'join_distance'):
+    for option in ('graph', *ROAD_OPTIONS, 'join_distance'):
         if option in network and network.get('method') != 'graph':
-            raise InvalidOption(f'network.{option} has no effect without network.method=graph')
+            raise InvalidOption(f'network.{option} has no effect without roads '
+                                '(network.method=graph)')
     of_map, network, game, strategy, route = (_changed(group, changes[group]) for group in DEFAULTS)
     return of_map, PlanningOptions(network=network, game=game, strategy=strategy, drive=route,
                                    max_gap=math.inf)
@@ -191,5 +139,6 @@ def _value(name: str, text: str) -> Any:
     except (yaml.YAMLError, TypeError, ValueError):
         value = None
     if type(value) is not kind:
-        raise InvalidOption(f'{name} must be {_KINDS[kind]}, got {text!r}')
+        point = ', with a decimal point' if re.fullmatch(r'-?\d+,\d+\D*', text) else ''
+        raise InvalidOption(f'{name} must be {_KINDS[kind]}{point}, got {text!r}')
     return value

@@ -6,38 +6,35 @@ from __future__ import annotations
 import argparse
 import math
 import warnings
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InvalidOption
-from ..game.strategy import StrategyOptions
-from ..map_figures import as_png
-from ..maps.coordinates import Coordinates
-from ..maps.risk_map import RiskMap
-from ..maps.risk_map_file import read_risk_map
-from ..maps.track_file import Track, read_tracks
-from ..planning.concerns import assumptions, concerns, is_sound
-from ..planning.habits import NEAR, Habits, find_trips, judge
-from ..planning.options import solved_game
-from ..planning.path_mixtures import PathMixture
-from ..recordings.durable_files import write_all_durably
 from ..words import distance, percent
 from . import cli, readers
-from .inputs import options_from, planner_parser
-from .judge_figure import MIN_SHARE, judge_figure
+from .planner_parser import planner_parser, source_names
 from .positions import places_on
 
+if TYPE_CHECKING:
+    from ..maps.risk_map import RiskMap
+    from ..maps.track_file import Track
+    from ..operations.judge import Habits
+    from ..operations.path_mixtures import PathMixture
+
 EPILOG = """\
-TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, or recordings. Trips
-are found between start and goal; their mean length is the budget of the optimal strategy.
+TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, recordings, or
+folders of these. Trips are found between start and goal; their mean length is the budget of the
+optimal strategy.
 """
 DETAILS = """\
-Of TRACKS are read, if they are no recordings (.mcap, or a folder):
+Of TRACKS are read, and in a folder all .gpx, .csv and .mcap:
   .gpx    tracks, or routes if there are none
-  .csv    columns x and y [m] or lat and lon [degrees], optional track and time (ISO 8601 or [s])
+  .csv    columns x and y [m] or lat and lon [degrees]; optional are time (ISO 8601) and what tells
+          tracks apart (track, vehicle, device_id, imei, trip, ...)
+  .mcap   recordings
   others  lines of a GeoPackage, GeoJSON or other vector file; FILE|layername=NAME names a layer
 A trip leads from the last approach to the start to the first approach to the goal after it. The
 picture has mode 0600.
@@ -59,6 +56,16 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..game.strategy import StrategyOptions
+    from ..map_figures import as_png
+    from ..maps.risk_map_file import read_risk_map
+    from ..operations.judge import NEAR, find_trips, judge
+    from ..planning.concerns import concerns, is_sound
+    from ..planning.options import solved_game
+    from ..recordings.durable_files import write_all_durably
+    from .inputs import options_from
+    from .judge_figure import judge_figure
+
     (of_map, planning), output = options_from(arguments), arguments.output
     if arguments.detour is not None or planning.strategy.max_detour != StrategyOptions.max_detour:
         raise cli.UsageError('the tracks set the length budget: leave out --detour and '
@@ -71,29 +78,45 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     game = solved_game(risk_map, planning)
     near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))
     trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
-    console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal')
-    for sentence in left_out:
-        console.item(f'left out: {sentence}', 0)
-    console.result = {'trips': len(trips), 'left_out': left_out, 'near': near}
+    console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal'
+                 + _span(trips))
+    for reason, count in Counter(each.reason for each in left_out).items():
+        first = next(each for each in left_out if each.reason == reason)
+        console.item(f'left out: {first}' if count == 1 else
+                     f'left out: {count} tracks, such as {first.name}, which {reason}', 0)
+    console.result = {'trips': len(trips), 'left_out': [*map(str, left_out)], 'near': near}
     if not trips:
         console.error('no track has a trip from start to goal')
         return cli.Exit.TOO_FEW
     with console.waiting('solving the game'), warnings.catch_warnings():
         warnings.simplefilter('ignore')  # rounding at values of 0
         habits = judge(risk_map, trips, planning)
-    write_all_durably({output: as_png(judge_figure(habits, risk_map))})
+    write_all_durably({output: as_png(judge_figure(habits, risk_map), output.name,
+                                      source_names(arguments))})
     _tell(habits, risk_map, console)
-    for text in concerns(habits.plan):
+    for text in concerns(habits.plan, lambda xy: arguments.start[0].like(xy, risk_map)):
         console.warn(text)
     console.result['picture'] = console.secret([output])[0]
     return cli.Exit.HOLDS if is_sound(habits.plan) else cli.Exit.FINDING
 
 
 def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:
-    """The tracks of a file, or of recordings in a file or a folder."""
+    """The tracks of a file, or of the files and recordings in a folder."""
+    import numpy as np
+
+    from ..maps.tables import InvalidFeatures
+    from ..maps.track_file import Track, read_tracks
+
     path = Path(source)
     if not path.is_dir() and path.suffix.lower() != '.mcap':
-        yield from read_tracks(source, risk_map.crs)
+        yield from read_tracks(source, risk_map)
+        return
+    files = sorted(each for each in path.rglob('*') if each.suffix.lower() in ('.gpx', '.csv'))
+    for file in files:
+        yield from read_tracks(str(file), risk_map)
+    if path.is_dir() and not any(path.rglob('*.mcap')):
+        if not files:
+            raise InvalidFeatures(f'{path}: no .gpx, .csv or .mcap file in this folder')
         return
     departures, unreadable, _ = readers.read_all(path, console)
     if unreadable:
@@ -103,7 +126,19 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
         yield Track(each.path.name, poses[:, :2], np.full(len(poses), each.stamp_ns / 1e9))
 
 
+def _span(trips: Sequence[Track]) -> str:
+    """The days of the first and the last trip, if they are known."""
+    days = [f'{datetime.fromtimestamp(each.times[0], timezone.utc):%Y-%m-%d}' for each in trips
+            if each.times is not None]
+    return f', {min(days)} to {max(days)}' if days else ''
+
+
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
+    import numpy as np
+
+    from ..planning.concerns import assumptions
+    from .judge_figure import MIN_SHARE
+
     strategy, hit, shares = habits.plan.strategy, habits.driven.hit, habits.best.shares
     (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
     named = [{'track': habits.trips[k].name, 'share': float(shares[k])}
@@ -132,6 +167,8 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
 
 
 def _numbers(mixture: PathMixture, habits: Habits, risk_map: RiskMap) -> dict[str, Any]:
+    from ..maps.coordinates import Coordinates
+
     at, crs = mixture.worst_xy, risk_map.crs
     return {'value': mixture.value, 'mean_length': float(mixture.shares @ habits.lengths),
             'worst_xy': at.round(2).tolist(), **({

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
@@ -14,7 +15,7 @@ from .. import figures, map_figures
 from ..arrays import BoolArray, FloatArray
 from ..colours import AMBUSHER
 from ..maps.risk_map import RiskMap
-from ..planning.habits import Habits
+from ..operations.judge import Habits
 from ..words import distance
 
 # Minimum share of trips and edges that are shown.
@@ -72,10 +73,10 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
         _draw_lines(axes, paths, mixture.shares, mixture.hit)
         axes.add_patch(Circle(mixture.worst_xy, trip.game.options.ambush_radius, linewidth=2.0,
                               facecolor=f'{AMBUSHER}55', edgecolor=AMBUSHER, zorder=9))
-    _draw_lines(panels[2], list(edges), p, np.zeros(len(p), dtype=bool))
-    figures.draw_sites(panels[2], trip)
-    map_figures.risk_bar(figure, risk, list(panels), location='bottom', shrink=0.45, aspect=25,
-                     anchor=(0.0, 1.0))
+    figures.draw_segments(panels[2], edges, p, widths=(0.2, 3.0),
+                          cmap=ListedColormap([_CONVOY]))
+    figures.draw_sites(panels[2], trip, MARKS)
+    map_figures.colour_bar(panels[2], risk, map_figures.LOSS)
     shown = [*_LEGEND, *[figures.SECURED_AREA] * bool(trip.game.secured.radii.any()),
              *map_figures.ground_key(risk_map)]
     figure.legend(handles=shown, ncols=2, loc='outside lower left', frameon=False)

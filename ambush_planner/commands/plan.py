@@ -5,33 +5,25 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
+import shlex
 import warnings
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ..maps.risk_map_file import read_risk_map
-from ..planning.ambush_costs import best_ambush
-from ..planning.concerns import assumptions, concerns
-from ..planning.evaluation import evaluate
-from ..planning.few_routes import MAX_ROUTES
-from ..planning.options import PlanningOptions
-from ..planning.plan import Plan
-from ..planning.trip import plan_trip
-from ..recordings.metadata import RecordedSlots
-from ..recordings.plan_departures import departures_folder, names_in
-from ..recordings.plan_file import saved_plan
-from ..recordings.sources import sources_of
-from ..route_files import PLAN, SUFFIXES, Drawn, draw, write_routes
-from ..words import best_ambush as in_words
+from ..route_files import PLAN, SUFFIXES
 from ..words import distance, duration, over_legs, percent
 from . import cli
-from .few_files import FewDrawn, tell_few
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .inputs import options_from, planner_parser
+from .planner_parser import WORDS, planner_parser, source_names
 from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
+
+if TYPE_CHECKING:
+    from ..operations.slots import Slots
+    from ..planning.plan import Plan
+    from ..route_files import Drawn
 
 DESCRIPTION = """\
 Plan on a map. Save the plan and draw from it each day, or draw routes for a quick look.
@@ -62,17 +54,19 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser('plan', DESCRIPTION, EPILOG, DETAILS,
                           '--start POSITION --goal POSITION [options] -o FILE ...',
-                          ('-n', '--routes', '--roads', '--slots', '--window', '-v'))
+                          ('-n', '--routes', '--slots', '--window', '-v'))
     add_outputs(made, 'files to write', (PLAN, *SUFFIXES))
     number = made.add_mutually_exclusive_group()
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
-    number.add_argument('--routes', type=cli.number(1, MAX_ROUTES, int), metavar='K', help='find '
+    number.add_argument('--routes', type=int, metavar='K', help='find '
                         'the best mixture of at most K routes, to brief, or draw by hand')
+    for end in ('start', 'goal'):
+        made.add_argument(f'--{end}-name', default='', metavar='NAME',
+                          help=f'name of the {end} on cards')
     made.add_argument('--terrain', action='store_true',
                       help='MAP is an elevation model, whose risk is found as by ambush risk')
     add_terrain(made.add_argument_group('with --terrain'))
-    made.add_argument('--roads', metavar='FILE', help='drive only on the roads of this file')
     made.add_argument('--slots', nargs='+', type=cli.time_of_day, default=(), metavar='HH:MM',
                       help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
@@ -89,12 +83,29 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    import numpy as np
+
+    from ..maps.risk_map_file import read_risk_map
+    from ..operations.few_routes import MAX_ROUTES
+    from ..operations.slots import Slots
+    from ..planning.concerns import concerns
+    from ..planning.one_place import find_one_place
+    from ..planning.options import PlanningOptions
+    from ..planning.trip import plan_trip
+    from ..recordings.plan_file import saved_plan
+    from ..recordings.sources import sources_of
+    from ..route_files import draw, write_routes
+    from .few_files import FewDrawn, tell_few
+    from .inputs import options_from
+
     (of_map, planning), slots = options_from(arguments), arguments.slots
     for before, after in pairwise(slots):
         if after <= before:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
+    if arguments.routes is not None and not 1 <= arguments.routes <= MAX_ROUTES:
+        raise cli.UsageError(f'--routes must be a number from 1 to {MAX_ROUTES}')
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
@@ -114,7 +125,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     refused = plan.gap_is_wide and not arguments.accept_gap
     day = None
     if slots:
-        day = RecordedSlots.of(slots, arguments.window)
+        day = Slots.of(slots, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -126,20 +137,23 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     output = quick if refused else arguments.output
     drawn = (FewDrawn(plan.trip, risk_map, few.paths, (), few) if few else
              draw(plan, arguments.departures if quick else 0, rng))
+    drawn = replace(drawn, sources=source_names(arguments))
     if day:
         slots = () if few else [day.drawn(rng) for _ in drawn.paths]
         drawn = replace(drawn, slots=slots, covered=day.covered)
     plans = [path for path in output if path not in quick]
     write_routes(output, drawn, saved_plan(
         plan, of_map, day, sources_of(plans[0].parent, arguments.map, planning.network.graph),
-    ) if plans else None)
+        (arguments.start_name, arguments.goal_name)) if plans else None)
     _tell(plan, day, arguments, console)
     if few:
         tell_few(plan, few, arguments.routes, day.covered if day else 1.0, console)
     if day:
         _tell_slots(plan, day, drawn, console)
-    for text in concerns(plan):
+    for text in concerns(plan, lambda xy: arguments.start[0].like(xy, risk_map)):
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
+    if find_one_place(plan):
+        console.say(f'To find what to hold: {_hold_line(arguments, plan)}')
     if len(output) < len(arguments.output):
         console.error('no plan was saved: a much better one may exist; --accept-gap saves it '
                       'nevertheless')
@@ -149,6 +163,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _check_departures(arguments: argparse.Namespace) -> None:
     """Raise UsageError if a plan with departures would be overwritten, unless that is asked for."""
+    from ..recordings.plan_departures import departures_folder, names_in
+
     for path in arguments.output:
         if path.suffix.lower() != PLAN or arguments.overwrite:
             continue
@@ -160,8 +176,31 @@ def _check_departures(arguments: argparse.Namespace) -> None:
                 'recordings keep the plan that they were drawn from')
 
 
-def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
+def _hold_line(arguments: argparse.Namespace, plan: Plan) -> str:
+    """The call of ``ambush hold`` for the same trip."""
+    from ..maps.road_file import ROAD_OPTIONS
+
+    given = [word for name in ('start', 'via', 'goal', 'roads', *ROAD_OPTIONS, *WORDS, 'crs', 'set')
+             if (value := getattr(arguments, name))
+             for word in (f'--{name.replace("_", "-")}', *(
+                 map(str, value) if isinstance(value, list) else [value] * (value is not True)))]
+    radius = 2.0 * (plan.options.game.ambush_radius or plan.spacing)
+    return ' '.join(['ambush hold', *map(_quoted, [str(arguments.map), *given]),
+                     f'--radius {radius:g} -o hold.csv hold.png'])
+
+
+def _quoted(word: str) -> str:
+    """A word for a shell; a position X Y [m] is two words."""
+    return word if re.fullmatch('[-+.e0-9]+ [-+.e0-9]+', word) else shlex.quote(word)
+
+
+def _tell(plan: Plan, day: Slots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
+    from ..planning.ambush_costs import best_ambush
+    from ..planning.concerns import assumptions
+    from ..planning.evaluation import evaluate
+    from ..words import best_ambush as in_words
+
     trip, few = plan.drawn_from, plan.few
     covered = day.covered if day else 1.0
     value, bound = plan.value * covered, plan.lower_bound * covered
@@ -208,7 +247,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
     }
 
 
-def _tell_slots(plan: Plan, day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+def _tell_slots(plan: Plan, day: Slots, drawn: Drawn, console: cli.Console) -> None:
     shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:

@@ -4,50 +4,84 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
+from ..errors import InvalidCoordinates
 
-from ..arrays import FloatArray
-from ..maps.coordinates import Coordinates, InvalidCoordinates
-from ..maps.grid_references import MGRS_REFERENCE, from_mgrs, mgrs_references
-from ..maps.risk_map import RiskMap
-from ..network.trip_graph import position_errors
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from ..arrays import FloatArray
+    from ..maps.risk_map import RiskMap
+    from .console import Console
 
 _POSITIONS = {'--start': 'where trips begin', '--via': 'stops',
               '--goal': 'where trips end; the start again for a round trip'}
+KINDS = ('X Y [m], LAT,LON with decimal points, degrees and minutes with N, S, E, W, or an MGRS or '
+         'UTM reference')
+_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?'
+_ANGLE = r'(\d+(?:\.\d*)?(?:[\s:]+\d+(?:\.\d*)?){0,2})'
+_SIDED = rf'(?:([NSEW])\s*{_ANGLE}|{_ANGLE}\s*([NSEW]))'
+# How positions are typed, the signs of angles being blanks.
+_PATTERNS = {kind: re.compile(rf'{pattern}(?=[\s,;]|$)', re.IGNORECASE) for kind, pattern in {
+    'mgrs': r'(\d{1,2}[C-HJ-NP-X])\s*([A-HJ-NP-Z]{2})\s*(?:(\d{1,5})\s+(\d{1,5})|(\d{2,10}))',
+    'utm': r'(\d{1,2})\s*([C-HJ-NP-X])\s+(\d{5,8}(?:\.\d+)?)(?:\s*m?E)?[\s,]+'
+           r'(\d{1,8}(?:\.\d+)?)(?:\s*m?N)?',
+    'sided': rf'{_SIDED}[\s,;]*{_SIDED}',
+    'degrees': rf'({_NUMBER})\s*,\s*({_NUMBER})',
+    'metres': rf'({_NUMBER})\s+({_NUMBER})',
+}.items()}
+_SIGNS = re.compile('[°º˚\'′’"″”]')
+# A place [m] in a message.
+_PLACE = re.compile(r'\((-?\d+\.\d+), (-?\d+\.\d+)\)')
 
 
 @dataclass(frozen=True)
 class Position:
     """A position as it was typed: world coordinates [m], or latitude and longitude [degrees].
 
-    ``as_mgrs``: the latter, typed as an MGRS reference.
+    ``kind`` is a key of the patterns of this module.
     """
 
     numbers: tuple[float, float]
-    in_degrees: bool
-    as_mgrs: bool = False
+    kind: str
+    text: str
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the numbers are latitude and longitude."""
+        return self.kind != 'metres'
 
     def like(self, xy: npt.ArrayLike, risk_map: RiskMap) -> str:
         """Another world position [m] on the map, written as this one was typed."""
+        import numpy as np
+
+        from ..maps.coordinates import Coordinates
+        from ..maps.grid_references import mgrs_references, utm_references
+
         if not (self.in_degrees and risk_map.crs):
             x, y = np.asarray(xy, dtype=float).tolist()
             return f'({x:.1f}, {y:.1f})'
-        lat, lon = Coordinates(risk_map.crs).to_lat_lon(xy).tolist()
-        if self.as_mgrs:
-            return mgrs_references(np.array([(lat, lon)]))[0]
-        return f'{lat:.5f},{lon:.5f}'
+        place = Coordinates(risk_map.crs).to_lat_lon(xy)
+        if self.kind in ('mgrs', 'utm'):
+            write = mgrs_references if self.kind == 'mgrs' else utm_references
+            return write(place[None])[0]
+        return '{:.5f},{:.5f}'.format(*place)
 
     def __str__(self) -> str:
-        return ('{:.10g},{:.10g}' if self.in_degrees else '{:.10g} {:.10g}').format(*self.numbers)
+        return self.text
 
     def xy(self, risk_map: RiskMap) -> FloatArray:
         """World position [m]; raises InvalidCoordinates."""
+        import numpy as np
+
+        from ..maps.coordinates import Coordinates
+
         if not self.in_degrees:
             return np.array(self.numbers)
         if not risk_map.crs:
@@ -57,47 +91,90 @@ class Position:
         return Coordinates(risk_map.crs).from_lat_lon(self.numbers)
 
     def is_on(self, risk_map: RiskMap) -> bool:
-        """Whether the position lies on a map with a coordinate system."""
+        """Whether the position lies on the map."""
         try:
             return bool(risk_map.contains(risk_map.to_map_axes(self.xy(risk_map))))
         except InvalidCoordinates:
             return False
 
 
+def positions_in(text: str) -> list[Position]:
+    """Read the positions that a text consists of; raises InvalidCoordinates."""
+    found, plain, at = [], _SIGNS.sub(' ', text), 0
+    while rest := plain[at:].lstrip(' ,;'):
+        at = len(plain) - len(rest)
+        kind, match = next(((kind, match) for kind, pattern in _PATTERNS.items()
+                            if (match := pattern.match(plain, at))), ('', None))
+        if match is None:
+            raise InvalidCoordinates(f'must be {KINDS}, got {text[at:]}')
+        typed, at = text[at: match.end()].strip(), match.end()
+        try:
+            a, b = map(float, _numbers(kind, *match.groups()))
+        except InvalidCoordinates as error:
+            raise InvalidCoordinates(f'{typed}: {error}') from error
+        found.append(Position((a, b), kind, typed))
+    return found
+
+
+def _numbers(kind: str, *parts: str) -> Iterable[Any]:
+    """The numbers of a position (2,) from the groups of its pattern."""
+    if kind == 'mgrs':
+        from ..maps.grid_references import from_mgrs
+
+        zone, square, east, north, both = parts
+        half = (len(both or '') + 1) // 2
+        return from_mgrs(zone + square, *((both[:half], both[half:]) if both else (east, north)))
+    if kind == 'utm':
+        from ..maps.grid_references import from_utm
+
+        zone, letter, east, north = parts
+        return from_utm(int(zone), letter.upper(), float(east), float(north))
+    if kind == 'metres':
+        return parts
+    if kind == 'sided':
+        angles = {(before or after).upper(): _degrees(first or second)
+                  for before, first, second, after in (parts[:4], parts[4:])}
+        latitude, longitude = (angles.get(side, -angles.get(other, math.nan))
+                               for side, other in ('NS', 'EW'))
+    else:
+        latitude, longitude = map(float, parts)
+    is_comma = kind == 'degrees' and re.fullmatch(r'0\d+', parts[1])  # as in 37,06096
+    if is_comma or not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0):
+        raise InvalidCoordinates('no latitude and longitude; write LAT,LON with decimal points, '
+                                 'one angle with N or S and the other with E or W, or X Y [m] with '
+                                 'a blank')
+    return latitude, longitude
+
+
+def _degrees(text: str) -> float:
+    """Degrees of a text of degrees, minutes and seconds."""
+    parts = [float(part) for part in re.split(r'[\s:]+', text.strip())]
+    if any(part >= 60.0 for part in parts[1:]) or any(part % 1.0 for part in parts[:-1]):
+        raise InvalidCoordinates('minutes and seconds are under 60, and only the last number of an '
+                                 'angle has decimals')
+    return sum(part / 60.0**k for k, part in enumerate(parts))
+
+
 def written(xy: npt.ArrayLike, risk_map: RiskMap) -> str:
     """A world position [m] as latitude and longitude, or if these are unknown as (x, y)."""
-    try:
-        return Position((0.0, 0.0), True).like(xy, risk_map)
-    except InvalidCoordinates:
-        return Position((0.0, 0.0), False).like(xy, risk_map)
+    kind = 'degrees' if risk_map.crs else 'metres'
+    return Position((0.0, 0.0), kind, '').like(xy, risk_map)
 
 
 class _Positions(argparse.Action):
-    """Parse ``X Y``, ``LAT,LON`` and MGRS references, one or several, and append them."""
+    """Parse positions, one or several, and append them."""
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
                  values: Any, option_string: str | None = None) -> None:
-        texts = [''.join(values)] if MGRS_REFERENCE.match(''.join(values)) else values
-        as_mgrs = any(MGRS_REFERENCE.match(text) for text in texts)
-        in_degrees = any(',' in text or MGRS_REFERENCE.match(text) for text in texts)
         try:
-            numbers = [float(part) for text in texts for part in _parts(text)]
-            pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
-        except ValueError:
-            parser.error(f'argument {option_string}: must be X Y [m], LAT,LON [degrees] or an MGRS '
-                         f'reference, got {" ".join(values)!r}')
+            found = positions_in(' '.join(values))
+        except InvalidCoordinates as error:
+            parser.error(f'argument {option_string}: {error}')
         before = getattr(namespace, self.dest) or []
-        if self.dest != 'via' and len(before) + len(pairs) != 1:
-            parser.error(f'argument {option_string}: must be one position')
-        setattr(namespace, self.dest,
-                before + [Position(pair, in_degrees, as_mgrs) for pair in pairs])
-
-
-def _parts(text: str) -> Sequence[str | float]:
-    """The numbers of a position, or of a part of it."""
-    if MGRS_REFERENCE.match(text):
-        return from_mgrs(text)
-    return [part for part in text.split(',') if part]
+        if self.dest != 'via' and len(before) + len(found) != 1:
+            parser.error(f'argument {option_string}: must be one position, got '
+                         f'{len(before) + len(found)}; in LAT,LON, write decimal points')
+        setattr(namespace, self.dest, before + found)
 
 
 def add_places(parser: argparse.ArgumentParser, stops: bool) -> None:
@@ -111,32 +188,57 @@ def places_on(arguments: argparse.Namespace,
               risk_map: RiskMap) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Start, goal and stops (x, y) [m] of ``add_places``.
 
-    Raises InvalidCoordinates, and the errors of ``position_errors`` if a position is off the map.
+    From then on, ``as_typed_places`` writes places as the start was typed. Raises
+    InvalidCoordinates, and the errors of ``position_errors`` if a position is off the map.
     """
     (start,), (goal,) = arguments.start, arguments.goal
+    arguments.places_as = start, risk_map
     stops = enumerate(getattr(arguments, 'via', None) or (), start=1)
     return (_xy('start', start, risk_map), _xy('goal', goal, risk_map),
             [_xy(f'stop {k}', stop, risk_map) for k, stop in stops])
 
 
+def as_typed_places(arguments: argparse.Namespace, text: str) -> str:
+    """A message with its places (x, y) [m] in the system in which positions were typed."""
+    position, risk_map = getattr(arguments, 'places_as', (None, None))
+    if position is None or not position.in_degrees:
+        return text
+    return _PLACE.sub(lambda found: position.like([*map(float, found.groups())], risk_map), text)
+
+
 def _xy(name: str, given: Position, risk_map: RiskMap) -> FloatArray:
-    if not risk_map.crs or given.is_on(risk_map):
+    import numpy as np
+
+    from ..maps.coordinates import Coordinates
+    from ..network.trip_graph import position_errors
+
+    if given.is_on(risk_map) or given.in_degrees and not risk_map.crs:
         return given.xy(risk_map)
-    low, high = Coordinates(risk_map.crs).to_lat_lon(risk_map.bounds)
     (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
-    extent = (f'latitude {low[0]:.4f} to {high[0]:.4f}, longitude {low[1]:.4f} to {high[1]:.4f}'
-              if given.in_degrees else f'x {left:.0f} to {right:.0f}, y {bottom:.0f} to {top:.0f}')
+    extent = f'x {left:.0f} to {right:.0f}, y {bottom:.0f} to {top:.0f}'
+    if given.in_degrees:
+        low, high = Coordinates(risk_map.crs or '').to_lat_lon(risk_map.bounds)
+        extent = (f'latitude {low[0]:.4f} to {high[0]:.4f}, longitude {low[1]:.4f} to '
+                  f'{high[1]:.4f}')
     raise position_errors(name)[0](
         f'{name} {given} is outside the map ({extent}){_hint(given, risk_map)}')
 
 
 def _hint(given: Position, risk_map: RiskMap) -> str:
-    """The latitude and longitude on the map that was meant: other signs, or the other order."""
+    """The position on the map that was meant: other signs, order or hemisphere."""
     a, b = given.numbers
-    for (one, other), north, east in product(((a, b), (b, a)), (1.0, -1.0), (1.0, -1.0)):
-        meant = Position((north * one, east * other), True)
-        if meant.is_on(risk_map):
-            return f'; did you mean {meant}? Write LAT,LON, negative in the south and west'
+    meant = [(Position((one * x, other * y), 'degrees', f'{one * x:.10g},{other * y:.10g}'),
+              'Write LAT,LON, negative in the south and west')
+             for (x, y), one, other in product(((a, b), (b, a)), (1.0, -1.0), (1.0, -1.0))]
+    if not given.in_degrees:
+        meant.insert(0, (Position((b, a), 'metres', f'{b:.10g} {a:.10g}'), 'Write X before Y'))
+    if given.kind == 'utm':
+        other = re.sub('[NS]', lambda side: 'NS'['SN'.index(side[0].upper())], given.text, count=1,
+                       flags=re.IGNORECASE)
+        meant = [(each, 'N and S are hemispheres') for each in positions_in(other)]
+    for position, rule in meant:
+        if position.is_on(risk_map):
+            return f'; did you mean {position}? {rule}'
     return ''
 
 
@@ -155,3 +257,14 @@ def crs_text(arguments: argparse.Namespace) -> str:
     if arguments.datum:
         return 'datum ' + ' '.join(f'{number:.12g}' for number in arguments.datum)
     return str(arguments.crs)
+
+
+def in_named_system(risk_map: RiskMap, arguments: argparse.Namespace,
+                    console: Console) -> RiskMap:
+    """The map of a recording in the system that the arguments name; warns if it differs."""
+    from ..maps.coordinates import agree
+
+    crs = crs_text(arguments)
+    if crs and risk_map.crs and not agree(crs, risk_map.crs):
+        console.warn(f'{crs} takes the place of the recorded coordinate system, {risk_map.crs}')
+    return replace(risk_map, crs=crs) if crs else risk_map

@@ -6,23 +6,29 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..recordings import RecordedDeparture, UnreadableRecording, read_departures, recordings_in
-from .cli import UsageError, new_parser
+from .cli import UsageError, existing, new_parser
 from .console import Console, place
+
+if TYPE_CHECKING:
+    from ..recordings import RecordedDeparture, UnreadableRecording
 
 
 def reader_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """Return the parser of a command that reads recordings."""
     parser = new_parser(command, description, epilog)
-    parser.add_argument('recordings', type=Path, metavar='FILE_OR_FOLDER', help='a recording, a '
-                        'session folder, or the recording.directory with all sessions')
+    parser.add_argument('recordings', type=existing, metavar='FILE_OR_FOLDER',
+                        help='a recording, a session folder, or the recording.directory with all '
+                        'sessions')
     return parser
 
 
 def read_all(place: Path, console: Console) -> tuple[
         list[RecordedDeparture], list[UnreadableRecording], dict[Path, str]]:
     """Return the departures below ``place`` in order of time, errors, and files struck, and why."""
+    from ..recordings import read_departures, recordings_in
+
     errors: list[UnreadableRecording] = []
     struck: dict[Path, str] = {}
     departures = read_departures(console.progress(recordings_in(place), 'read'), errors.append,

@@ -9,13 +9,16 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..errors import AmbushPlannerError
-from ..recordings import UnreadableRecording, read_recording, recordings_in
-from ..recordings.messages import DURATIONS, Channel, fields_from_yaml
+from ..errors import AmbushPlannerError, shown
 from . import cli, readers
+
+if TYPE_CHECKING:
+    from ..recordings import RecordingFile
+    from ..recordings.messages import Channel
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -29,9 +32,6 @@ have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node op
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
 Ctrl-C ends it with exit code 0.
 """
-INPUT_TYPES = frozenset({'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped',
-                         'geometry_msgs/msg/PoseWithCovarianceStamped',
-                         'geometry_msgs/msg/PoseArray'})
 # Longest wait for listeners [s]; discovery takes up to 3.3 s, and a planner may just be starting.
 _DISCOVERY, _DISCOVERY_OF_INPUTS = 3.5, 10.0
 # A listener that was discovered discovers the publisher a little later [s].
@@ -120,11 +120,13 @@ class _Replay:
 
     def _files(self) -> Mapping[Path, set[Channel]]:
         """Return the readable files with their channels."""
+        from ..recordings import UnreadableRecording, read_recording, recordings_in
+
         paths = recordings_in(self._options.recordings)
         found = {}
         for path in self._console.progress(paths, 'read'):
             try:
-                found[path] = {each.channel for each in read_recording(path).messages}
+                found[path] = own_channels(read_recording(path))
             except UnreadableRecording as error:
                 self.unreadable.append(str(error))
                 self._console.error(error)
@@ -133,23 +135,25 @@ class _Replay:
         return found
 
     def _advertise(self, node: Any, known: set[Channel]) -> None:
+        from ..recordings.schemas import INPUT_TYPES
+
         topics = sorted({channel.topic for channel in known})
         if missing := set(self._options.topics or topics).difference(topics):
             raise NothingToPublish(
                 f'nothing is recorded on {", ".join(sorted(missing))}, only on {", ".join(topics)}'
             )
         self._publishers = {
-            channel: node.create_publisher(_message_class(channel.type), channel.topic,
-                                           qos_from_yaml(channel.qos))
-            for channel in sorted(known)
+            channel: publisher_of(node, channel) for channel in sorted(known)
             if channel.topic in (self._options.topics or topics)
-            and (channel.type in INPUT_TYPES or not self._options.inputs_only)
+            and (channel.type in chain(*INPUT_TYPES.values()) or not self._options.inputs_only)
         }
         if not self._publishers:
             raise NothingToPublish('none of these topics is an input')
 
     def _publish(self, files: Iterable[Path]) -> None:
         """Publish everything in time."""
+        from ..recordings import read_recording
+
         for path in files:
             messages = [each for each in read_recording(path).messages
                         if each.channel in self._publishers]
@@ -190,10 +194,43 @@ class _Replay:
         return sorted({each.topic_name for each in publishers if not each.get_subscription_count()})
 
 
+def own_channels(file: RecordingFile) -> set[Channel]:
+    """Return the channels of a recording; raises UsageError if it holds others than ours do."""
+    from ..recordings.metadata import typed
+    from ..recordings.recording_errors import part
+    from ..recordings.schemas import DIAGNOSTICS, MARKER_NAMES, MARKERS, ROLE_TYPES
+
+    roles: Mapping[str, str] = part(file.path, 'topics', lambda: typed(
+        file.entries['topics'], Mapping[str, str], 'topics'))
+    own = {(kind, topic) for role, topic in roles.items() for kind in ROLE_TYPES.get(role, ())}
+    own.add(DIAGNOSTICS)
+    found = {each.channel for each in file.messages}
+    for topic, kind, _ in sorted(found):
+        marker = kind == MARKERS and topic.rpartition('/')[2] in MARKER_NAMES
+        if not marker and (kind, topic) not in own:
+            raise cli.UsageError(
+                f'{cli.place(file.path)} would publish {shown(kind)} on {shown(topic)}, which no '
+                'recording of this planner does; nothing is published. If you trust the file, '
+                'play it with ros2 bag play')
+    return found
+
+
+def publisher_of(node: Any, channel: Channel) -> Any:
+    """Return a publisher like the recorded one; raises UsageError if there can be none."""
+    try:
+        return node.create_publisher(_message_class(channel.type), channel.topic,
+                                     qos_from_yaml(channel.qos))
+    except Exception as error:  # names and quality of service are whatever the file says
+        raise cli.UsageError(f'{shown(channel.topic)} cannot be published: its name or its quality '
+                             f'of service is invalid ({type(error).__name__})') from error
+
+
 def qos_from_yaml(text: str) -> Any:
     """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
     from rclpy import qos
     from rclpy.duration import Duration
+
+    from ..recordings.messages import DURATIONS, fields_from_yaml
 
     fields = dict(fields_from_yaml(text))
     for name in ('history', 'reliability', 'durability', 'liveliness'):
@@ -205,7 +242,7 @@ def qos_from_yaml(text: str) -> Any:
 
 
 def _message_class(name: str) -> Any:
-    """Return the class of a recorded type such as ``nav_msgs/msg/Path``."""
+    """Return the class of a recorded type such as ``nav_msgs/msg/Path``, one of ours."""
     package, kind, short_name = name.split('/')
     return getattr(import_module(f'{package}.{kind}'), short_name)
 

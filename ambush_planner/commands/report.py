@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from ..recordings import recordings_in
-from ..recordings.durable_files import write_all_durably
-from ..recordings.report_data import Section, sections_of
-from ..recordings.verify import Verifier
 from . import cli, readers
-from .audit import audited
-from .report_page import Checks, page
+
+if TYPE_CHECKING:
+    from ..recordings.report_data import Section
 
 PAGE = 'report.html'
 EPILOG = """\
@@ -42,6 +40,13 @@ def parser() -> argparse.ArgumentParser:
 def write_report(place: Path, output: Path, verify: bool,
                  console: cli.Console) -> tuple[cli.Exit, list[Section]]:
     """Write the page of the recordings in a file or folder; return the exit code and sections."""
+    from ..recordings import recordings_in
+    from ..recordings.durable_files import write_all_durably
+    from ..recordings.report_data import sections_of
+    from ..recordings.verify import Verifier
+    from .audit import audited
+    from .report_page import Checks, page
+
     departures, unreadable, struck = readers.read_all(place, console)
     for error in unreadable:
         console.error(error)

@@ -19,7 +19,7 @@ from string import Template
 from urllib.parse import quote
 
 from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
-from ..maps.coordinates import InvalidCoordinates
+from ..errors import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
 from ..words import percent, rounded
 from . import report_words as words

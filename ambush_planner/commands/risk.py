@@ -6,20 +6,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from ..map_figures import as_png
-from ..maps.map_file import read_yaml, write_map
-from ..maps.occupancy import OccupancyMap
-from ..maps.risk_layers import InvalidLayers, risk_from_layers
-from ..maps.risk_map import LOSSES, RiskMap
-from ..maps.risk_map_file import in_local_frame, npz_bytes, write_geotiff
-from ..recordings.sources import layer_files, list_sources
 from . import cli
 from .positions import add_crs, crs_text
-from .risk_figure import layers_figure
 from .terrain import add_terrain, terrain_of, terrain_options_in
+
+if TYPE_CHECKING:
+    from ..maps.occupancy import OccupancyMap
+    from ..maps.risk_map import RiskMap
 
 DESCRIPTION = """\
 Make a risk map from an elevation model, or from layers of risk.
@@ -61,7 +56,7 @@ elevation model has the heights: pictures show the relief then.
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('risk', DESCRIPTION, EPILOG, COMMON, DETAILS, USAGE)
-    made.add_argument('source', type=Path, metavar='DEM_OR_LAYERS',
+    made.add_argument('source', type=cli.existing, metavar='DEM_OR_LAYERS',
                       help='the elevation model (.tif, .npz), or the layers (.yaml)')
     made.add_argument('-o', '--output', type=cli.file_of('.yaml', '.yml'), required=True,
                       metavar='MAP.yaml', help='the map to write')
@@ -85,10 +80,16 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 
 def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..map_figures import as_png
+    from ..maps.risk_map_file import in_local_frame
+    from ..recordings.sources import list_sources
+    from .risk_figure import layers_figure
+
     if arguments.source.suffix.lower() != '.npz':
         cli.require(('pyproj', 'rasterio'))
     grid = terrain_of(arguments, arguments.source, arguments.roads, console)
-    picture = as_png(layers_figure(grid.risk_map(), ()))
+    picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
+                     [arguments.source.name])
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
@@ -99,12 +100,25 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     return _told(files, grid.losses, [] if grid.crs else [unknown], console)
 
 
+def _picture_of(arguments: argparse.Namespace) -> Path:
+    return Path(arguments.output).with_suffix('.png')
+
+
 def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..map_figures import as_png
+    from ..maps.map_file import read_yaml
+    from ..maps.risk_layers import InvalidLayers, risk_from_layers
+    from ..maps.risk_map import LOSSES
+    from ..maps.risk_map_file import npz_bytes
+    from ..recordings.sources import layer_files, list_sources
+    from .risk_figure import layers_figure
+
     joined = risk_from_layers(arguments.source, progress=console.bar('lines of sight'))
     grid = occupancy_of(joined.risk_map)
     output = arguments.output
     files = _written(output, grid, 'Risk map from layers.',
-                     as_png(layers_figure(joined.risk_map, joined.layers)))
+                     as_png(layers_figure(joined.risk_map, joined.layers),
+                            _picture_of(arguments).name, [arguments.source.name]))
     files.insert(2, output.with_suffix('.npz'))
     files[2].write_bytes(npz_bytes(joined.risk_map))
     files.append(list_sources(files, [arguments.source, *layer_files(
@@ -118,6 +132,9 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _written(output: Path, grid: OccupancyMap, comment: str, picture: bytes) -> list[Path]:
     """Write the map for map_server, the picture and, in a known system, the GeoTIFF."""
+    from ..maps.map_file import write_map
+    from ..maps.risk_map_file import write_geotiff
+
     files = [output, write_map(output, grid, comment), output.with_suffix('.png')]
     files[2].write_bytes(picture)
     if grid.crs:
@@ -139,6 +156,11 @@ def _told(files: list[Path], losses: tuple[float, float], remarks: Sequence[str]
 
 def occupancy_of(risk_map: RiskMap) -> OccupancyMap:
     """Values 0..99 for the losses, which may go beyond the usual ones, and 100 for obstacles."""
+    import numpy as np
+
+    from ..maps.occupancy import OccupancyMap
+    from ..maps.risk_map import LOSSES
+
     losses = risk_map.alpha[~risk_map.obstacles]
     least = float(losses.min(initial=LOSSES[0]))
     most = least + max((losses.max(initial=0.0) - least) / 0.99, LOSSES[1] - least)
@@ -149,6 +171,8 @@ def occupancy_of(risk_map: RiskMap) -> OccupancyMap:
 
 
 def _summary(grid: OccupancyMap) -> str:
+    import numpy as np
+
     values = grid.values
     risk = values[(values >= 0) & (values < 100)]
     low, middle, high = np.percentile(risk, [10, 50, 90]) if risk.size else (0.0, 0.0, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of ``ambush risk``: each layer, if there are any, and the risk map."""
+"""The picture of ``ambush risk``: the risk map, and below it each layer, if there are any."""
 
 from __future__ import annotations
 
@@ -10,32 +10,64 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from .. import map_figures
 from ..colours import ROUTES
 from ..maps.risk_layers import Layer
 from ..maps.risk_map import RiskMap
 
+# Width of the map, and of a panel of a layer, without what is next to it [inches]; panels in a row.
+_WIDE, _NARROW, _COLUMNS = 5.0, 1.9, 2
+# How shapes of layers are drawn on the map: roads, incidents, and outlines of polygons.
+_ROADS: dict[str, Any] = {'color': map_figures.ROAD, 'linewidth': 0.9}
+_INCIDENTS: dict[str, Any] = {'color': ROUTES[0], 'marker': 'X', 'markersize': 7.0,
+                              'linestyle': 'none', 'markeredgecolor': 'white',
+                              'markeredgewidth': 0.6}
+_OUTLINES: dict[str, Any] = {'color': '#1146b0', 'linewidth': 1.4, 'linestyle': 'dotted'}
+
 
 def layers_figure(risk_map: RiskMap, layers: Sequence[Layer]) -> Figure:
-    """A panel for each layer, then the map."""
-    count = len(layers) + 1
-    rows, columns = -(-count // 2), min(count, 2)
+    """The map with the shapes of all layers, then a panel for each layer."""
     width, height = risk_map.size
-    size = (0.5 * map_figures.WIDTH * columns, (0.8 + 2.0 * min(height / width, 3.0)) * rows)
-    figure = Figure(size, layout='compressed')
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    shape = min(max(height / width, 0.2), 2.0)
+    rows = -(-len(layers) // _COLUMNS)
+    tall, below = 1.2 + _WIDE * shape, rows * (0.5 + _NARROW * shape)
+    figure = Figure((map_figures.WIDTH, tall + below), layout='compressed')
+    top, bottom = (figure.subfigures(2, 1, height_ratios=(tall, below)) if rows
+                   else (figure.subfigures(), None))
+    whole = top.subplots()
+    image = map_figures.draw_map(whole, risk_map, 'Risk map')
+    map_figures.colour_bar(whole, image, map_figures.LOSS)
+    key = [*map_figures.ground_key(risk_map), *_draw_shapes(whole, layers)]
+    if key:
+        top.legend(handles=key, loc='outside lower left', ncols=3, frameon=False)
+    panels = bottom.subplots(rows, _COLUMNS, squeeze=False).ravel() if bottom else ()
     for axes, layer in zip(panels, layers, strict=False):
-        _draw(figure, axes, risk_map, layer)
-    last = panels[count - 1]
-    map_figures.risk_bar(figure, map_figures.draw_map(last, risk_map, 'Risk map'), last, shrink=0.7)
-    for axes in panels[count:]:
-        axes.set_visible(False)
-    map_figures.ground_legend(figure, risk_map)
+        _draw(axes, risk_map, layer)
+    for axes in panels[len(layers):]:
+        axes.set_axis_off()
     return figure
 
 
-def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
+def _draw_shapes(axes: Axes, layers: Sequence[Layer]) -> list[Line2D]:
+    """Draw roads, incidents and outlines of polygons; return their entries of a legend."""
+    key = []
+    for layer in layers:
+        if layer.shapes is None:
+            continue
+        style = (_ROADS if 'part' in layer.shapes else
+                 _INCIDENTS if set(layer.shapes.geom_type) == {'Point'} else _OUTLINES)
+        if style is _INCIDENTS:
+            axes.plot(layer.shapes.x, layer.shapes.y, zorder=6, **style)
+        else:
+            layer.shapes.plot(ax=axes, aspect=None, zorder=5, **style)
+        key.append(Line2D([], [], label=layer.title.partition(':')[0], **style))
+    axes.set(xlabel='', ylabel='')
+    return key
+
+
+def _draw(axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     map_figures.frame(axes, risk_map, layer.title)
     values = np.ma.masked_invalid(layer.values.astype(float))
     less = values.min() < 0.0
@@ -43,10 +75,11 @@ def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
                              'norm': CenteredNorm() if less else None}
     image = map_figures.draw_cells(axes, risk_map, values, **style)
     if layer.values.dtype != bool:
-        figure.colorbar(image, ax=axes, shrink=0.7)
+        map_figures.colour_bar(axes, image, '')
     if layer.shapes is not None:
-        parts = {'column': 'part', 'cmap': 'tab10', 'legend': True,
-                 'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}
+        parts = {'column': 'part', 'cmap': 'tab10', 'legend': True, 'legend_kwds': {
+            'title': 'connected parts', 'fontsize': 'small', 'loc': 'upper left',
+            'bbox_to_anchor': (1.3, 1.05), 'frameon': False}}
         style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
         layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
-        axes.set(xlabel='', ylabel='')
+    axes.set(xticks=[], yticks=[], xlabel='', ylabel='')

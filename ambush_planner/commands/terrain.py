@@ -6,11 +6,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..maps import OccupancyMap, TerrainOptions, ViewOptions
-from ..maps.terrain_file import terrain_of_file
 from . import cli
+
+if TYPE_CHECKING:
+    from ..maps import OccupancyMap
 
 # Options of an elevation model, for which ``ViewOptions`` and ``TerrainOptions`` have defaults.
 _VIEW = {'weapon_range': 'range of weapons [m] (default: 300)',
@@ -43,6 +44,9 @@ def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any
 def terrain_of(arguments: argparse.Namespace, source: Path, roads: Path | None,
                console: cli.Console) -> OccupancyMap:
     """The map of an elevation model, with a raster of roads."""
+    from ..maps import TerrainOptions, ViewOptions
+    from ..maps.terrain_file import terrain_of_file
+
     views = ViewOptions(**_given(arguments, _VIEW))
     options = TerrainOptions(view=views, **_given(arguments, (*_GROUND, 'weights')))
     return terrain_of_file(source, options, arguments.resolution, roads, arguments.crs or None,

@@ -8,17 +8,17 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import shown
-from ..recordings import recordings_in
-from ..recordings.metadata import Metadata
-from ..recordings.recorded_departures import together
-from ..recordings.verify import Verdict, Verifier
 from ..words import distance, rounded
 from . import cli, readers
 from .console import when
 from .positions import written
+
+if TYPE_CHECKING:
+    from ..recordings.metadata import Metadata
+    from ..recordings.verify import Verdict
 
 EPILOG = """\
 For each departure, checks the file's checksums, rebuilds the network from the recorded map and
@@ -61,6 +61,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..recordings import recordings_in
+    from ..recordings.recorded_departures import together
+    from ..recordings.verify import Verifier
+
     paths = recordings_in(options.recordings)
     console.say(f'verifying {cli.count(len(paths), "recording")}')
     verifier = Verifier(options.replan, options.map, options.roads)

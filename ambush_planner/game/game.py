@@ -21,7 +21,7 @@ from ..errors import InvalidOption, NoRoute
 from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
-from ..option_checks import check_at_least, check_flag, none_for
+from ..option_checks import allowed, check_options, length
 from .discs import ExposedEdges, SecuredArea, secured_area
 
 # Position and radius (x, y, radius) [m] of a disc of a secured area.
@@ -64,23 +64,16 @@ class GameOptions:
         A value is out of range or of another type.
     """
 
-    ambush_radius: float = 0.0
-    secured_radius: float | None = None
-    alpha_threshold: float = math.inf
-    ambush_in_obstacles: bool = False
-    tube: float = 0.0
-    widened: float = 0.0
+    ambush_radius: float = length(least=1e-3)
+    secured_radius: float | None = length(None, automatic=-1.0)
+    alpha_threshold: float = allowed(math.inf, finite=False)
+    ambush_in_obstacles: bool = allowed(False)
+    tube: float = length()
+    widened: float = length()
     held_places: tuple[SecuredPlace, ...] = ()
 
     def __post_init__(self) -> None:
-        check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
-        none_for(self, secured_radius=-1.0)
-        if self.secured_radius is not None:
-            check_at_least('secured_radius', self.secured_radius, 0.0, 'm')
-        check_at_least('tube', self.tube, 0.0, 'm')
-        check_at_least('widened', self.widened, 0.0, 'm')
-        check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
-        check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
+        check_options(self)
         object.__setattr__(self, 'held_places', _checked_places(self.held_places))
 
     @property

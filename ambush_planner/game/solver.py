@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..arrays import NEGLIGIBLE, FloatArray
+from ..arrays import NEGLIGIBLE, FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, TimeLimit, warn
 from ..maps.risk_map import MAX_LOSS, MIN_LOSS
 from ..network.network import Network
@@ -140,7 +140,7 @@ def solve(network: Network, game: GameOptions | None = None,
     return strategy
 
 
-def certain_sites(strategy: Strategy) -> FloatArray:
+def certain_sites(strategy: Strategy) -> IndexArray:
     """The nodes (K,) where the ambusher waits and (nearly) every route is hit."""
     game = strategy.game
     rows = np.flatnonzero(strategy.ambush_probability[game.sites] > 0.0)

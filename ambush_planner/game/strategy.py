@@ -16,7 +16,7 @@ from ..errors import InvalidOption
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
 from ..notebook import Shown
-from ..option_checks import check_at_least
+from ..option_checks import allowed, check_options
 from .ambusher import Ambusher
 from .budget import Budget
 from .certificate.certificate import Certificate, check_strategy
@@ -57,19 +57,14 @@ class StrategyOptions:
         A value is out of range or of the wrong type, or the solver does not support an option.
     """
 
-    solver: str = 'max_entropy'
-    max_detour: float = 1.2
-    risk_slack: float = 0.01
-    length_weight: float = 0.0
-    time_limit: float = 60.0
+    solver: str = allowed('max_entropy', choices=SOLVERS)
+    max_detour: float = allowed(1.2, low=1.0, finite=False)
+    risk_slack: float = allowed(0.01)
+    length_weight: float = allowed(0.0, high=1.0)
+    time_limit: float = allowed(60.0, unit='s', finite=False)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
-            raise InvalidOption(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
-        check_at_least('max_detour', self.max_detour, 1.0, finite=False)
-        check_at_least('risk_slack', self.risk_slack, 0.0)
-        check_at_least('length_weight', self.length_weight, 0.0)
-        check_at_least('time_limit', self.time_limit, 0.0, 's', finite=False)
+        check_options(self)
         if self.length_weight >= 1.0:
             raise InvalidOption(f'length_weight must be in [0, 1), got {self.length_weight}')
         if self.time_limit == 0.0:

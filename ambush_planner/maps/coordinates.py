@@ -11,24 +11,21 @@ LON; its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_
 from __future__ import annotations
 
 import math
-from functools import cached_property
+import warnings
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError, import_extra
+from ..errors import InvalidCoordinates, import_extra
 from .risk_map import to_map_axes, to_world
 
 # Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
 MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
 _TERMS = 8  # of a polynomial, in each direction
-
-
-class InvalidCoordinates(AmbushPlannerError, ValueError):
-    """A coordinate system or a position in it cannot be used."""
 
 
 class Coordinates:
@@ -47,23 +44,23 @@ class Coordinates:
         words = text.split()
         if words[:1] != ['datum']:
             self.crs = horizontal(text)
+            self._to_degrees = converter(self.crs, horizontal(WGS84))
             if not (self.crs.is_projected and in_metres(self.crs)):
                 raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
                                          'metre; reproject the map, for example to its UTM zone')
             return
         try:
             latitude, longitude, yaw = map(float, words[1:])
+            if not math.isfinite(latitude + longitude + yaw):
+                raise ValueError
         except ValueError:
             raise InvalidCoordinates(
                 f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
         self.crs = utm_zone(latitude, longitude)
+        self._to_degrees = converter(self.crs, horizontal(WGS84))
         turn = _pyproj().Proj(self.crs).get_factors(longitude, latitude).meridian_convergence
         (x, y), = self.from_lat_lon([(latitude, longitude)])
         self.origin = x, y, yaw + math.radians(turn)
-
-    @cached_property
-    def _to_degrees(self) -> Any:
-        return _pyproj().Transformer.from_crs(self.crs, WGS84, always_xy=True)
 
     def to_crs(self, xy: npt.ArrayLike) -> FloatArray:
         """Convert world positions (..., 2) to easting and northing in ``crs`` (..., 2) [m]."""
@@ -128,31 +125,106 @@ def utm_zone(latitude: float, longitude: float) -> Any:
     return pyproj.CRS.from_authority(found[0].auth_name, found[0].code)
 
 
-def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
-    """Return a ``pyproj.CRS`` for lengths around (x, y), and whether it differs from ``wkt``.
+def metric_system(crs: Any, x: float, y: float) -> Any:
+    """Return a ``pyproj.CRS`` for lengths around (x, y), a place in the system ``crs``.
 
     It is the system itself if its metres are metres on the ground, else the UTM zone.
     """
-    crs = horizontal(wkt)
-    to_degrees = _pyproj().Transformer.from_crs(crs, WGS84, always_xy=True)
-    longitude, latitude = to_degrees.transform(x, y)
-    longitude = (longitude + 180.0) % 360.0 - 180.0  # rasters can have 0 to 360
+    longitude, latitude = converter(crs, horizontal(WGS84)).transform(x, y)
     if crs.is_projected and in_metres(crs):
         factors = _pyproj().Proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale
         if max(abs(scale - 1.0) for scale in scales) <= MAX_STRETCH:
-            return crs, False
-    return utm_zone(latitude, longitude), True
+            return crs
+    return utm_zone(latitude, longitude)
 
 
-def horizontal(text: str) -> Any:
+def horizontal(text: Any) -> Any:
     """Return the ``pyproj.CRS`` of a text without its heights; raises InvalidCoordinates."""
     pyproj = _pyproj()
     try:
-        crs = pyproj.CRS.from_user_input(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')  # +init=epsg:32616 is an old way to say it
+            crs = pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError as error:
         raise InvalidCoordinates(f'not a coordinate system: {text!r} ({error})') from error
     return crs.sub_crs_list[0] if crs.is_compound else crs
+
+
+def known_system(own: Any, given: Any = None) -> Any:
+    """Return the horizontal ``pyproj.CRS`` of a file that names ``own``; None if it is unknown.
+
+    ``given`` names it if the file does not: if ``own`` is missing, undefined, a local system, or
+    lacks a datum. Raises InvalidCoordinates if ``given`` has another unit or projection, or if
+    nothing names the datum, or a unit other than the metre.
+    """
+    own, given = (horizontal(each) if each else None for each in (own, given))
+    if own is None or own.name.lower().startswith('undefined'):
+        return given
+    if own.is_engineering:
+        unit, metres = own.axis_info[0].unit_name, own.axis_info[0].unit_conversion_factor
+        if metres != (given.axis_info[0].unit_conversion_factor if given else 1.0):
+            raise InvalidCoordinates(f'its local coordinate system, {own.name!r}, is in the unit '
+                                     f'{unit}; convert it to metres, or name a system in that '
+                                     'unit with --crs')
+        return given
+    try:
+        converter(own, horizontal(WGS84))
+    except InvalidCoordinates:
+        if given is None:
+            raise
+        if not _same_projection(own, given):
+            raise InvalidCoordinates(f'the file is in another projection, {own.name!r}, than '
+                                     f'{given.name}') from None
+        return given
+    return own
+
+
+def agree(one: str, other: str) -> bool:
+    """Return whether two texts name the same coordinate system, whatever they say of heights."""
+    if one == other:
+        return True
+    words = one.split(), other.split()
+    if any(each[0] == 'datum' for each in words):
+        return words[0][0] == words[1][0] and [*map(float, words[0][1:])] == [
+            *map(float, words[1][1:])]
+    first, second = horizontal(one), horizontal(other)
+    return bool(first.equals(second, ignore_axis_order=True)
+                or first.to_epsg() is not None and first.to_epsg() == second.to_epsg())
+
+
+def _same_projection(one: Any, other: Any) -> bool:
+    """Whether two systems are the same projection of the same ellipsoid, of whatever datum."""
+    axes = np.array([(each.ellipsoid.semi_major_metre, each.ellipsoid.semi_minor_metre)
+                     for each in (one, other)])
+    degrees = np.meshgrid(np.arange(-175.0, 180.0, 10.0), np.arange(-85.0, 90.0, 10.0))
+    first, second = (np.array(_pyproj().Proj(each)(*degrees)) for each in (one, other))
+    return bool(np.ptp(axes, axis=0).max() < 1.0 and np.allclose(first, second))
+
+
+@lru_cache(16)
+def converter(source: Any, target: Any) -> Any:
+    """Return the ``pyproj.Transformer`` between two systems, of which x is the first axis.
+
+    Raises InvalidCoordinates if the datum of one is unknown. Only on ellipsoids like that of WGS 84
+    do all datums agree within a few metres.
+    """
+    pyproj = _pyproj()
+    old = [each for each in (source, target) if not _is_geocentric(each.ellipsoid)]
+    try:
+        return pyproj.Transformer.from_crs(source, target, always_xy=True, allow_ballpark=not old)
+    except pyproj.exceptions.ProjError as error:
+        crs = (old or [source])[0]
+        what = f'ellipsoid {crs.ellipsoid.name}' if crs.ellipsoid else 'it is a local system'
+        raise InvalidCoordinates(
+            f'the datum of the coordinate system {crs.name!r} is unknown ({what}), so that its '
+            'places can be 100 m and more off on the ground; name the whole system with --crs, by '
+            'its EPSG code or with +towgs84') from error
+
+
+def _is_geocentric(ellipsoid: Any) -> bool:
+    return (ellipsoid is not None and abs(ellipsoid.semi_major_metre - 6378137.0) < 0.5
+            and abs(ellipsoid.inverse_flattening - 298.257) < 0.01)
 
 
 def _pyproj() -> Any:
@@ -162,3 +234,30 @@ def _pyproj() -> Any:
 def in_metres(crs: Any) -> bool:
     """Whether the axes of a coordinate system (pyproj) are in metres."""
     return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
+
+
+def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
+    """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
+
+    If the map's system is unknown, positions in metres are assumed to be in the map's. Those too
+    far from the area of its system are NaN. Raises InvalidCoordinates if they are in another unit.
+    """
+    own = horizontal(crs)
+    if not map_crs:
+        if not in_metres(own):
+            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the '
+                                     'coordinate system of the map is unknown; name it with crs '
+                                     '(map.crs)')
+        return points
+    system = Coordinates(map_crs)
+    xy = np.stack(converter(own, system.crs).transform(*points.T), axis=-1)
+    return to_map_axes(system.origin, np.where(np.isfinite(xy), xy, np.nan))
+
+
+def longest_edge(crs: Any) -> float:
+    """Longest straight edge in a system that is converted by its ends only, in the system's unit.
+
+    0.01 degrees or 1 km: an edge that is straight in one system is none in another.
+    """
+    system = horizontal(crs)
+    return 0.01 if system.is_geographic else 1000.0 / system.axis_info[0].unit_conversion_factor

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
 
 from ..arrays import BoolArray, FloatArray, frozen_array
-from ..errors import AmbushPlannerError
+from ..errors import AmbushPlannerError, warn
 from .risk_map import LOSSES
 
 HeightArray = npt.NDArray[np.float32]
@@ -37,8 +36,8 @@ class Elevation:
         Height at the centre of each cell [m], row 0 in the south; NaN if unknown.
     resolution : float
         Cell size [m].
-    corner : (x, y)
-        World position of the lower left corner [m].
+    corner : (x, y) or None
+        World position of the lower left corner [m]; None if unknown.
     crs : str or None
         Coordinate system of world positions; None if unknown.
 
@@ -47,7 +46,7 @@ class Elevation:
 
     heights: HeightArray
     resolution: float
-    corner: tuple[float, float] = (0.0, 0.0)
+    corner: tuple[float, float] | None = None
     crs: str | None = None
 
     def __post_init__(self) -> None:
@@ -72,14 +71,14 @@ class Raster:
 
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east. ``corner`` is the world position of the lower left
-    corner [m], in the coordinate system ``crs``. ``heights`` (H, W) are those of a risk map whose
-    file has them, too, and ``losses`` those of its values 0 and 100.
+    corner [m], in the coordinate system ``crs``; None if unknown. ``heights`` (H, W) are those of
+    a risk map whose file has them, too, and ``losses`` those of its values 0 and 100.
     """
 
-    values: FloatArray
+    values: npt.NDArray[Any]
     row_step: float
     column_step: float
-    corner: tuple[float, float] = (0.0, 0.0)
+    corner: tuple[float, float] | None = None
     crs: str | None = None
     heights: HeightArray | None = None
     losses: tuple[float, float] = LOSSES
@@ -97,47 +96,65 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     """
     resolution = resolution or min(raster.row_step, raster.column_step)
     row, column = _positions(raster, resolution)
-    if raster.row_step == raster.column_step == resolution:
-        return Elevation(raster.values.astype(np.float32), resolution, raster.corner, raster.crs)
-    # The odd reflection extrapolates linearly by one cell.
-    values = np.pad(raster.values, 1, 'reflect', reflect_type='odd')
-    positions = np.meshgrid(row + 1.0, column + 1.0, indexing='ij')
-    unknown = np.isnan(values)
-    heights = map_coordinates(np.where(unknown, 0.0, values), positions, order=1, mode='nearest',
-                              output=np.float32)
-    if unknown.any():
-        share = map_coordinates(unknown.astype(np.float32), positions, order=1, mode='nearest')
-        heights[share > _MIN_WEIGHT] = np.nan
+    heights = raster.values
+    if not raster.row_step == raster.column_step == resolution:
+        heights = _interpolated(_interpolated(heights, row).T, column).T
     return Elevation(heights, resolution, raster.corner, raster.crs)
+
+
+def _interpolated(values: npt.NDArray[Any], row: FloatArray) -> npt.NDArray[Any]:
+    """Rows of values (H, W) at places that need not be whole: linear, also beyond the ends."""
+    first = np.clip(np.floor(row + _MIN_WEIGHT), 0, len(values) - 2).astype(np.int64)
+    share = (row - first).astype(np.float32)[:, None]
+    low, high = values[first], values[first + 1]
+    # The unknown neighbour of a known height that a place coincides with does not count.
+    between = np.where(np.abs(share) <= _MIN_WEIGHT, low, low + share * (high - low))
+    return np.where(np.abs(share - 1.0) <= _MIN_WEIGHT, high, between)
 
 
 def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
     """Resample a mask (nonzero means set) to the cells of ``elevation`` (H, W).
 
     A cell is set if the mask is set at its centre, or if it contains the centre of a set mask cell,
-    so that thin roads survive on coarser cells.
+    so that thin roads survive on coarser cells. If both corners are known, the mask lies where its
+    corner says, and a warning counts the cells beyond it; else it must have the same size.
 
-    Raises InvalidTerrain if the mask does not cover the same area.
+    Raises InvalidTerrain if it does not, lies elsewhere, or is in another coordinate system.
     """
     shape, resolution = elevation.heights.shape, elevation.resolution
-    row, column = _positions(raster, resolution)
-    if (len(row), len(column)) != shape:
+    shift = np.zeros(2)
+    if raster.corner is not None and elevation.corner is not None:
+        if raster.crs != elevation.crs:
+            raise InvalidTerrain(f'the roads are in {raster.crs or "an unknown coordinate system"},'
+                                 f' the elevation in {elevation.crs or "an unknown one"}; name '
+                                 'that of a file that has none with --crs')
+        shift = np.subtract(raster.corner, elevation.corner)
+    elif (size := tuple(map(len, _positions(raster, resolution)))) != shape:
         raise InvalidTerrain(
-            f'the roads cover {len(row)} x {len(column)} cells of {resolution:g} m, the elevation '
+            f'the roads cover {size[0]} x {size[1]} cells of {resolution:g} m, the elevation '
             f'{shape[0]} x {shape[1]}; both files must cover the same area'
         )
-    apart = math.dist(raster.corner, elevation.corner)
-    if raster.crs and elevation.crs and (
-            raster.crs != elevation.crs or apart > 2.0 * max(raster.row_step, resolution)):
-        raise InvalidTerrain(f'the roads begin at {raster.corner} ({raster.crs}), the elevation at '
-                             f'{elevation.corner} ({elevation.crs}); both files must cover the '
-                             'same area')
-    marked = np.nan_to_num(raster.values) != 0.0
-    mask = nearest_cells(marked, row, column)
+    marked, mask = np.nan_to_num(raster.values) != 0.0, np.zeros(shape, bool)
+    steps = raster.row_step, raster.column_step
+    # Of the centre of each row and column: which one of the other raster contains it.
+    at = [np.floor(((np.arange(count) + 0.5) * resolution - away) / step + _MIN_WEIGHT).astype(int)
+          for count, step, away in zip(shape, steps, shift[::-1], strict=True)]
+    of = [np.floor(((np.arange(count) + 0.5) * step + away) / resolution).astype(int)
+          for count, step, away in zip(marked.shape, steps, shift[::-1], strict=True)]
+    inside = [(index >= 0) & (index < count) for index, count in zip(at, marked.shape, strict=True)]
+    covered = float(np.prod([np.mean(each) for each in inside]))
+    if covered == 0.0:
+        raise InvalidTerrain(f'the roads begin at {raster.corner}, the elevation at '
+                             f'{elevation.corner}, and nothing of it is in their area; both files '
+                             'must cover the same area')
+    if covered < 1.0:
+        warn(f'the roads begin at {raster.corner}, the elevation at {elevation.corner}: '
+             f'{100.0 * (1.0 - covered):.3g} % of it lies beyond the area of the roads')
+    rows, columns = (index[each] for index, each in zip(at, inside, strict=True))
+    mask[np.ix_(*inside)] = marked[np.ix_(rows, columns)]
     rows, columns = np.nonzero(marked)
-    rows = ((rows + 0.5) * raster.row_step / resolution).astype(np.int64)
-    columns = ((columns + 0.5) * raster.column_step / resolution).astype(np.int64)
-    inside = (rows < shape[0]) & (columns < shape[1])
+    rows, columns = of[0][rows], of[1][columns]
+    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
     mask[rows[inside], columns[inside]] = True
     return mask
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray, arrays_in
-from ..errors import InvalidRiskMap, import_extra, warn
-from .coordinates import InvalidCoordinates, horizontal, metric_system
-from .elevation import MAX_CELLS, InvalidTerrain, Raster
+from ..arrays import arrays_in
+from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
+from .coordinates import agree, known_system, metric_system
+from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
+from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
 
 HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
@@ -38,11 +40,16 @@ _METRES = {name: metres for names, metres in (
     ('ft foot feet internationalfoot internationalfeet', 0.3048), ('fathom fathoms', 1.8288),
     ('usft ftus footus ussurveyfoot ussurveyfeet usfoot usfeet surveyfoot', 1200.0 / 3937.0),
 ) for name in names.split()}
-_HEIGHTS_BY_NAME = re.compile(r'(?i)elevation|height|altitude|bathymetry|\b(d[est]m|alti)\b')
+_DEPTH = re.compile(r'(?i)depth|bathymetr|sounding')
+_HEIGHTS_BY_NAME = re.compile(
+    rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{_DEPTH.pattern[4:]}')
 # Range of heights on Earth outside the sea [m].
 LOWEST, HIGHEST = -430.0, 9000.0
 # A hole has at least this many cells of one exact value, this far from all others [m].
 HOLE_CELLS, HOLE_DEPTH = 9, 50.0
+# Rows that are read at a time, so that a large file takes no more memory than its values.
+_ROWS = 512
+_CACHE = 64  # of GDAL [MB]
 
 
 def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> Raster:
@@ -57,15 +64,16 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
     it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
     opened.
     """
-    with path.open('rb') as file:
-        is_zip = file.read(4) == b'PK\x03\x04'
-    return (_read_npz if is_zip else _read_gdal)(path, name, crs)
+    is_npz = path.suffix.lower() == '.npz'
+    if not is_npz:
+        refuse_other_kinds(path, InvalidTerrain)
+    return (_read_npz if is_npz or zipfile.is_zipfile(path) else _read_gdal)(path, name, crs)
 
 
 def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     try:
         found = arrays_in(path, (name, 'resolution', 'dx', 'dy'))
-        values = found[name].astype(np.float64)[::-1]
+        values = found[name].astype(np.float32)[::-1]
         column_step, row_step = (float(found[key if key in found else 'resolution'])
                                  for key in ('dx', 'dy'))
     except KeyError as error:
@@ -78,30 +86,54 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     if not (0.0 < row_step < math.inf and 0.0 < column_step < math.inf):
         raise InvalidTerrain(f'{path}: cell size must be positive [m], got {column_step:g} x '
                              f'{row_step:g}')
-    values = _without_holes(path, values) if name == 'elevation' else values
+    if name == 'elevation':
+        _fill_holes(path, values)
     return Raster(values, row_step, column_step, crs=crs)
 
 
 def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
     rasterio = import_extra('rasterio', f'{path}: formats other than .npz', 'gis', InvalidTerrain)
-    try:
-        with rasterio.Env(), rasterio.io.DatasetReader(path, driver=list(_DRIVERS)) as dataset:
-            _check(path, dataset, name)
-            bands = [_band(dataset, k) for k in range(1, 2 + _has_heights(dataset))]
-            if name == 'elevation':
-                bands[0] = _without_holes(path, bands[0] * _metres_per_unit(path, dataset))
-            elif name == 'risk':
-                _refuse_heights(path, dataset, bands[0])
-            if dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic):
-                crs = dataset.crs.to_wkt()
-            raster = _in_metres(path, np.stack(bands), dataset.transform, crs, name != 'elevation')
-            least, most = (float(dataset.tags().get(tag, loss))
-                           for tag, loss in zip(('alpha_min', 'alpha_max'), LOSSES, strict=True))
-            return replace(raster, losses=(least, most))
-    except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
-        hint = ('; it looks like a map for map_server, not like an elevation model'
-                if path.suffix.lower() in ('.yaml', '.yml') else '')
-        raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}{hint}') from error
+    with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE):
+        warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)  # refused
+        try:
+            dataset = rasterio.io.DatasetReader(path, driver=list(_DRIVERS))
+        except rasterio.errors.RasterioError as error:
+            others = {'risk': '; a risk map is a .yaml for map_server, an .npz, or such a raster',
+                      'elevation': '; a .yaml has layers, or is a map for map_server'}
+            raise InvalidTerrain(
+                f'{path}: no raster that is read, such as GeoTIFF, .asc, .hgt and NetCDF; convert '
+                'it with gdal_translate, shapes with gdal_rasterize' + others.get(name, '')
+            ) from error
+        try:
+            with dataset:
+                return _of_dataset(path, dataset, name, crs)
+        except rasterio.errors.RasterioIOError as error:
+            raise InvalidTerrain(f'{path}: it is damaged, or ends early') from error
+        except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
+            raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}') from error
+
+
+def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
+    """The raster in an open rasterio dataset."""
+    _check(path, dataset, name)
+    system = known_system(dataset.crs and dataset.crs.to_wkt(), crs)
+    if system is None and any('degree' in value for key, value in _tags(dataset).items()
+                              if key.endswith('#units')):
+        raise InvalidTerrain(f'{path}: its cells are in degrees, but its coordinate system is '
+                             'unknown; add --crs EPSG:4326, if it is that')
+    metres = _metres_per_unit(path, dataset) if name == 'elevation' else 1.0
+    bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]
+    if name == 'elevation':
+        _fill_holes(path, bands[0])
+    elif name == 'risk':
+        _refuse_heights(path, dataset, bands[0])
+    raster = _in_metres(path, bands, dataset.transform, system, name != 'elevation')
+    if crs and system and not (agree(crs, system.to_wkt()) or agree(crs, str(raster.crs))):
+        raise InvalidTerrain(f'{path}: the file is in {system.name}, not in {crs}; leave out '
+                             '--crs (crs), or correct the file')
+    least, most = (float(dataset.tags().get(tag, loss))
+                   for tag, loss in zip(('alpha_min', 'alpha_max'), LOSSES, strict=True))
+    return replace(raster, losses=(least, most))
 
 
 def _check(path: Path, dataset: Any, name: str) -> None:
@@ -109,6 +141,10 @@ def _check(path: Path, dataset: Any, name: str) -> None:
     from rasterio.enums import ColorInterp
 
     _check_size(path, dataset.height, dataset.width)
+    if dataset.subdatasets:
+        names = ', '.join(each.rpartition(':')[2] for each in dataset.subdatasets)
+        raise InvalidTerrain(f'{path}: has several variables, {names}; choose one with '
+                             f'gdal_translate {dataset.subdatasets[0]} FILE.tif')
     if missing := [each for each in dataset.files if not Path(each).exists()]:
         raise InvalidTerrain(f'{path}: names {missing[0]}, which is not here')
     has_alpha = dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha
@@ -127,10 +163,17 @@ def _check(path: Path, dataset: Any, name: str) -> None:
                              'east; convert the raster with gdalwarp')
 
 
-def _band(dataset: Any, number: int) -> FloatArray:
-    """The values (H, W) of a band, the northernmost row first; NaN where masked or nodata."""
-    stored = dataset.read(number, masked=True).astype(np.float64).filled(np.nan)
-    return np.asarray(stored * dataset.scales[number - 1] + dataset.offsets[number - 1])
+def _band(dataset: Any, number: int, factor: float) -> HeightArray:
+    """The values (H, W) of a band times ``factor``, the north first; NaN if masked or nodata."""
+    from rasterio.windows import Window
+
+    scale, offset = dataset.scales[number - 1], dataset.offsets[number - 1]
+    values = np.empty(dataset.shape, np.float32)
+    for row in range(0, len(values), _ROWS):
+        part = values[row: row + _ROWS]
+        stored = dataset.read(number, masked=True, window=Window(0, row, part.shape[1], len(part)))
+        part[:] = (stored.astype(np.float64).filled(np.nan) * scale + offset) * factor
+    return values
 
 
 def _has_heights(dataset: Any) -> bool:
@@ -145,10 +188,15 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 def _unit(dataset: Any) -> str:
     """The unit that a band declares: as such, in a tag, or in brackets in its description."""
-    tags = {key.lower(): value for key, value in (dataset.tags() | dataset.tags(1)).items()}
+    tags = _tags(dataset)
     described = re.search(r'[\[(]\s*([^])]+?)\s*[\])]\s*$', dataset.descriptions[0] or '')
     found = dataset.units[0] or tags.get('units') or tags.get('unit') or tags.get('unittype')
     return str(found or (described[1] if described and _metres(described[1]) else '')).strip()
+
+
+def _tags(dataset: Any) -> dict[str, str]:
+    """The tags of the file and its band, in small letters."""
+    return {key.lower(): value for key, value in (dataset.tags() | dataset.tags(1)).items()}
 
 
 def _metres(unit: str) -> float | None:
@@ -177,34 +225,55 @@ def _metres_per_unit(path: Path, dataset: Any) -> float:
             factor := dataset.crs.linear_units_factor[1]) != 1.0:
         warn(f'{path}: heights are taken as metres, though {factor:.4g} m are the unit of its '
              'coordinate system; if they have it, too, say so with gdal_edit.py -units')
-    sign = -1.0 if axis and axis.direction == 'down' else 1.0
+    sign = -1.0 if _is_depth(path, dataset, axis) else 1.0
     if (sign, metres) != (1.0, 1.0):
         kind = 'depths' if sign < 0.0 else 'heights'
-        warn(f'{path}: {kind} in {unit or axis.unit_name} are read as heights in metres')
+        warn(f'{path}: {kind} in {unit or (axis.unit_name if axis else "metres")} are read as '
+             'heights in metres')
     return sign * metres
 
 
-def _without_holes(path: Path, heights: FloatArray) -> FloatArray:
-    """Heights [m], NaN where they can be none: impossible ones, and undeclared nodata."""
+def _is_depth(path: Path, dataset: Any, axis: Any) -> bool:
+    """Whether values grow downwards, by the vertical system, the tag ``positive`` or the name.
+
+    Raises InvalidTerrain if these differ, or if only a name that can mean both says so.
+    """
+    tags = _tags(dataset)
+    standard = tags.get('standard_name', '').lower()
+    said = {axis.direction} if axis else set()
+    if 'positive' in tags:
+        said.add(tags['positive'].lower())
+    if standard:
+        said.add('down' if _DEPTH.search(standard) else 'up')
+    name = next((each for each in (tags.get('long_name'), dataset.descriptions[0],
+                                   tags.get('netcdf_varname')) if _DEPTH.search(each or '')), '')
+    if len(said) > 1 or not said <= {'up', 'down'} or name and not said:
+        what = ' and '.join(sorted(said)) or f'called {name!r}'
+        raise InvalidTerrain(f'{path}: its values are {what}: do they grow upwards or downwards? '
+                             'Say so with gdal_translate -mo positive=up, or positive=down')
+    return said == {'down'}
+
+
+def _fill_holes(path: Path, heights: HeightArray) -> None:
+    """Set heights [m] to NaN where they can be none: impossible ones, and undeclared nodata."""
     odd = np.isinf(heights) | (heights < LOWEST) | (heights > HIGHEST)
     said = [(int(odd.sum()), f'outside {LOWEST:g} to {HIGHEST:g} m')] if odd.any() else []
-    heights = np.where(odd, np.nan, heights)
-    for sign in (1.0, -1.0) * 2:  # a file can have several numbers for its holes
-        known = sign * heights[~np.isnan(heights)]
-        lowest = known.min(initial=np.inf)
-        hole, rest = int((known == lowest).sum()), known[known > lowest]
-        if hole >= HOLE_CELLS and rest.size and rest.min() - lowest >= HOLE_DEPTH:
-            heights[heights == sign * lowest] = np.nan
-            side = 'below' if sign > 0.0 else 'above'
-            said.append((hole, f'of exactly {sign * lowest:g} m, {rest.min() - lowest:.4g} m '
+    heights[odd] = np.nan
+    # A file can have several numbers for its holes.
+    for best, beyond, side in ((np.fmin, np.greater, 'below'), (np.fmax, np.less, 'above')) * 2:
+        most = best.reduce(heights, axis=None)
+        rest = best.reduce(heights, axis=None, where=beyond(heights, most), initial=np.nan)
+        hole = heights == most
+        if hole.sum() >= HOLE_CELLS and abs(rest - most) >= HOLE_DEPTH:
+            heights[hole] = np.nan
+            said.append((int(hole.sum()), f'of exactly {most:g} m, {abs(rest - most):.4g} m '
                          f'{side} all others'))
     for count, what in said:
         warn(f'{path}: {count} of {heights.size} heights are unknown: {what}; declare the number '
              'for no data with gdal_edit.py -a_nodata')
-    return heights
 
 
-def _refuse_heights(path: Path, dataset: Any, values: FloatArray) -> None:
+def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
     """Raise InvalidRiskMap if the values of a risk map are rather heights, or shares."""
     unit, about = _unit(dataset), dataset.descriptions[0] or ''
     known = values[np.isfinite(values)]
@@ -229,37 +298,53 @@ def _refuse_heights(path: Path, dataset: Any, values: FloatArray) -> None:
         warn(f'{path}: no value is over 1, of 100: if 1 stands for the most risk, multiply by 100')
 
 
-def _in_metres(path: Path, bands: FloatArray, grid: Any, crs: str | None, nearest: bool) -> Raster:
-    """Bands (B, H, W), the northernmost row first, reprojected if the system is not in metres."""
-    if crs:
-        rows, columns = bands.shape[1:]
-        target, is_other = metric_system(crs, grid.c + grid.a * columns / 2.0,
-                                         grid.f + grid.e * rows / 2.0)
-        if is_other:
-            own = horizontal(crs)
+def _in_metres(path: Path, bands: list[HeightArray], grid: Any, own: Any,
+               nearest: bool) -> Raster:
+    """Bands (H, W), the northernmost row first, reprojected if the system is not in metres."""
+    from rasterio import Affine
+    from rasterio.transform import array_bounds
+
+    if own is not None:
+        west, south, east, north = array_bounds(*bands[0].shape, grid)
+        turns = round((west + east) / 720.0) if own.is_geographic else 0  # longitudes from 0 to 360
+        grid = Affine(grid.a, 0.0, grid.c - 360.0 * turns, 0.0, grid.e, grid.f)
+        target = metric_system(own, (west + east) / 2.0 - 360.0 * turns, (south + north) / 2.0)
+        if target is not own:
             bands, grid = _reprojected(path, bands, grid, own, target, nearest)
             warn(f'{path}: reprojected from {own.name} to {target.name} ({target.to_string()}), '
                  f'cells of {grid.a:.4g} m')
-        crs = target.to_string()
-    corner = grid.c, grid.f + grid.e * bands.shape[1]
-    heights = bands[1, ::-1].astype(np.float32) if len(bands) > 1 else None
-    return Raster(bands[0, ::-1], -grid.e, grid.a, corner, crs, heights)
+        own = target.to_string()
+    corner = grid.c, grid.f + grid.e * len(bands[0])
+    heights = bands[1][::-1] if len(bands) > 1 else None
+    return Raster(bands[0][::-1], -grid.e, grid.a, corner, own, heights)
 
 
-def _reprojected(path: Path, bands: FloatArray, grid: Any, crs: Any, target: Any,
-                 nearest: bool) -> tuple[FloatArray, Any]:
+def _reprojected(path: Path, bands: list[HeightArray], grid: Any, crs: Any, target: Any,
+                 nearest: bool) -> tuple[list[HeightArray], Any]:
+    from rasterio import Affine
     from rasterio.enums import Resampling
     from rasterio.io import MemoryFile
     from rasterio.vrt import WarpedVRT
 
-    count, rows, columns = bands.shape
+    rows, columns = bands[0].shape
+    # Plain interpolation: a transform that is exact to 1e-6 cells, and no smoothing across cells.
+    options = {'crs': target.to_wkt(), 'tolerance': 1e-6, 'XSCALE': 1, 'YSCALE': 1,
+               'resampling': Resampling.nearest if nearest else Resampling.bilinear}
     with MemoryFile() as file:
-        with file.open(driver='GTiff', height=rows, width=columns, count=count, dtype='float64',
-                       crs=crs.to_wkt(), transform=grid, nodata=np.nan) as stored:
-            stored.write(bands)
-        # Plain interpolation: an exact transform, and no smoothing across cells.
-        with file.open() as stored, WarpedVRT(
-                stored, crs=target.to_wkt(), tolerance=0.0, XSCALE=1, YSCALE=1,
-                resampling=Resampling.nearest if nearest else Resampling.bilinear) as warped:
-            _check_size(path, warped.height, warped.width)
-            return warped.read(), warped.transform
+        with file.open(driver='GTiff', height=rows, width=columns, count=len(bands),
+                       dtype='float32', crs=crs.to_wkt(), transform=grid, nodata=np.nan) as stored:
+            for number, band in enumerate(bands, start=1):
+                stored.write(band, number)
+        with file.open() as stored:
+            with WarpedVRT(stored, **options) as warped:
+                place, size = warped.transform, np.array((warped.height, warped.width))
+            if nearest:
+                # A wall of one cell stays whole if each of its cells has a centre of a new one.
+                step = place.a * min(size / (rows, columns)) / math.sqrt(2.0)
+                size = np.ceil(size * place.a / step).astype(int)
+                place = Affine(step, 0.0, place.c, 0.0, -step, place.f)
+            height, width = size.tolist()
+            _check_size(path, height, width)
+            with WarpedVRT(stored, transform=place, height=height, width=width,
+                           **options) as warped:
+                return [warped.read(k) for k in range(1, len(bands) + 1)], place

@@ -3,25 +3,46 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from ..arrays import FloatArray
-from .coordinates import WGS84, utm_zone
+from ..errors import InvalidCoordinates
+from .coordinates import WGS84, converter, horizontal, utm_zone
 
-MGRS_REFERENCE = re.compile(r'(?i)\d{1,2}[C-X][A-Z]{2}(\d\d){1,5}$')
+_BANDS = 'CDEFGHJKLMNPQRSTUVWXX'  # of MGRS, 8 degrees each, from 80 degrees south
 
 
-def from_mgrs(text: str) -> tuple[float, float]:
+def from_mgrs(zone_and_square: str, east: str, north: str) -> FloatArray:
     """Latitude and longitude of the south-west corner of the square of an MGRS reference.
 
-    Raises ModuleNotFoundError without the package mgrs.
+    Raises InvalidCoordinates, and ModuleNotFoundError without the package mgrs.
     """
     from mgrs import MGRS
+    from mgrs.core import MGRSError
 
-    latitude, longitude = MGRS().toLatLon(text.upper())
-    return latitude, longitude
+    try:
+        if len(east) == len(north):
+            return np.array(MGRS().toLatLon(f'{zone_and_square}{east}{north}'.upper()))
+    except MGRSError:
+        pass
+    raise InvalidCoordinates('no MGRS reference, such as 36S UG 68180 12179')
+
+
+def from_utm(zone: int, letter: str, east: float, north: float) -> FloatArray:
+    """Latitude and longitude of a UTM position; N and S are hemispheres, other letters bands.
+
+    Raises InvalidCoordinates.
+    """
+    if not (1 <= zone <= 60 and 1e5 <= east < 1e6):
+        raise InvalidCoordinates('UTM has the zones 1 to 60, and eastings from 100000 to 999999, '
+                                 'before the northing')
+    south = letter == 'S' or letter < 'N'
+    system = horizontal(f'EPSG:{(32700 if south else 32600) + zone}')
+    longitude, latitude = converter(system, horizontal(WGS84)).transform(east, north)
+    if letter not in 'NS' and letter != _BANDS[int(np.clip((latitude + 80.0) // 8.0, 0, 20))]:
+        raise InvalidCoordinates(f'at latitude {latitude:.4f}, it is not in band {letter}; write N '
+                                 'or S for the hemisphere')
+    return np.array((latitude, longitude))
 
 
 def utm_references(lat_lon: FloatArray) -> list[str]:
@@ -31,9 +52,13 @@ def utm_references(lat_lon: FloatArray) -> list[str]:
     """
     from pyproj import Transformer
 
-    found = []
+    found, zones = [], {}  # it takes 0.2 s to look up a zone
     for place in lat_lon:
-        zone = utm_zone(*place)
+        latitude, longitude = place
+        key = longitude // 3.0, latitude // 8.0  # finer than zones and their exceptions
+        if key not in zones:
+            zones[key] = utm_zone(latitude, longitude)
+        zone = zones[key]
         east, north = Transformer.from_crs(WGS84, zone).transform(*place)
         found.append(f'{zone.utm_zone[:-1]} {zone.utm_zone[-1]} {int(east)} {int(north)}')
     return found

@@ -8,17 +8,19 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from ..arrays import FloatArray
 from ..option_checks import check_at_least
 from .risk_map import RiskMap
-from .vector_file import InvalidFeatures, attribute, attribute_values
+from .tables import InvalidFeatures, dates_of
+from .vector_file import attribute, attribute_values
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
+# Number of incidents whose density is computed at a time; bounds the memory.
+CHUNK = 4096
 # Number of bandwidths that cross-validation compares.
 BANDWIDTHS = 24
 # Maximum number of incidents that cross-validation uses.
@@ -26,48 +28,66 @@ MAX_VALIDATED = 3000
 
 
 def weighted_incidents(features: GeoDataFrame,
-                       values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+                       values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray, str]:
     """Places (K, 2) [m] and weights (K,) of the incidents that count (see ``risk_layers``).
 
-    Raises InvalidFeatures if an attribute is missing or malformed.
+    Also says how many there are, and when, if dates matter. Raises InvalidFeatures if an
+    attribute is missing or malformed.
     """
-    from pandas import to_datetime
+    from pandas import Series
 
     places = np.stack((features.geometry.x, features.geometry.y), axis=1)
     weights = attribute_values(features, 'weight', values['weight'])
     half_life = values['half_life']
     check_at_least('half_life', half_life, 1e-3, 'days', finite=False)
     if half_life == math.inf and values['until'] is None:
-        return places, weights
-    dates = to_datetime(attribute(features, 'date', values['date']), errors='coerce', utc=True,
-                        format='mixed')
+        return places, weights, ''
+    dates = dates_of(attribute(features, 'date', values['date']), values['date'])
     if missing := int(dates.isna().sum()):
         raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have no date such '
                               'as 2025-03-31')
-    until = dates.max() if values['until'] is None else to_datetime(str(values['until']), utc=True)
-    if not (dates <= until).any():
+    until = (dates.max() if values['until'] is None
+             else dates_of(Series([values['until']]), 'until').iloc[0])
+    counts = (dates <= until).to_numpy()
+    if not counts.any():
         raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
     days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
-    return places[days >= 0.0], (weights * 0.5 ** (days / half_life))[days >= 0.0]
+    return (places[counts], (weights * 0.5 ** (days / half_life))[counts],
+            f'{counts.sum()} of {len(dates)} incidents count, {dates.min():%Y-%m-%d} to '
+            f'{dates[counts].max():%Y-%m-%d}')
 
 
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,
                    bandwidth: float) -> FloatArray:
     """The density (H, W), up to a constant, of places (K, 2) [m] with weights (K,)."""
-    uv, step = ground.to_map_axes(places), ground.resolution
-    across, along = (
-        np.exp(-0.5 * (((np.arange(count) + 0.5) * step - each[:, None]) / bandwidth) ** 2)
-        for each, count in zip(uv.T, ground.alpha.shape[::-1], strict=True)
-    )
-    return np.asarray((along * weights[:, None]).T @ across)
+    density, step = np.zeros(ground.alpha.shape), ground.resolution
+    for begin in range(0, len(places), CHUNK):
+        across, along = (
+            np.exp(-0.5 * (((np.arange(count) + 0.5) * step - each[:, None]) / bandwidth) ** 2)
+            for each, count in zip(ground.to_map_axes(places[begin: begin + CHUNK]).T,
+                                   ground.alpha.shape[::-1], strict=True))
+        density += (along * weights[begin: begin + CHUNK, None]).T @ across
+    return density
 
 
 def count_near(ground: RiskMap, places: FloatArray, distance: float) -> FloatArray:
     """The number of places (K, 2) within ``distance`` [m] of each cell's centre (H, W)."""
-    cells = (np.argwhere(np.ones(ground.alpha.shape))[:, ::-1] + 0.5) * ground.resolution
-    found = cKDTree(ground.to_map_axes(places)).query_ball_point(cells, distance,
-                                                                 return_length=True)
-    return np.asarray(found, dtype=np.float64).reshape(ground.alpha.shape)
+    rows, columns = ground.alpha.shape
+    u, v = ground.to_map_axes(places).T / ground.resolution - 0.5  # in rows and columns of centres
+    reach = distance / ground.resolution
+    # Each place adds 1 from the first near cell of a row on, and takes it off after the last one.
+    changes = np.zeros(rows * (columns + 1))
+    for offset in range(-math.ceil(reach), math.ceil(reach) + 1):
+        row = np.rint(v).astype(np.int64) + offset
+        half = np.sqrt(np.maximum(reach**2 - (row - v) ** 2, 0.0))
+        first, last = np.ceil(u - half), np.floor(u + half)
+        used = ((np.abs(row - v) <= reach) & (row >= 0) & (row < rows) & (last >= 0)
+                & (first < columns) & (first <= last))
+        at = row[used] * (columns + 1)
+        for column, change in ((first[used], 1.0), (last[used] + 1.0, -1.0)):
+            column = np.clip(column, 0, columns).astype(np.int64)
+            changes += change * np.bincount(at + column, minlength=len(changes))
+    return np.cumsum(changes.reshape(rows, columns + 1), axis=1)[:, :-1]
 
 
 def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -132,9 +133,9 @@ def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
     if header is None:
         return _other_pixels(path, mode)
     columns, rows, largest = map(int, header.groups())
-    if not (0 < rows * columns <= MAX_CELLS and 0 < largest < 65536):
-        raise InvalidRiskMap(f'{path}: {columns} x {rows} pixels up to {largest}; 1 to '
-                             f'{MAX_CELLS} pixels up to 1..65535 can be read')
+    _check_size(path, columns, rows)
+    if not 0 < largest < 65536:
+        raise InvalidRiskMap(f'{path}: pixels up to {largest}; up to 1..65535 can be read')
     kind = np.dtype(np.uint8 if largest < 256 else '>u2')
     if len(data) - header.end() < rows * columns * kind.itemsize:
         raise InvalidRiskMap(f'{path}: too short for {columns} x {rows} pixels')
@@ -142,11 +143,20 @@ def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
     return pixels.astype(np.float64) / largest, np.ones((rows, columns), bool)
 
 
+def _check_size(path: Path, columns: int, rows: int) -> None:
+    if not 0 < rows * columns <= MAX_CELLS:
+        raise InvalidRiskMap(f'{path}: {columns} x {rows} pixels; 1 to {MAX_CELLS} can be read')
+
+
 def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
     pillow = import_extra('PIL.Image', f'{path}: images other than binary PGM', 'figures',
                           InvalidRiskMap)
     try:
-        with pillow.open(path) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', pillow.DecompressionBombWarning)
+            image = pillow.open(path)
+        with image:
+            _check_size(path, *image.size)
             if image.mode[0] in 'IF':
                 return _deep_pixels(path, image)
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info

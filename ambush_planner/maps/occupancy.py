@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +11,8 @@ import numpy.typing as npt
 
 from ..arrays import BoolArray
 from ..errors import InvalidOption, InvalidRiskMap
-from ..option_checks import none_for
+from ..option_checks import allowed, check_options
+from .coordinates import agree
 from .risk_map import LOSSES, MAX_LOSS, MIN_LOSS, RiskMap, check_place
 
 # Values of an obstacle's cells and of unknown ones.
@@ -56,7 +56,7 @@ def agreed_crs(known: str | None, given: str | None) -> str | None:
 
     Raises InvalidRiskMap if both are known and differ.
     """
-    if known and given and known != given:
+    if known and given and not agree(known, given):
         raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
     return known or given or None
 
@@ -73,33 +73,18 @@ class OccupancyOptions:
     Raises InvalidOption if a number is not finite or out of range.
     """
 
-    alpha_min: float = LOSSES[0]
-    alpha_max: float = LOSSES[1]
-    obstacle_threshold: int = 100
-    unknown_alpha: float | None = None
-    crs: str | None = None
+    alpha_min: float = allowed(LOSSES[0], least=MIN_LOSS, high=MAX_LOSS)
+    alpha_max: float = allowed(LOSSES[1], least=MIN_LOSS, high=MAX_LOSS)
+    obstacle_threshold: int = allowed(OBSTACLE, low=1, high=OBSTACLE + 1)
+    unknown_alpha: float | None = allowed(None, float, least=MIN_LOSS, high=MAX_LOSS,
+                                          automatic=-1.0)
+    crs: str | None = allowed(None, str, automatic='')
 
     def __post_init__(self) -> None:
-        none_for(self, unknown_alpha=-1.0, crs='')
-        for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
-            loss = getattr(self, name)
-            if loss is None:
-                continue
-            if not math.isfinite(loss):
-                raise InvalidOption(f'{name} must be finite, got {loss}')
-            if loss != 0.0 and not MIN_LOSS <= loss <= MAX_LOSS:
-                raise InvalidOption(
-                    f'{name} must be 0 or in {MIN_LOSS:g}..{MAX_LOSS:g}, got {loss}; scale the '
-                    'losses'
-                )
-        if not 0.0 <= self.alpha_min <= self.alpha_max:
-            raise InvalidOption('0 <= alpha_min <= alpha_max must hold, '
-                                f'got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}')
-        if not 1 <= self.obstacle_threshold <= 101:
-            raise InvalidOption(
-                'obstacle_threshold must be in 1..101 (101: no value is an obstacle), '
-                f'got {self.obstacle_threshold}'
-            )
+        check_options(self)
+        if self.alpha_min > self.alpha_max:
+            raise InvalidOption('alpha_min <= alpha_max must hold, got alpha_min '
+                                f'{self.alpha_min} and alpha_max {self.alpha_max}')
 
 
 def risk_from_occupancy(values: npt.ArrayLike, resolution: float,

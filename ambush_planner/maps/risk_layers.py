@@ -41,15 +41,16 @@ from .incidents import count_near, cross_validated_bandwidth, kernel_density, we
 from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
-from .road_file import connected_parts
+from .road_joints import connected_parts
 from .road_tags import roads_among
+from .tables import InvalidFeatures
 from .terrain_file import terrain_of_file
 from .terrain_risk import TerrainOptions
-from .vector_file import InvalidFeatures, attribute_values, features_on
+from .vector_file import attribute_values, features_on
 from .visibility import ViewOptions
 
 if TYPE_CHECKING:
-    from geopandas import GeoDataFrame
+    from geopandas import GeoDataFrame, GeoSeries
     from geopandas.base import GeoPandasBase
 
 # The keys of the file, and of each kind of line, with their defaults.
@@ -59,7 +60,7 @@ _SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'h
 _KINDS: Mapping[str, Mapping[str, Any]] = {
     'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
     'polygons': {**_SHAPES, 'buffer': 0.0},
-    'roads': {**_SHAPES, 'width': 0.0},
+    'roads': {**_SHAPES, 'width': 0.0, 'road_column': '', 'all_lines_are_roads': False},
     'incidents': {'loss': 9.0, 'bandwidth': 'auto', 'half_life': math.inf, 'until': None,
                   'date': 'date', 'weight': 1.0},
 }
@@ -137,7 +138,8 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             features = features_on(joined.ground, str(path), *_GEOMETRIES[kind], crs=crs, refused=(
                 f'{whole[0]} ground must be whole' if whole else ''))
             if kind == 'roads':
-                roads, _ = roads_among(str(path), features)
+                roads, _ = roads_among(str(path), features, values['road_column'],
+                                       values['all_lines_are_roads'], two_way=True)
                 if whole and len(roads) < len(features):
                     raise InvalidFeatures(
                         f'{path.name}: {whole[0]} ground must be whole; put lines that are no '
@@ -146,7 +148,8 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
             add(path.name, features, values)
         except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
-            raise InvalidLayers(f'layer {number} ({kind}): {error}') from error
+            where = '' if path.name in str(error) else f'{path.name}: '
+            raise InvalidLayers(f'layer {number} ({kind}): {where}{error}') from error
     assert joined is not None  # there is a line
     return joined.result()
 
@@ -240,25 +243,31 @@ class _Joined:
         features = given.set_geometry(given.buffer(size).where(size > 0.0, given.geometry))
         shown = connected_parts(given) if roads else features.boundary
         before = self.loss
-        for key, apply in (('loss', np.multiply), ('factor', np.power)):
-            column = attribute_values(features, key, values[key])
-            for each in np.unique(column):
-                count = self._cover(features[column == each], roads)
-                effect = apply(each, np.minimum(count, 1.0) if roads else count)
-                self.loss = self.loss + effect if key == 'loss' else self.loss * effect
+        loss, factor = (attribute_values(features, key, values[key]) for key in ('loss', 'factor'))
+        if roads:  # those with the same value count once
+            self.loss = before.copy()
+            for column, apply in ((loss, np.add), (factor, np.multiply)):
+                for value, same in features.geometry.groupby(column):
+                    part, covered = self._covered(same, touched=True)
+                    apply(self.loss[part], value, out=self.loss[part], where=covered)
+        else:
+            with np.errstate(divide='ignore'):  # a factor of 0
+                powers = self._sum(features, np.log2(factor))
+            self.loss = (before + self._sum(features, loss)) * np.exp2(powers)
         for key, masks in self.masks.items():
             chosen = features[attribute_values(features, key, values[key]) > 0.0]
             if len(chosen):
-                masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
+                masks.append(self._cover(chosen, roads or key == 'forbidden'))
         changes, others = ([key for key in keys if values[key] != _SHAPES[key]]
                            for keys in (('loss', 'factor'), self.masks))
         effects = [f'change by {" and ".join(changes)}'] * bool(changes) + others
-        shade = self.loss - before if changes else self._cover(features, roads) > 0.0
+        shade = self.loss - before if changes else self._cover(features, roads)
         self.layers.append(Layer(f'{name}: {", ".join(effects)}', shade, shown))
 
     def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply incidents, with a remark if there are few."""
-        places, weights = weighted_incidents(features, values)
+        places, weights, span = weighted_incidents(features, values)
+        self.remarks += [f'{name}: {span}'] * bool(span)
         bandwidth = values['bandwidth']
         if bandwidth == 'auto':
             bandwidth, largest = cross_validated_bandwidth(self.ground, places, weights)
@@ -283,16 +292,44 @@ class _Joined:
         self.layers += [Layer(f'{name}: loss', added, features.geometry),
                         Layer(f'{name}: number within {near:.0f} m', count)]
 
-    def _cover(self, features: GeoDataFrame, touched: bool) -> FloatArray:
-        """How many shapes cover each cell (H, W): its centre, or any part of it if ``touched``."""
-        from rasterio import Affine
+    def _sum(self, features: GeoDataFrame, values: FloatArray) -> FloatArray:
+        """The sum (H, W) of the values (K,) of those shapes that contain a cell's centre."""
         from rasterio.features import MergeAlg, rasterize
 
+        return np.asarray(rasterize(
+            zip(features.geometry, values.tolist(), strict=True), self.loss.shape,
+            transform=self._transform(0, 0), merge_alg=MergeAlg.add, dtype='float64'))
+
+    def _cover(self, features: GeoDataFrame, touched: bool) -> BoolArray:
+        """Which cells (H, W) shapes cover: their centres, or any part of them if ``touched``."""
+        cells = np.zeros(self.loss.shape, bool)
+        part, covered = self._covered(features.geometry, touched)
+        cells[part] = covered
+        return cells
+
+    def _covered(self, shapes: GeoSeries, touched: bool) -> tuple[tuple[slice, slice], BoolArray]:
+        """The part of the grid around shapes, and which of its cells they cover."""
+        from rasterio.features import rasterize
+
+        low, high = np.reshape(shapes.total_bounds, (2, 2))
+        (x, y, _), (rows, columns) = self.ground.origin, self.loss.shape
+        low, high = (np.clip(np.floor((each - (x, y)) / self.ground.resolution) + more, 0,
+                             (columns, rows)).astype(int).tolist()
+                     for each, more in ((low, -1), (high, 2)))
+        part = slice(low[1], high[1]), slice(low[0], high[0])
+        size = high[1] - low[1], high[0] - low[0]
+        if min(size) == 0:  # off the map
+            return part, np.zeros(size, bool)
+        cells = rasterize(((shape, 1) for shape in shapes), size, all_touched=touched,
+                          transform=self._transform(*low), dtype='uint8')
+        return part, cells > 0
+
+    def _transform(self, column: int, row: int) -> Any:
+        """The affine transform of rasterio for the part of the grid that begins at a cell."""
+        from rasterio import Affine
+
         (x, y, _), step = self.ground.origin, self.ground.resolution
-        cells = rasterize(((shape, 1.0) for shape in features.geometry), self.loss.shape,
-                          transform=Affine(step, 0.0, x, 0.0, step, y), all_touched=touched,
-                          merge_alg=MergeAlg.add, dtype='float64')
-        return np.asarray(cells)
+        return Affine(step, 0.0, x + column * step, 0.0, step, y + row * step)
 
 
 def _number(name: str, value: Any, least: float = 0.0) -> float:

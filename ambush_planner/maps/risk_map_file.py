@@ -13,9 +13,9 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..arrays import arrays_in
-from ..errors import InvalidOption, InvalidRiskMap, warn
-from .coordinates import Coordinates, InvalidCoordinates
-from .elevation import InvalidTerrain, square_cells
+from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
+from .coordinates import Coordinates
+from .elevation import square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, agreed_crs
@@ -64,17 +64,15 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
 
 
 def _read_raster(path: Path) -> OccupancyMap:
-    try:
-        raster = read_raster(path, 'risk')
-    except InvalidTerrain as error:
-        raise InvalidTerrain(f'{error}; a risk map is a .yaml for map_server, an .npz, or a raster '
-                             'such as .tif or .asc') from error
+    raster = read_raster(path, 'risk')
     if not math.isclose(raster.row_step, raster.column_step, rel_tol=1e-5):
         given, raster = raster, square_cells(raster)
         warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
              f'to {raster.row_step:.7g} m, by the nearest')
-    return OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
-                        (*raster.corner, 0.0), raster.crs, raster.heights, raster.losses)
+    origin = (*(raster.corner or (0.0, 0.0)), 0.0)
+    values: Any = np.nan_to_num(raster.values.astype(np.float64), nan=-1.0)
+    return OccupancyMap(values, raster.column_step, origin, raster.crs, raster.heights,
+                        raster.losses)
 
 
 def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:

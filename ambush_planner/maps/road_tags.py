@@ -1,150 +1,300 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which lines of a file are roads for vehicles, in which direction and how fast, by their tags.
+"""Which lines of a file are roads for vehicles, in which direction and how fast, by their columns.
 
-The tags are OpenStreetMap's, read as OSRM and osmnx do, also as Geofabrik's shapefiles (``fclass``)
-and GDAL's reader of OpenStreetMap files (``other_tags``) have them. Names count without regard to
-case, ``_`` and ``-``. Without a kind of road anywhere, every line is a road.
+``road_schemas`` has the data that are known; tags of OpenStreetMap are read as OSRM and osmnx do.
+Columns of other data are refused unless the caller says what they mean.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..errors import warn
-from .vector_file import InvalidFeatures
+from . import road_schemas as known
+from .tables import InvalidFeatures, column_among, naming, plain
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
     from pandas import DataFrame
 
-_KINDS = ('highway', 'fclass')
-DRIVABLE = frozenset((
-    *(kind + link for kind in ('motorway', 'trunk', 'primary', 'secondary', 'tertiary')
-      for link in ('', '_link')), *(f'track_grade{k}' for k in range(1, 6)),
-    'unclassified', 'residential', 'living_street', 'service', 'road', 'track'))
-# Ways that are no roads unless they have a kind of road, too; the last are words of other data.
-_OTHER_WAYS = ('waterway', 'railway', 'power', 'aerialway', 'aeroway', 'barrier', 'man_made',
-               'boundary', 'route')
-_UNFINISHED = ('construction', 'proposed', 'planned', 'abandoned', 'disused', 'razed')
-_UNUSABLE = {'area': 'yes', 'impassable': 'yes', 'status': 'impassable', 'smoothness': 'impassable'}
-# Of these and of directions, the most particular one that is given counts.
-_ACCESS = ('motorcar', 'motor_vehicle', 'vehicle', 'access')
-_DENIED = ('no', 'private', 'agricultural', 'forestry', 'emergency', 'psv', 'bus')
-_DIRECTION = ('oneway:motorcar', 'oneway:motor_vehicle', 'oneway:vehicle', 'oneway')
-# Values of ``oneway`` in OpenStreetMap, osmnx, Geofabrik's extracts (F, T, B) and others (FT, TF).
-ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, 'ft': 1, '-1': -1, 'reverse': -1, 't': -1,
-           'tf': -1, 'no': 0, 'false': 0, '0': 0, 'b': 0}
+ROUNDABOUT = 'roundabout'
 _NOT = ('', 'no', 'false', 'f', '0', 'minor', 'widening')
-# Units of speed [m/s], by the attribute's name or at the end of a value.
-_SPEEDS = {'speed_kph': 1 / 3.6, 'speed_kmh': 1 / 3.6, 'speed_mph': 0.44704, 'speed_mps': 1.0}
-_UNITS = {'km/h': 1 / 3.6, 'kmh': 1 / 3.6, 'kph': 1 / 3.6, 'mph': 0.44704, 'm/s': 1.0}
-_KEYS = {re.sub('[_ -]', '', key): key for key in (
-    *_KINDS, *_OTHER_WAYS, *_UNFINISHED, *_UNUSABLE, *_ACCESS, *_DIRECTION, *_SPEEDS, 'junction',
-    'bridge', 'tunnel', 'layer')}
-# Names of attributes that may mean direction or speed.
-_SIMILAR = re.compile(r'dir|direction|dir_?trav\w*|trav\w*_?dir\w*|sens|einbahn\w*|one_?way\w+|'
-                      r'max_?sp\w*|speed\w*|spd\w*')
+_MISSING = ('none', 'nan', '<na>', 'nat')
+_WHOLE = re.compile(r'[-+]?\d+')
+# A pair of hstore, and a text of pairs; the longest text of a shapefile [bytes], less a character.
+_PAIR = r'"((?:[^"\\]|\\.)*)"\s*=>\s*(?:"((?:[^"\\]|\\.)*)"|NULL)'
+_HSTORE = re.compile(rf'{_PAIR}(\s*,\s*{_PAIR})*')
+_CUT = 251
+_NESTED = re.compile('(?=[{"]).*["\'](highway|' + '|'.join((*known.ACCESS, *known.DIRECTIONS))
+                     + ')["\']\\s*(:|=>)', re.DOTALL)
+_Schema = Mapping[str, frozenset[str]]
 
 
 class Road(NamedTuple):
     """What the tags of a line say.
 
     ``problem``: why it is no road for vehicles; ``way``: 1 along the line only, -1 against it, 0
-    both; ``level``: roads meet only on the same one; ``speed`` [m/s], NaN if it has none.
+    both; ``level``: roads cross only on the same one; ``levels``: those of the first, the inner and
+    the last vertices, NaN if unknown; ``speed`` [m/s], NaN if it has none.
     """
 
     problem: str
     way: int = 0
     level: int = 0
+    levels: tuple[float, float, float] = (math.nan, math.nan, math.nan)
     speed: float = math.nan
 
 
-def roads_among(path: str, lines: GeoDataFrame) -> tuple[GeoDataFrame, list[Road]]:
+def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
+                all_lines_are_roads: bool = False,
+                two_way: bool = False) -> tuple[GeoDataFrame, list[Road]]:
     """Return the lines that are roads for vehicles, and what their tags say.
 
-    Warns how many lines are left out and why; raises InvalidFeatures if all are, or if a speed is
-    no number. Both name ``path``.
+    Columns of no known schema need ``road_column``, COLUMN=VALUE,... of roads, or
+    ``all_lines_are_roads``; columns that may say directions and are not known need ``two_way``.
+
+    Warns how many lines are left out and why; raises InvalidFeatures if all are, if a column is not
+    known for certain, or if a speed is no number. Both name ``path``.
     """
-    tags = _tags(path, lines)
-    with_kinds = bool((tags[_KINDS[0]] + tags[_KINDS[1]] != '').any())
-    # Thousands of lines share a few combinations.
-    judged = [_judged(path, each, with_kinds) for each in tags.drop_duplicates().to_dict('records')]
-    roads = [judged[k] for k in tags.groupby(list(tags), sort=False).ngroup()]
-    if reasons := Counter(road.problem for road in roads if road.problem):
-        why = ', '.join(f'{what} {count}' for what, count in reasons.most_common(8))
-        text = (f'{path}: {sum(reasons.values())} of {len(roads)} lines are no roads for vehicles: '
-                f'{why}{", ..." if len(reasons) > 8 else ""}')
-        if 'oneway' in why:
-            text += f'; known values of oneway are {", ".join(ONE_WAY)}'
-        if sum(reasons.values()) == len(roads):
-            raise InvalidFeatures(text)
-        warn(f'{text}; they are left out')
+    with naming(path):
+        texts = _texts(lines, path.lower().endswith('.shp'))
+        columns = {key: name for key in known.KEYS if (name := _column(texts, key))}
+        schema = _schema(texts, columns, road_column, all_lines_are_roads)
+        others = texts.drop(columns=[name for key, name in columns.items()
+                                     if key != known.RESTRICTIONS])
+        problems = [] if schema is not None else [
+            f'{len(lines)} lines, and no column says which are roads: '
+            f'{_kinds(texts)}; use --road-column COLUMN=VALUE,... or --all-lines-are-roads '
+            '(road_column, all_lines_are_roads)']
+        directed = (two_way or schema is known.OVERTURE
+                    or not columns.keys().isdisjoint(known.DIRECTIONS))
+        names = [name for name in others if _says_directions(others, name, schema)]
+        if names and not directed:
+            problems.append(
+                f'a column that is not known may say directions: {_kinds(others[names])}; name it '
+                'oneway, with yes, no and -1, or use --two-way (two_way)')
+        if schema is None or problems:
+            raise InvalidFeatures('; '.join(problems))
+        if texts.empty and not all_lines_are_roads:
+            warn(f'{path}: its lines have no attributes, so that all are read as roads')
+        _warn_of_columns(path, others, columns, schema, directed)
+        columns = {**columns, **{key: key for key in schema if key in texts}}
+        tags = texts[[*dict.fromkeys(columns.values())]].apply(lambda each: each.str.lower())
+        tags[''] = ''  # if there is no column
+        # Thousands of lines share a few combinations.
+        judged = [_judged(defaultdict(str, {key: each[name] for key, name in columns.items()}),
+                          schema) for each in tags.drop_duplicates().to_dict('records')]
+        roads = [judged[k] for k in tags.groupby([*tags], sort=False).ngroup()]
+        _warn_of_others(path, roads)
     keep = np.array([not road.problem for road in roads])
     return lines[keep], [road for road in roads if not road.problem]
 
 
-def _tags(path: str, lines: GeoDataFrame) -> DataFrame:
-    """The known attributes of lines as lower-case texts, '' if missing."""
-    from pandas import DataFrame, Series
-
-    columns: dict[str, Any] = {}
-    for name in lines.columns.drop(lines.geometry.name):
-        key = _KEYS.get(re.sub('[_ -]', '', str(name).lower()))
-        if key and key not in columns:
-            columns[key] = lines[name]
-            if key in (*_DIRECTION, *_SPEEDS) and str(name).lower() != key:
-                warn(f'{path}: its attribute {name!r} is read as {key}')
-        elif _SIMILAR.fullmatch(str(name).lower()):
-            warn(f'{path}: its attribute {name!r} is not read; directions must be in oneway, '
-                 'speeds in speed_kph')
-    more = lines['other_tags'].fillna('').astype(str) if 'other_tags' in lines else Series(
-        '', lines.index)
-    texts = {key: columns[key] if key in columns else
-             more.str.extract(f'"{key}"=>"([^"]*)"', expand=False) for key in _KEYS.values()}
-    tags = DataFrame(texts).fillna('').astype(str).map(
-        lambda text: text.strip().lower().removesuffix('.0'))
-    return tags.replace(['none', 'nan', '<na>', 'nat'], '')
+def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
+    """The columns that say something as texts, '' if missing, and tags in one column as columns."""
+    texts = lines.drop(columns=lines.geometry.name).map(_text).reset_index(drop=True)
+    texts.columns = texts.columns.astype(str)
+    texts = texts[[name for name in texts if plain(name) not in known.NUMBER_NAMES
+                   and (texts[name] != '').any()]].copy()
+    for name in [*texts]:
+        words = texts[name].unique()
+        if any(_NESTED.match(word) or plain(name).endswith('tags') and re.search('[=:[{]', word)
+               for word in words):
+            pairs = texts.pop(name).map({each: _pairs(name, each, of_shapefile) for each in words})
+            for key in {*known.KEYS}.intersection(*[set().union(*pairs)]):
+                found = pairs.map(lambda each, key=key: str(each.get(key) or ''))
+                texts[key] = texts[key].where(texts[key] != '', found) if key in texts else found
+    return texts
 
 
-def _judged(path: str, tags: Mapping[str, str], with_kinds: bool) -> Road:
-    """What the tags of a line say, in a file that has kinds of roads or has none."""
-    kind = tags['highway'] or tags['fclass']
-    for key in _OTHER_WAYS if with_kinds else _OTHER_WAYS[:5]:
-        if not kind and tags[key] not in _NOT:
-            return Road(f'{key}={tags[key]}')
-    # osmnx has lists where it has merged ways.
-    if with_kinds and DRIVABLE.isdisjoint(re.findall('[a-z_0-9]+', kind)):
-        return Road(kind or 'without highway')
-    for key in _UNFINISHED if with_kinds else ():
-        if tags[key] not in _NOT:
+def road_names(lines: GeoDataFrame) -> list[str]:
+    """Reference and name of each line, such as ``B 55 Main Street``, or ``ROUNDABOUT``."""
+    ref, name, junction = (_words(lines, key) for key in ('ref', 'name', 'junction'))
+    return [ROUNDABOUT if kind in ('roundabout', 'circular') else ' '.join(filter(None, texts))
+            for kind, *texts in zip(junction, ref, name, strict=True)]
+
+
+def _words(lines: GeoDataFrame, key: str) -> list[str]:
+    """The texts of an attribute, '' if missing; osmnx has lists where it has merged ways."""
+    columns = {str(each).lower(): each for each in lines.columns}
+    if key in columns:
+        values = [' / '.join(each) if isinstance(each, list) else each
+                  for each in lines[columns[key]]]
+    else:
+        values = [(re.search(f'"{key}"=>"([^"]*)"', str(each)) or ('', ''))[1]
+                  for each in lines.get('other_tags', [''] * len(lines))]
+    return ['' if each is None or each != each else ' '.join(str(each).split())
+            for each in values]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list | dict | np.ndarray):
+        return json.dumps(value, default=list)
+    text = str(value).strip().removesuffix('.0')
+    return '' if text.lower() in _MISSING else text
+
+
+def _pairs(name: str, text: str, of_shapefile: bool) -> dict[str, Any]:
+    """The tags in a text, of JSON or hstore."""
+    try:
+        found = json.loads(text) if text.startswith('{') else None
+    except ValueError:
+        found = None
+    if _HSTORE.fullmatch(text) or not text:
+        found = dict(re.findall(_PAIR, text))
+    if found is None or of_shapefile and len(text.encode()) >= _CUT:
+        raise InvalidFeatures(f'its column {name!r} is cut, or neither JSON nor hstore: '
+                              f'{text[:60]!r}; export it as GeoPackage')
+    return dict(found)
+
+
+def _column(texts: DataFrame, key: str) -> Any:
+    """The column of a key, which shapefiles cut to ten characters."""
+    cut = (each for each in texts if len(each) == 10 and plain(key).startswith(plain(each)))
+    return column_among(texts, key) or next(cut, None)
+
+
+def _schema(texts: DataFrame, columns: Mapping[str, str], road_column: str,
+            all_lines_are_roads: bool) -> _Schema | None:
+    """The schema that the caller names, or that the columns have."""
+    if road_column:
+        name, _, values = road_column.partition('=')
+        column = column_among(texts, name.strip())
+        roads = frozenset(each.strip().lower() for each in values.split(','))
+        if column is None or not roads <= {*texts[column].str.lower()}:
+            raise InvalidFeatures(f'road_column must be COLUMN=VALUE,... of {_kinds(texts)}; got '
+                                  f'{road_column!r}')
+        return {column: roads}
+    found = next((each for each in known.SCHEMAS if columns.keys() >= each.keys()), None)
+    if found and all_lines_are_roads:
+        raise InvalidFeatures(f'{", ".join(found)} says which lines are roads; leave out '
+                              '--all-lines-are-roads (all_lines_are_roads)')
+    if not found and 'type' in columns and not known.LANE_BORDERS.isdisjoint(
+            texts[columns['type']]):
+        raise InvalidFeatures('its lines are borders of lanes (lanelet2), not roads; use roads of '
+                              'OpenStreetMap, or draw centre lines')
+    return found or ({} if all_lines_are_roads or texts.empty else None)
+
+
+def _kinds(texts: DataFrame) -> str:
+    """Columns that may say kinds, with their most frequent values."""
+    names = sorted(texts, key=lambda name: (not known.KIND_NAMES.search(plain(name)),
+                                            texts[name].nunique()))
+    return ', '.join(f'{name} has ' + ', '.join(
+        f'{value[:40] or "nothing"} {count}' for value, count in
+        Counter(texts[name]).most_common(4)) for name in names[:3])
+
+
+def _says_directions(texts: DataFrame, name: str, schema: _Schema | None) -> bool:
+    """Whether a column may say directions, by its name or, but for OpenStreetMap, its values."""
+    words = {*texts[name].str.lower()} - {''}
+    return ':' not in name and bool(
+        known.DIRECTION_NAMES.search(plain(name)) or schema is not known.OPENSTREETMAP and (
+            any(map(known.DIRECTION_VALUES.fullmatch, words))
+            or any(words.issuperset(some) and words <= {*every}
+                   for some, every in known.DIRECTION_CODES)))
+
+
+def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], schema: _Schema,
+                     directed: bool) -> None:
+    for key, name in columns.items():
+        if len(plain(name)) < len(plain(key)) or (
+                key in (*known.DIRECTIONS, *known.SPEEDS) and name.lower() != key):
+            warn(f'{path}: its attribute {name!r} is read as {key}')
+    for name in others:
+        if known.SPEED_NAMES.fullmatch(plain(name)):
+            warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
+    if not directed and schema not in (known.OPENSTREETMAP, known.GEOFABRIK):
+        warn(f'{path}: no column says directions, so that all roads are two-way')
+
+
+def _warn_of_others(path: str, roads: list[Road]) -> None:
+    """Warn how many lines are no roads, and why; raises InvalidFeatures if all are."""
+    reasons = Counter(road.problem for road in roads if road.problem)
+    if not reasons:
+        return
+    why = ', '.join(f'{what} {count}' for what, count in reasons.most_common(8))
+    text = (f'{sum(reasons.values())} of {len(roads)} lines are no roads for vehicles: {why}'
+            f'{", ..." if len(reasons) > 8 else ""}')
+    if 'oneway' in why:
+        text += f'; known values of oneway are {", ".join(known.ONE_WAY)}'
+    if sum(reasons.values()) == len(roads):
+        raise InvalidFeatures(text)
+    warn(f'{path}: {text}; they are left out')
+
+
+def _judged(tags: Mapping[str, str], schema: _Schema) -> Road:
+    """What the tags of a line say."""
+    if of_osm := 'highway' in schema:
+        for key in known.OTHER_WAYS:
+            if not tags['highway'] and tags[key] not in _NOT:
+                return Road(f'{key}={tags[key]}')
+    for key, roads in schema.items():
+        if roads.isdisjoint(_parts(tags[key])):
+            return Road(tags[key] or f'without {key}')
+    for key in known.UNFINISHED:
+        if of_osm and tags[key] not in _NOT:
             return Road(key)
-    if (access := next((tags[key] for key in _ACCESS if tags[key]), '')) in _DENIED:
+    access = next((tags[key] for key in known.ACCESS if tags[key]), '')
+    if access and known.DENIED.issuperset(_parts(access)):
         return Road(f'access={access}')
-    for key, value in _UNUSABLE.items():
+    for key, value in known.UNUSABLE.items():
         if tags[key] == value:
             return Road(f'{key}={value}')
-    given = next((tags[key] for key in _DIRECTION if tags[key]), '')
-    if given and given not in ONE_WAY:
+    given = next((tags[key] for key in known.DIRECTIONS if tags[key]), '')
+    if given and given not in known.ONE_WAY:
         return Road(f'oneway={given}')
-    implied = (kind in ('motorway', 'motorway_link')
+    implied = (tags['highway'] in ('motorway', 'motorway_link')
                or tags['junction'] in ('roundabout', 'circular'))
-    layer = re.fullmatch(r'-?\d+', tags['layer'])
-    level = int(layer[0]) if layer else 0
+    way = known.ONE_WAY[given] if given else int(implied)
+    if schema is known.OVERTURE and tags[known.RESTRICTIONS]:
+        ways = _allowed_ways(tags[known.RESTRICTIONS])
+        if not ways:
+            return Road('access_restrictions')
+        way = sum(ways)
+    level = int(tags['layer']) if _WHOLE.fullmatch(tags['layer']) else 0
     level = level or (tags['bridge'] not in _NOT) - (tags['tunnel'] not in _NOT)
-    return Road('', ONE_WAY[given] if given else int(implied), level, _speed(path, tags))
+    first, last = (next((float(tags[key]) for key in keys if _WHOLE.fullmatch(tags[key])), math.nan)
+                   for keys in (known.FIRST_LEVEL, known.LAST_LEVEL))
+    inner = level if math.isnan(first + last) else first if first == last else math.nan
+    return Road('', way, level, (first, inner, last), _speed(tags))
 
 
-def _speed(path: str, tags: Mapping[str, str]) -> float:
-    for key, factor in _SPEEDS.items():
+def _parts(text: str) -> list[str]:
+    """The values of a list, such as those of osmnx where it has merged ways."""
+    return [each.strip(' \'"') for each in re.split(r'[;|,]', text.strip('[]'))]
+
+
+def _allowed_ways(text: str) -> set[int]:
+    """The directions, 1 and -1, in which rules of Overture allow motor vehicles."""
+    try:
+        rules = [(rule['access_type'], rule.get('when') or {}) for rule in json.loads(text)]
+    except (ValueError, TypeError, KeyError) as error:
+        raise InvalidFeatures(f'{known.RESTRICTIONS} must be a list of rules in JSON, got '
+                              f'{text[:60]!r}') from error
+    ways = {1, -1}
+    for kind, when in rules:
+        if not known.MODES.isdisjoint(when.get('mode') or known.MODES) and not when.get('vehicle'):
+            of = {'forward': {1}, 'backward': {-1}}.get(str(when.get('heading')), {1, -1})
+            if kind == 'denied':
+                ways -= of
+            elif when.keys() <= {'mode', 'heading'}:
+                ways |= of
+    return ways
+
+
+def _speed(tags: Mapping[str, str]) -> float:
+    for key, factor in known.SPEEDS.items():
         if tags[key]:
             found = re.fullmatch(r'([\d.]+(?:e[-+]?\d+)?)\s*(\D*)', tags[key])
-            if not found or found[2] not in ('', *_UNITS):
-                raise InvalidFeatures(f'{path}: {key} must be numbers, got {tags[key]!r}')
-            return float(found[1]) * _UNITS.get(found[2], factor)
+            if not found or found[2] not in ('', *known.UNITS):
+                raise InvalidFeatures(f'{key} must be numbers, got {tags[key]!r}')
+            return float(found[1]) * known.UNITS.get(found[2], factor)
     return math.nan

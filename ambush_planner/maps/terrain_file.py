@@ -6,9 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
+from ..errors import warn
 from .elevation import elevation_from_raster, mask_from_raster
 from .elevation_file import read_raster
 from .occupancy import OccupancyMap, OccupancyOptions
+from .relief import barriers
 from .risk_map import RiskMap
 from .terrain_risk import TerrainOptions, terrain_map
 from .visibility import ViewOptions
@@ -57,6 +61,12 @@ def terrain_of_file(file: Path | str, options: TerrainOptions, resolution: float
                     roads: Path | str | None = None, crs: str | None = None,
                     progress: Callable[[float], None] | None = None) -> OccupancyMap:
     """Make the map of an elevation model, whose system is ``crs`` if the file has none."""
-    elevation = elevation_from_raster(read_raster(Path(file), crs=crs), resolution or 0.0)
-    mask = mask_from_raster(read_raster(Path(roads), 'roads'), elevation) if roads else None
-    return terrain_map(elevation, options, mask, progress)
+    raster = read_raster(Path(file), crs=crs)
+    elevation = elevation_from_raster(raster, resolution or 0.0)
+    mask = mask_from_raster(read_raster(Path(roads), 'roads', crs), elevation) if roads else None
+    crossed = barriers(raster, elevation, options.slope_limit)
+    if share := float(np.mean(crossed & ~np.isnan(elevation.heights))):
+        warn(f'{file}: {100.0 * share:.2g} % of the cells of {elevation.resolution:g} m cannot be '
+             'crossed, because of narrower ground that is too steep or unknown in the cells of the '
+             'file; they are obstacles, except on roads')
+    return terrain_map(elevation, options, mask, progress, crossed)

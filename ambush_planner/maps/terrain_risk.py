@@ -74,10 +74,12 @@ class TerrainOptions:
 
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
                 roads: BoolArray | None = None,
-                progress: Callable[[float], None] | None = None) -> OccupancyMap:
+                progress: Callable[[float], None] | None = None,
+                barriers: BoolArray | None = None) -> OccupancyMap:
     """Compute the risk of terrain as values of a map; ``roads`` (H, W) marks cells with a road.
 
-    ``progress`` is called with the completed share of the work.
+    ``barriers`` (H, W) marks cells that are obstacles unless they have one. ``progress`` is called
+    with the completed share of the work.
 
     Raises InvalidTerrain if the weapon range is shorter than a cell, or ``roads`` has another
     shape.
@@ -100,7 +102,10 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     risk = np.where(roads, options.road_factor, 1.0) * risk
     unknown = np.isnan(elevation.heights)
     values = np.where(unknown, UNKNOWN, np.rint(99.0 * np.where(unknown, 0.0, risk)))
-    blocked = (steepness > options.slope_limit) & ~roads & ~unknown
+    blocked = steepness > options.slope_limit
+    if barriers is not None:
+        blocked |= barriers
+    blocked &= ~roads & ~unknown
     values = frozen_array(np.where(blocked, OBSTACLE, values), np.int8)
-    return OccupancyMap(values, elevation.resolution, (*elevation.corner, 0.0), elevation.crs,
-                        elevation.heights)
+    origin = (*(elevation.corner or (0.0, 0.0)), 0.0)
+    return OccupancyMap(values, elevation.resolution, origin, elevation.crs, elevation.heights)

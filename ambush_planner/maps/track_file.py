@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,15 +13,11 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import shown, warn
-from .coordinates import Coordinates
-from .vector_file import (
-    InvalidFeatures,
-    file_and_layer,
-    from_system,
-    read_features,
-    read_positions,
-    with_positions,
-)
+from .coordinates import from_system
+from .file_kinds import refuse_other_kinds
+from .risk_map import RiskMap
+from .tables import InvalidFeatures, column_among, dates_of, naming, plain
+from .vector_file import file_and_layer, misplaced, read_features, read_positions, with_positions
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -29,6 +26,14 @@ if TYPE_CHECKING:
 FIRST_DATE = 631152000.0
 # Days at which clocks of receivers begin, too: 1999-08-22 and 2000-01-01 [days].
 _FIRST_DAYS = (10825, 10957)
+# Columns of a table: plain names of those that tell tracks apart, and names of those with times.
+_APART = re.compile('(track|trip|vehicle|device|unit|tracker|asset|truck|car)'
+                    '(id|fid|name|no|nr|num|number)?|imei|callsign')
+_TIMES = ('time', 'timestamp', 'datetime', 'fix_time', 'gps_time', 'device_time', 'time_utc')
+_ISO_TIME = re.compile(r'\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
+# Positions of a track in a column that tells tracks apart, at least, and the share of the way that
+# is left if it does.
+_FEW, _LEFT = 3, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,28 +45,26 @@ class Track:
     times: FloatArray | None = None
 
 
-def read_tracks(source: str, crs: str | None) -> list[Track]:
-    """Read the tracks of a file as world positions of a map with the coordinate system ``crs``.
+def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
+    """Read the tracks of a file as world positions of a map.
 
     * ``.gpx``: its tracks, with all segments of each, or its routes if there are no tracks.
-    * ``.csv``: a row for each position (``read_positions``); optional are ``track``, which names
-      the row's track, and ``time`` (ISO 8601, or seconds since 1970).
+    * ``.csv``: a row for each position (``read_positions``); optional are columns that tell tracks
+      apart (``track``, ``vehicle``, ``device_id``, ``imei``, ``trip``, ...) and ``time``.
     * Other files: each line of a vector file, as ``read_features`` takes it.
 
-    Positions without a fix are left out, times that say nothing (missing, all equal, or from before
-    1990) are ignored, and a GPX file that ends early is read up to there; warnings say so. Raises
-    InvalidFeatures if the file is unreadable, has no track, or has unusable coordinates.
+    Times are ISO 8601. Positions without a fix are left out, times that say nothing (missing, all
+    equal, or from before 1990) are ignored, and a GPX file that ends early is read up to there;
+    warnings say so. Raises InvalidFeatures if the file is unreadable, has no track, or has columns
+    or coordinates that are not known for certain; OSError.
     """
     path, _ = file_and_layer(source)
     read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
-    try:
-        xy, names, times = read(source, crs)
-    except InvalidFeatures:
-        raise
-    except (RuntimeError, ValueError) as error:  # of pandas, Coordinates
-        raise InvalidFeatures(f'{path}: {error}') from error
-    if not len(xy):
-        raise InvalidFeatures(f'{path}: there is no track in it')
+    with naming(path):
+        points, crs, names, times = read(source)
+        if hint := misplaced(points, crs, risk_map):
+            raise InvalidFeatures(f'nothing in it lies on the map: {hint}')
+        xy = points if crs is None else from_system(points, crs, risk_map.crs)
     tracks, ignored = [], 0
     for name in dict.fromkeys(names.tolist()):
         own = names == name
@@ -80,24 +83,54 @@ def _tells(times: FloatArray) -> bool:
                 and times.min() // 86400.0 not in _FIRST_DAYS)
 
 
-def _of_rows(source: str, crs: str | None) -> tuple[FloatArray, Any, Any]:
-    """Positions (L, 2) [m], names of their tracks (L,), times (L,) [s] or None."""
+def _of_rows(source: str) -> tuple[FloatArray, Any, Any, Any]:
+    """Positions (L, 2) and their system, names of their tracks (L,), times (L,) [s] or None."""
     import pandas
     import shapely
 
     path = Path(source)
+    refuse_other_kinds(path, InvalidFeatures)
     rows = _gpx(path) if path.suffix.lower() == '.gpx' else read_positions(path)
-    fixed = rows[rows.geometry.notna()]
+    fixed = rows[rows.geometry.notna()].reset_index(drop=True)
     if count := len(rows) - len(fixed):
         warn(f'{path}: {count} of {len(rows)} positions have no fix and are left out')
-    xy, times = shapely.get_coordinates(fixed.geometry), fixed.get('time')
-    if rows.crs is not None and len(xy):
-        xy = Coordinates(crs or '').from_lat_lon(xy[:, ::-1])
-    if times is not None and not pandas.api.types.is_numeric_dtype(times):
-        times = pandas.to_datetime(times, utc=True, format='ISO8601', errors='coerce')
-        times = (times - pandas.Timestamp(0, tz='UTC')).dt.total_seconds()
-    names = fixed.get('track', pandas.Series(1, fixed.index)).to_numpy()
-    return xy, names, None if times is None else times.to_numpy(np.float64)
+    if fixed.empty:
+        raise InvalidFeatures('there is no track in it')
+    apart = [name for name in rows if _APART.fullmatch(plain(name))]
+    time = column_among(rows, *_TIMES)
+    if used := [repr(name) for name in (*apart, time) if name and name not in ('track', 'time')]:
+        warn(f'{path}: tracks and times are those of {", ".join(used)}')
+    if unnamed := int(fixed[apart].eq('').all(axis=1).sum()) if apart else 0:
+        raise InvalidFeatures(f'{unnamed} of {len(fixed)} positions have no {apart[0]!r}: name '
+                              'their track, or remove them')
+    xy = shapely.get_coordinates(fixed.geometry)
+    names = (fixed[apart].astype(str).agg(' '.join, axis=1) if apart
+             else pandas.Series('1', fixed.index))
+    _refuse_unknown(fixed.drop(columns=[*apart, *[time] * bool(time), 'geometry']), xy,
+                    bool(apart), bool(time))
+    seconds = None if time is None else (
+        dates_of(fixed[time], time) - pandas.Timestamp(0, tz='UTC')).dt.total_seconds().to_numpy()
+    return xy, fixed.crs, names.to_numpy(), seconds
+
+
+def _refuse_unknown(others: Any, xy: FloatArray, apart: bool, timed: bool) -> None:
+    """Raise InvalidFeatures if other columns tell tracks apart, or have their times."""
+    from pandas import factorize
+
+    def way(order: Any) -> FloatArray:
+        return np.asarray(np.hypot(*np.diff(xy[order], axis=0).T))
+
+    for name in others:
+        given = others[name].astype(str)[others[name] != '']
+        if not timed and len(given) and given.map(_ISO_TIME.match).notna().all():
+            raise InvalidFeatures(f'times may be in {name!r}; name it time, or remove it')
+        code, kinds = factorize(others[name])
+        if apart or len(kinds) * _FEW > len(code) or (np.diff(code) >= 0).all():
+            continue
+        order = np.argsort(code, kind='stable')
+        if way(order)[np.diff(code[order]) == 0].sum() < _LEFT * way(slice(None)).sum():
+            raise InvalidFeatures(f'{name!r} seems to tell {len(kinds)} tracks apart; name it '
+                                  'track, or remove it')
 
 
 def _gpx(path: Path) -> GeoDataFrame:
@@ -125,13 +158,14 @@ def _gpx(path: Path) -> GeoDataFrame:
         warn(f'{damage}; it is read up to there, {len(rows)} positions')
     rows = rows if rows['time'].notna().any() else rows.drop(columns='time')
     degrees = [to_numeric(rows[name], errors='coerce') for name in ('lon', 'lat')]
-    return with_positions(rows, np.stack(degrees, axis=1), in_degrees=True)
+    return with_positions(rows.drop(columns=['lat', 'lon']), np.stack(degrees, axis=1),
+                          in_degrees=True)
 
 
-def _of_lines(source: str, crs: str | None) -> tuple[FloatArray, Any, Any]:
+def _of_lines(source: str) -> tuple[FloatArray, Any, Any, Any]:
     import shapely
 
     lines = read_features(source, 'LineString')
     xy, line = shapely.get_coordinates(lines.geometry, return_index=True)
     # Parts of one feature have its index in common.
-    return from_system(xy, lines.crs, crs) if lines.crs else xy, lines.index[line] + 1, None
+    return xy, lines.crs, lines.index[line] + 1, None

@@ -6,18 +6,32 @@ Features that cannot be used are counted in a warning, or refused where each of 
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import AmbushPlannerError, import_extra, warn
+from ..errors import InvalidCoordinates, import_extra, warn
 from ..option_checks import check_at_least
-from .coordinates import WGS84, Coordinates, InvalidCoordinates, in_metres
-from .risk_map import RiskMap, to_map_axes
+from .coordinates import (
+    WGS84,
+    Coordinates,
+    converter,
+    from_system,
+    horizontal,
+    known_system,
+    longest_edge,
+)
+from .file_kinds import refuse_other_kinds
+from .risk_map import RiskMap
+from .tables import InvalidFeatures, column_among, naming, numbers_of, read_table
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -25,15 +39,14 @@ if TYPE_CHECKING:
 # GDAL's drivers of vector files.
 _DRIVERS = ('ESRI Shapefile', 'DXF', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSON', 'GeoJSONSeq',
             'KML', 'LIBKML', 'MapInfo File', 'OSM', 'OpenFileGDB', 'SQLite', 'TopoJSON')
+_CONVERT = 'convert it to GeoPackage or GeoJSON'
 # Layers of OSM and GPX files that are meant if none is named.
 _USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
-# Columns of positions: degrees north and east, or metres.
-_COLUMNS = (('lat', 'lon'), ('latitude', 'longitude'), ('lat', 'lng'), ('y', 'x'),
-            ('northing', 'easting'))
-
-
-class InvalidFeatures(AmbushPlannerError, ValueError):
-    """A vector file is unreadable, or lacks features or attributes."""
+# Columns of positions, north and east: in degrees, or in metres.
+_DEGREES = ('lat', 'latitude'), ('lon', 'lng', 'long', 'longitude')
+_METRES = ('y', 'northing'), ('x', 'easting')
+# Objects that an editor of OpenStreetMap has deleted, but not yet uploaded.
+_DELETED = re.compile(rb"""\s(action\s*=\s*['"]delete|visible\s*=\s*['"]false)['"]""")
 
 
 def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
@@ -48,11 +61,13 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
     if there are none, or if several layers have some.
     """
     path, layer = file_and_layer(source)
-    if not path.exists():
-        raise InvalidFeatures(f'{path}: no such file')
-    import_extra('geopandas', f'{path}: vector files', 'gis', InvalidFeatures)
-    frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
-    return single_parts(str(path), frame, kinds, refused)
+    with naming(path):
+        if not path.exists():
+            raise InvalidFeatures('no such file')
+        refuse_other_kinds(path, InvalidFeatures)
+        import_extra('geopandas', f'{path}: vector files', 'gis', InvalidFeatures)
+        frame = read_positions(path) if path.suffix.lower() == '.csv' else _read(path, layer, kinds)
+        return single_parts(str(path), frame, kinds, refused)
 
 
 def file_and_layer(source: str) -> tuple[Path, str]:
@@ -79,85 +94,162 @@ def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
         if refused:
             raise InvalidFeatures(f'{text}; {refused}')
         warn(text)
-    return kept
+    return _with_known_system(path, kept)
+
+
+def _with_known_system(path: str, features: GeoDataFrame) -> GeoDataFrame:
+    """Drop a system that says nothing; raises InvalidFeatures if it cannot be applied."""
+    with naming(path):
+        features = features.set_crs(known_system(features.crs), allow_override=True)
+        most = np.abs(features.total_bounds)
+        if features.crs is not None and features.crs.is_geographic and not (
+                most <= (360.0, 90.0, 360.0, 90.0)).all():
+            x, y = features.total_bounds[:2]
+            raise InvalidFeatures(f'coordinates such as ({x:.10g}, {y:.10g}) are no degrees of '
+                                  'longitude and latitude, although its coordinate system is '
+                                  f'{features.crs.name}; export it with the system that it is in')
+        return features
 
 
 def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
     """Read the layer that is named, or the one that can have features of the kinds."""
     import pyogrio
 
+    if path.suffix.lower() == '.shp':
+        _check_parts(path)
+    with _gdal(path):
+        layers = dict(pyogrio.list_layers(path).tolist())
+        if layer not in ('', *layers):
+            raise InvalidFeatures(f'no layer {layer!r}; there is {", ".join(layers)}')
+        driver = pyogrio.read_info(path, layer=next(iter(layers), None))['driver']
+        if driver not in _DRIVERS:
+            raise InvalidFeatures(f'files of the kind {driver} are not read; {_CONVERT}')
+        fit = [layer] if layer else [each for each, geometry in layers.items() if geometry and (
+            geometry in ('Unknown', 'GeometryCollection') or any(
+                kind in geometry for kind in kinds))]
+        if not fit or not layers[fit[0]]:
+            has = ', '.join(f'{each} ({layers[each] or "a table"})' for each in fit or layers)
+            raise InvalidFeatures(f'no layer with {" or ".join(kinds)} in it, but {has}')
+        if len(fit) > 1 and driver in ('OSM', 'GPX'):
+            fit = [each for each in fit if each in _USUAL][:1]
+        if len(fit) > 1:
+            raise InvalidFeatures(f'which layer? Write {path.name}|layername=NAME, with NAME one '
+                                  f'of {", ".join(fit)}')
+        frame = pyogrio.read_dataframe(path, layer=fit[0])
+    return _without_deleted(path, fit[0], frame) if driver == 'OSM' else frame
+
+
+@contextmanager
+def _gdal(path: Path) -> Iterator[None]:
+    """Read with GDAL: its errors and warnings in sentences, without names of its options."""
+    import pyogrio
+
+    # Otherwise GDAL refuses OpenStreetMap files with negative, large or unsorted numbers.
+    indexing = 'NO' if path.suffix.lower() == '.osm' else None
+    pyogrio.set_gdal_config_options({'OSM_USE_CUSTOM_INDEXING': indexing})
     try:
-        if (driver := pyogrio.read_info(path)['driver']) not in _DRIVERS:
-            raise ValueError(f'but of the kind {driver}')
-        layers = [layer] if layer else [
-            each for each, geometry in pyogrio.list_layers(path) if geometry and (
-                geometry in ('Unknown', 'GeometryCollection') or any(
-                    kind in geometry for kind in kinds))]
-        if len(layers) > 1 and driver in ('OSM', 'GPX'):
-            layers = [each for each in layers if each in _USUAL][:1]
-        if len(layers) > 1:
-            raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with '
-                                  f'NAME one of {", ".join(layers)}')
-        return pyogrio.read_dataframe(path, layer=layers[0] if layers else None)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter('always')
+            yield
     except InvalidFeatures:
         raise
     except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
         reason = str(error).split('; ')[0].removesuffix('.')
-        raise InvalidFeatures(f'{path}: not a vector file that can be read ({reason}); it may be '
-                              'damaged, or end early') from error
+        raise InvalidFeatures(
+            f'not a vector file of a kind that is read; {_CONVERT}' if 'not recognized' in reason
+            else f'not a vector file that can be read ({reason}); it may be damaged, or end early'
+        ) from error
+    finally:
+        pyogrio.set_gdal_config_options({'OSM_USE_CUSTOM_INDEXING': None})
+    for text in dict.fromkeys(str(each.message) for each in said):
+        warn(f'{path}: {text.split(". ")[0]}')
+
+
+def _check_parts(path: Path) -> None:
+    """Raise InvalidFeatures if parts of a shapefile are missing or disagree."""
+    parts = {each.suffix.lower(): each for each in path.parent.iterdir() if each.stem == path.stem}
+    if missing := {'.dbf', '.shx'}.difference(parts):
+        raise InvalidFeatures(f'{", ".join(sorted(missing))} is missing; copy all files of the '
+                              f'shapefile: {path.stem}.shp, .shx, .dbf and .prj')
+    rows = int.from_bytes(parts['.dbf'].read_bytes()[4:8], 'little')
+    shapes = (parts['.shx'].stat().st_size - 100) // 8
+    if rows != shapes:
+        raise InvalidFeatures(f'it has {shapes} shapes, but {parts[".dbf"].name} has {rows} rows; '
+                              'copy all files of the shapefile together')
+
+
+def _without_deleted(path: Path, layer: str, frame: GeoDataFrame) -> GeoDataFrame:
+    """Leave out what an OpenStreetMap file marks as deleted."""
+    if path.suffix.lower() != '.osm' or not _DELETED.search(path.read_bytes()):
+        return frame
+    gone = {(each.tag, each.get('id')) for _, each in ElementTree.iterparse(path)
+            if each.get('action') == 'delete' or each.get('visible') == 'false'}
+    kind = {'lines': 'way', 'points': 'node'}.get(layer, 'relation')
+    deleted = np.zeros(len(frame), dtype=bool)
+    for name, of in (('osm_id', kind), ('osm_way_id', 'way')):
+        if name in frame:
+            deleted |= frame[name].isin([number for tag, number in gone if tag == of])
+    if deleted.any():
+        warn(f'{path}: {deleted.sum()} of {len(frame)} features are deleted in the file, and are '
+             'left out')
+    return frame[~deleted]
 
 
 def read_positions(path: Path) -> GeoDataFrame:
-    """Read a CSV file with a position in each row; raises InvalidFeatures.
+    """Read a CSV file with a position in each row (``read_table``); raises InvalidFeatures.
 
     Its columns are lat and lon [degrees, WGS 84] or x and y [m], in any case. A position that is no
     number, or in degrees (0, 0) or not on the Earth, has no geometry.
     """
-    import pandas
-
-    try:
-        rows = pandas.read_csv(path, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:  # of pandas
-        raise InvalidFeatures(f'{path}: {" ".join(str(error).split())}') from error
-    rows.columns = [str(name).strip().lower() for name in rows.columns]
-    for north, east in _COLUMNS:
-        if {north, east} <= set(rows):
-            columns = (pandas.to_numeric(rows[name], errors='coerce') for name in (east, north))
-            return with_positions(rows, np.stack([*columns], axis=1), in_degrees=north[0] == 'l')
-    raise InvalidFeatures(f'{path}: the columns x and y [m], or lat and lon [degrees], are needed; '
-                          f'there are {", ".join(rows)}')
+    rows = read_table(path)
+    for north, east in (_DEGREES, _METRES):
+        columns = [column_among(rows, *names) for names in (east, north)]
+        if None not in columns:
+            xy = np.stack([numbers_of(rows[name], name) for name in columns], axis=1)
+            if len(xy) and not np.isfinite(xy).all(axis=1).any():
+                raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
+                                      f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
+            return with_positions(rows.drop(columns=columns), xy, in_degrees=north is _DEGREES[0])
+    raise InvalidFeatures('the columns x and y [m], or lat and lon [degrees], are needed; there '
+                          f'are {", ".join(rows) or "none"}')
 
 
 def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
-    """A table with positions (L, 2) as points; those without a fix are missing."""
+    """A table with positions (L, 2) as points; those without a fix are missing.
+
+    Raises InvalidFeatures if latitude and longitude are swapped for certain.
+    """
     import geopandas
 
     fixed = np.asarray(np.isfinite(xy).all(axis=1))
     if in_degrees:
-        fixed &= (np.abs(xy) <= (360.0, 90.0)).all(axis=1) & (np.abs(xy) > 1e-6).any(axis=1)
+        on_earth, turned = ((np.abs(each) <= (360.0, 90.0)).all(axis=1)
+                            for each in (xy, xy[:, ::-1]))
+        if (fixed & turned).any() and not (fixed & on_earth).any():
+            raise InvalidFeatures('latitudes are beyond 90 degrees: lat and lon are swapped')
+        fixed &= on_earth & (np.abs(xy) > 1e-6).any(axis=1)
     points = geopandas.GeoSeries.from_xy(*np.nan_to_num(xy).T, index=rows.index,
                                          crs=WGS84 if in_degrees else None)
     return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
-def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
-    """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
-
-    If the map's system is unknown, positions in metres are assumed to be in the map's. Raises
-    InvalidCoordinates if they are in another unit.
-    """
-    from pyproj import CRS, Transformer
-
-    own = CRS.from_user_input(crs)
-    if not map_crs:
-        if not in_metres(own):
-            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the '
-                                     'coordinate system of the map is unknown; name it with crs '
-                                     '(map.crs)')
-        return points
-    system = Coordinates(map_crs)
-    to_map = Transformer.from_crs(own, system.crs, always_xy=True)
-    return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))
+def misplaced(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
+    """Say how positions (K, 2) in a system (none: unknown) are meant if none lies on the map."""
+    swapped = points[:, ::-1]
+    order = 'latitude and longitude' if crs and horizontal(crs).is_geographic else 'x and y'
+    meant: list[tuple[FloatArray, Any, str]] = [(points, crs, ''),
+                                                (swapped, crs, f'{order} are swapped')]
+    if not (crs and horizontal(crs).is_geographic):
+        meant += [(each, WGS84, 'they are degrees; name their coordinate system, or in a table '
+                   'the columns lat and lon') for each in (points, swapped)]
+    for each, system, text in meant:
+        try:
+            xy = from_system(each, system, risk_map.crs) if system else each
+        except InvalidCoordinates:
+            continue
+        if risk_map.contains(risk_map.to_map_axes(xy)).any():
+            return text
+    return ''
 
 
 def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = None,
@@ -169,35 +261,54 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
     """
     import shapely
 
-    features = read_features(source, *kinds, refused=refused)
+    features = given = read_features(source, *kinds, refused=refused)
     own = features.crs if features.crs is not None else crs
-    if risk_map.crs and not own:
-        raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
-                              f'{risk_map.crs}; name it in the file, or with crs for all files')
-    if own and own != risk_map.crs:
-        try:
-            features = features.set_geometry(shapely.transform(
-                features.geometry, lambda xy: from_system(xy, own, risk_map.crs)), crs=None)
-        except InvalidCoordinates as error:
-            raise InvalidFeatures(f'{source}: {error}') from error
-    low, high = risk_map.bounds
-    if not features.intersects(shapely.box(*low, *high)).any():
-        raise InvalidFeatures(f'{source}: nothing in it lies on the map, which reaches from '
-                              f'({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f})')
+    with naming(source):
+        if risk_map.crs and not own:
+            raise InvalidFeatures('its coordinate system is unknown, that of the map is '
+                                  f'{risk_map.crs}; name it in the file, or with crs for all files')
+        if own and own != risk_map.crs:
+            features = _in_frame_of(risk_map, features, own)
+        features = features.set_crs(None, allow_override=True)
+        if not features.intersects(shapely.box(*np.ravel(risk_map.bounds))).any():
+            (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
+            hint = misplaced(shapely.get_coordinates(given.geometry), given.crs, risk_map)
+            raise InvalidFeatures(
+                f'nothing in it lies on the map, which reaches from ({left:.0f}, {bottom:.0f}) to '
+                f'({right:.0f}, {top:.0f}){": " * bool(hint)}{hint}')
     return features
+
+
+def _in_frame_of(risk_map: RiskMap, features: GeoDataFrame, own: Any) -> GeoDataFrame:
+    """Features of the system ``own`` in the frame of a map, without what is far from the map.
+
+    Country-sized shapes can reach beyond the area of the map's system. Straight edges stay so.
+    """
+    import shapely
+
+    if risk_map.crs:
+        step, system = longest_edge(own), Coordinates(risk_map.crs)
+        edge = shapely.get_coordinates(shapely.segmentize(
+            shapely.box(*np.ravel(risk_map.bounds)), min(risk_map.size)))
+        around = np.transpose(converter(system.crs, horizontal(own)).transform(
+            *system.to_crs(edge).T))
+        near = *(around.min(axis=0) - 100.0 * step), *(around.max(axis=0) + 100.0 * step)
+        shapes = features.geometry.where(features.geom_type == 'Point',
+                                         features.clip_by_rect(*near))
+        features = features.set_geometry(shapely.segmentize(shapes.to_numpy(), step)).explode()
+    features = features.set_geometry(shapely.transform(
+        features.geometry, lambda xy: from_system(xy, own, risk_map.crs)))
+    return features[np.isfinite(features.bounds).all(axis=1)]
 
 
 def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray:
     """A number >= 0 for each feature: the same for all, or the attribute named by a text."""
-    from pandas import to_numeric
-
     if not isinstance(value, str):
         value = float(value) if isinstance(value, bool) else value
         check_at_least(key, value, 0.0)
         return np.full(len(features), float(value))
     words = attribute(features, key, value).astype(str).str.lower()
-    words = words.replace({'true': '1', 'yes': '1', 'false': '0', 'no': '0'})
-    numbers = np.asarray(to_numeric(words, errors='coerce'), dtype=np.float64)
+    numbers = numbers_of(words.replace({'true': '1', 'yes': '1', 'false': '0', 'no': '0'}), value)
     if bad := int((~(numbers >= 0.0)).sum()):
         raise InvalidFeatures(f'{key}: attribute {value!r} of {bad} of {len(features)} features is '
                               'no number of at least 0')
@@ -206,8 +317,8 @@ def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray
 
 def attribute(features: GeoDataFrame, key: str, name: str) -> Any:
     """The column of an attribute, in any case; raises InvalidFeatures if there is none."""
-    names = {str(each).lower(): each for each in features.columns if each != 'geometry'}
-    if name not in features.columns and name.lower() not in names:
-        others = ', '.join(map(str, names.values()))
-        raise InvalidFeatures(f'{key}: no attribute {name!r}; there is {others or "none"}')
-    return features[name if name in features.columns else names[name.lower()]]
+    names = features.columns.drop(features.geometry.name)
+    if (found := column_among(names, name)) is None:
+        raise InvalidFeatures(f'{key}: no attribute {name!r}; there is '
+                              f'{", ".join(map(str, names)) or "none"}')
+    return features[found]

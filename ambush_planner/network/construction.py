@@ -16,8 +16,8 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.risk_map import RiskMap
-from ..maps.road_file import RoadGraph, read_roads
-from ..option_checks import check_at_least, check_flag, check_whole, none_for
+from ..maps.road_file import ROAD_OPTIONS, RoadGraph, read_roads
+from ..option_checks import allowed, check_options, length
 from .grading import Grading
 from .layout import FreeSpace, connect_nodes
 from .network import Network
@@ -57,6 +57,9 @@ class NetworkOptions:
         graph of networkx or osmnx), or a ``RoadGraph``.
     node_crossings
         Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
+    road_column, all_lines_are_roads, two_way
+        Which lines are roads (COLUMN=VALUE,VALUE or all), and that columns which may say directions
+        do not, if the columns of a file are not known (``roads_among``).
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
     refine
@@ -70,34 +73,26 @@ class NetworkOptions:
         A value is out of range or of another type.
     """
 
-    method: str = 'uniform_delaunay'
-    spacing: float | None = None
-    clearance: float = 0.0
-    seed: int = 0
-    target_nodes: int = 2500
-    clear_of_edge: bool = True
-    graph: str | RoadGraph | Any = None
-    node_crossings: bool = False
-    join_distance: float = 50.0
-    refine: int | None = None
+    method: str = allowed('uniform_delaunay', choices=METHODS)
+    spacing: float | None = length(None, automatic=0.0)
+    clearance: float = length()
+    seed: int = allowed(0)
+    target_nodes: int = allowed(2500, low=2, high=1_000_000)
+    clear_of_edge: bool = allowed(True)
+    graph: str | RoadGraph | Any = allowed(None, str, automatic='')
+    node_crossings: bool = allowed(False)
+    road_column: str = allowed('')
+    all_lines_are_roads: bool = allowed(False)
+    two_way: bool = allowed(False)
+    join_distance: float = length(50.0)
+    refine: int | None = allowed(None, int, high=20, automatic=-1)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.method, str) or self.method not in METHODS:
-            raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        none_for(self, spacing=0.0, graph='', refine=-1)
-        if self.spacing is not None:
-            check_at_least('spacing', self.spacing, 0.0, 'm')
-        check_at_least('clearance', self.clearance, 0.0, 'm')
-        check_whole('seed', self.seed, 0)
-        check_whole('target_nodes', self.target_nodes, 2)
-        for name in ('clear_of_edge', 'node_crossings'):
-            check_flag(name, getattr(self, name))
-        if self.refine is not None:
-            check_whole('refine', self.refine, 0)
-        check_at_least('join_distance', self.join_distance, 0.0, 'm')
+        check_options(self)
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
             given = '' if self.graph is None else self.graph
-            object.__setattr__(self, 'graph', read_roads(given, self.node_crossings))
+            object.__setattr__(self, 'graph', read_roads(
+                given, **{name: getattr(self, name) for name in ROAD_OPTIONS}))
 
     @property
     def roads(self) -> RoadGraph | None:

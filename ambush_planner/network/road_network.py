@@ -15,12 +15,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, members
-from ..errors import InvalidOption, NoRoute
-from ..maps.coordinates import InvalidCoordinates
+from ..errors import InvalidCoordinates, InvalidOption, NoRoute
+from ..maps.coordinates import agree, from_system, longest_edge
 from ..maps.obstacles import ObstacleField, nearest_on_segments
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
-from ..maps.vector_file import from_system
+from ..maps.vector_file import misplaced
 from .shortest_paths import edge_matrix, reachable_from
 from .trip_graph import Position, TripGraph, named, position_errors
 
@@ -29,11 +29,17 @@ ON_ROAD = 1e-3
 
 
 def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
-    """The roads in the map's coordinates, without the pieces beyond its bounds."""
-    roads = in_map_frame(roads, risk_map.crs)
+    """The roads in the map's coordinates, without the pieces beyond its bounds.
+
+    Raises InvalidOption if there is none, and it is known why.
+    """
+    given, roads = roads, in_map_frame(roads, risk_map.crs)
     uv = risk_map.to_map_axes(roads.points)[roads.pairs]
     inside = ((uv.max(axis=1) >= 0.0) & (uv.min(axis=1) <= risk_map.size)).all(axis=1)
-    return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside])
+    if not inside.any() and (hint := misplaced(given.points, given.crs, risk_map)):
+        raise InvalidOption(f'graph: none of its roads lies on the map: {hint}')
+    return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside],
+                   name=roads.name[inside])
 
 
 @lru_cache(4)
@@ -46,7 +52,12 @@ def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
     if not roads.crs:
         return roads
     try:
-        return replace(roads, points=from_system(roads.points, roads.crs, crs), crs='')
+        spacing = longest_edge(roads.crs) if crs and not agree(roads.crs, crs) else np.inf
+        pieces = _cut(roads, spacing)
+        places = np.column_stack((from_system(roads.places[:, :2], roads.crs, crs),
+                                  roads.places[:, 2]))
+        return replace(pieces, points=from_system(pieces.points, roads.crs, crs), crs='',
+                       places=places)
     except InvalidCoordinates as error:
         raise InvalidOption(f'graph: {error}') from error
 
@@ -101,7 +112,7 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
     uv = risk_map.to_map_axes(whole.points)
     tails, heads = uv[whole.pairs.T]
     clear = field.clear_segments(tails, heads, clearance)
-    pieces = replace(whole, pairs=whole.pairs[clear], speeds=whole.speeds[clear])
+    pieces = _Pieces(whole.points.copy(), whole.pairs[clear], whole.speeds[clear])
     visits: dict[Position, int] = {}
     links, link_speeds = [], []
     for name, position in ends.items():
@@ -128,7 +139,7 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
     return graph
 
 
-def _cut(roads: RoadGraph, spacing: float) -> _Pieces:
+def _cut(roads: RoadGraph, spacing: float) -> RoadGraph:
     """Cut the roads into equal parts of at most ``spacing`` [m] between their own places."""
     a, b = roads.points[roads.pairs[:, 0]], roads.points[roads.pairs[:, 1]]
     count = np.maximum(np.ceil(np.hypot(*(b - a).T) / spacing - 1e-9), 1.0).astype(np.int64)
@@ -140,8 +151,9 @@ def _cut(roads: RoadGraph, spacing: float) -> _Pieces:
     tails = np.where(inner, number, roads.pairs[of, 0])
     last = k == count[of] - 1
     heads = np.where(last, roads.pairs[of, 1], number + 1)
-    return _Pieces(np.concatenate((roads.points, added)), np.stack((tails, heads), axis=1),
-                   roads.speeds[of])
+    return replace(roads, points=np.concatenate((roads.points, added)),
+                   pairs=np.stack((tails, heads), axis=1), speeds=roads.speeds[of],
+                   name=roads.name[of])
 
 
 def _joined(pieces: _Pieces, name: str, position: Position, join_distance: float) -> int:
@@ -150,7 +162,8 @@ def _joined(pieces: _Pieces, name: str, position: Position, join_distance: float
     if len(pieces.pairs):
         far, piece, foot = pieces.nearest(np.array(position))
     if far > join_distance:
-        nearest = f'{far:.1f} m from the nearest road' if far < np.inf else 'on a map without roads'
+        nearest = (f'{far:.1f} m from the nearest road, at ({foot[0]:.1f}, {foot[1]:.1f})'
+                   if far < np.inf else 'on a map without roads')
         raise position_errors(name)[1](
             f'{named(name, position)} is {nearest}; move it, or raise join_distance '
             f'({join_distance:g} m)')

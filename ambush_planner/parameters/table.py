@@ -5,19 +5,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
+from typing import Any
 
 from ..game.game import GameOptions
-from ..game.strategy import SOLVERS, StrategyOptions
+from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
-from ..network.construction import METHODS, NetworkOptions
+from ..network.construction import NetworkOptions
+from ..option_checks import MAX_LENGTH
 from ..planning.options import DriveOptions
 
-_MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),
-                                    StrategyOptions())
-# Value of a parameter that the planner chooses itself.
-AUTOMATIC = -1.0
+# Options of a plan by the groups of their parameters.
+PLANNED: Mapping[str, Any] = {
+    'map': OccupancyOptions, 'network': NetworkOptions, 'game': GameOptions,
+    'strategy': StrategyOptions, 'route': DriveOptions}
 
 
 @dataclass(frozen=True)
@@ -35,24 +37,41 @@ class Declaration:
     fixed: bool = False
 
 
-PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
+def is_planned(name: str) -> bool:
+    """Whether a parameter is an option of a plan."""
+    group, _, option = name.partition('.')
+    return group in PLANNED and option in {each.name for each in fields(PLANNED[group])}
+
+
+def _declared(name: str, described: str | Declaration) -> Declaration:
+    """Return the declaration of a parameter; the range of an option is that of its field."""
+    if isinstance(described, Declaration):
+        return described
+    group, _, option = name.partition('.')
+    (field,) = (each for each in fields(PLANNED[group]) if each.name == option)
+    allowed = field.metadata['allowed']
+    default: Any = allowed.automatic if field.default is None else field.default
+    low = allowed.low if isinstance(default, str) else min(allowed.low, default)
+    return Declaration(default, described, low, allowed.high, allowed.choices)
+
+
+# The options of a plan only have a description here.
+_DESCRIBED: dict[str, str | Declaration] = {
     'plan': Declaration(
         '',
         'File of ambush plan -o FILE.plan to start from: its map, start, goal and stops, and its '
         'options instead of the parameters map, network, game, strategy and route, '
         'except map.costmap, strategy.max_gap and route.path_spacing.',
         fixed=True),
-    'map.alpha_min': Declaration(
-        _MAP.alpha_min, 'Loss from an ambush in a cell of value 0.'),
-    'map.alpha_max': Declaration(
-        _MAP.alpha_max, 'Loss from an ambush in a cell of value 100; at least map.alpha_min.'),
-    'map.crs': Declaration(
-        '',
+    'map.alpha_min':
+        'Loss from an ambush in a cell of value 0.',
+    'map.alpha_max':
+        'Loss from an ambush in a cell of value 100; at least map.alpha_min.',
+    'map.crs':
         "Coordinate system of the map's frame for reports and exports, such as EPSG:32616, or "
-        '`datum LAT LON YAW` as in navsat_transform; empty: unknown.'),
-    'map.obstacle_threshold': Declaration(
-        _MAP.obstacle_threshold,
-        'Cells of at least this value are obstacles; 101: none are.', 1, 101),
+        '`datum LAT LON YAW` as in navsat_transform; empty: unknown.',
+    'map.obstacle_threshold':
+        'Cells of at least this value are obstacles; 101: none are.',
     'map.preset': Declaration(
         'alpha',
         'Source of the map: alpha, a risk map for this planner; costmap, a costmap of Nav2, in '
@@ -64,65 +83,59 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         False,
         'Whether obstacles also come from the topic costmap, a costmap of Nav2; departures wait '
         'for it.', fixed=True),
-    'map.unknown_alpha': Declaration(
-        AUTOMATIC, 'Loss from an ambush in an unknown cell (-1); -1: such cells are obstacles.',
-        AUTOMATIC),
-    'network.method': Declaration(
-        _NETWORK.method, 'How nodes are sampled and connected.', choices=METHODS),
-    'network.spacing': Declaration(
-        0.0,
+    'map.unknown_alpha':
+        'Loss from an ambush in an unknown cell (-1); -1: such cells are obstacles.',
+    'network.method':
+        'How nodes are sampled and connected.',
+    'network.spacing':
         'Distance between nodes [m] (on roads: at most); 0: chosen for about '
-        "network.target_nodes nodes, but at least the map's resolution."),
-    'network.target_nodes': Declaration(
-        _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
-        2, 1_000_000),
-    'network.refine': Declaration(
-        -1,
+        "network.target_nodes nodes, but at least the map's resolution.",
+    'network.target_nodes':
+        'Approximate number of nodes if network.spacing is 0.',
+    'network.refine':
         'With a reach and uniform_delaunay: rounds in which the network, fine around start, stops '
         'and goal, is refined where the ambusher waits; -1: as long as the value falls by over '
-        '2 %; 0: one plan on a plain network.', -1, 20),
-    'network.clearance': Declaration(
-        _NETWORK.clearance, 'Distance that routes keep from obstacle cells [m].'),
-    'network.clear_of_edge': Declaration(
-        _NETWORK.clear_of_edge,
-        "Whether routes also keep this distance from the map's outer edge."),
-    'network.graph': Declaration(
-        '',
+        '2 %; 0: one plan on a plain network.',
+    'network.clearance':
+        'Distance that routes keep from obstacle cells [m].',
+    'network.clear_of_edge':
+        "Whether routes also keep this distance from the map's outer edge.",
+    'network.graph':
         'File with roads, for network.method graph: lines (GeoPackage, GeoJSON, ...) or a graph of '
-        'nav2_route (GeoJSON).'),
-    'network.node_crossings': Declaration(
-        _NETWORK.node_crossings,
+        'nav2_route (GeoJSON).',
+    'network.node_crossings':
         'Whether roads also meet where they cross without a shared vertex, except on bridges and '
-        'in tunnels.'),
-    'network.join_distance': Declaration(
-        _NETWORK.join_distance,
-        'Maximum distance of start, stops and goal from the nearest road [m].'),
-    'game.ambush_radius': Declaration(
-        _GAME.ambush_radius,
+        'in tunnels.',
+    'network.road_column':
+        'Column of network.graph that says which lines are roads, and its values for roads: '
+        'class=road,track; for files whose columns are not known.',
+    'network.all_lines_are_roads':
+        'Whether all lines of network.graph are roads, if no column says which.',
+    'network.two_way':
+        'Whether roads are two-way although a column that is not known may say directions.',
+    'network.join_distance':
+        'Maximum distance of start, stops and goal from the nearest road [m].',
+    'game.ambush_radius':
         'An ambush hits every route that passes within this distance [m]; 0: routes through its '
-        'node.'),
-    'game.secured_radius': Declaration(
-        AUTOMATIC,
+        'node.',
+    'game.secured_radius':
         'Radius of the secured area around start, stops and goal [m], where nobody can wait and '
         'nobody who drives there is hit; -1: as far as the reach, with tube, tracking error and '
-        'start tolerance.', AUTOMATIC),
-    'game.alpha_threshold': Declaration(
-        _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
-    'game.ambush_in_obstacles': Declaration(
-        _GAME.ambush_in_obstacles,
-        'Whether an ambush with an ambush_radius may also be in obstacle cells.'),
-    'strategy.solver': Declaration(
-        _STRATEGY.solver, 'Algorithm that solves the game.', choices=SOLVERS),
-    'strategy.max_detour': Declaration(
-        _STRATEGY.max_detour,
+        'start tolerance.',
+    'game.alpha_threshold':
+        'Routes avoid nodes with a higher loss; .inf: none.',
+    'game.ambush_in_obstacles':
+        'Whether an ambush with an ambush_radius may also be in obstacle cells.',
+    'strategy.solver':
+        'Algorithm that solves the game.',
+    'strategy.max_detour':
         'Maximum expected length, as a multiple of the shortest path; .inf: any. It is a target as '
-        'well as a limit: longer routes are harder to guess.', 1.0),
-    'strategy.risk_slack': Declaration(
-        _STRATEGY.risk_slack, 'Share of the value to give up for less predictable routes.'),
-    'strategy.length_weight': Declaration(
-        _STRATEGY.length_weight,
+        'well as a limit: longer routes are harder to guess.',
+    'strategy.risk_slack':
+        'Share of the value to give up for less predictable routes.',
+    'strategy.length_weight':
         'Weight w of the length for the solvers interior_point and simplex, which minimise '
-        '(1 - w) * value + w * length.', 0.0, 1.0),
+        '(1 - w) * value + w * length.',
     'strategy.max_gap': Declaration(
         0.1,
         'Maximum gap to the best strategy, as a share of the value, at which departures may use a '
@@ -155,26 +168,29 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         math.inf,
         'Maximum distance of start and goal from those of a cached strategy for a departure on '
         'it [m]; at most half the distance between nodes, which .inf stands for.'),
-    'route.tube': Declaration(
-        AUTOMATIC,
+    'route.tube':
         'How far the driven path may leave the drawn route [m]; this is added to the ambush '
         'radius. Within it, corners are cut where no ambush gains. -1: as far as the path meets no '
         'other node, or, with an ambush radius, a tenth of it, at most 0.35 times the distance '
-        'between nodes.', AUTOMATIC),
-    'route.tracking_error': Declaration(
-        DriveOptions().tracking_error,
+        'between nodes.',
+    'route.tracking_error':
         'Maximum distance of the robot from the driven path [m], added to the reach of ambushes; '
-        'needs an ambush_radius over 0.'),
-    'route.turning_radius': Declaration(
-        DriveOptions().turning_radius, 'Minimum radius of turns if there is room for it [m].'),
+        'needs an ambush_radius over 0.',
+    'route.turning_radius':
+        'Minimum radius of turns if there is room for it [m].',
     'route.path_spacing': Declaration(
         0.0,
         "Maximum distance between poses of the path [m]; 0: the map's resolution or the distance "
-        'between nodes, whichever is larger. A path of more than 20000 poses is refused.'),
+        'between nodes, whichever is larger. A path of more than 20000 poses is refused.',
+        high=MAX_LENGTH),
     'path.publish': Declaration(
         True,
         'Whether the path is published. If not, only responses of get_plan and results of the '
         'actions carry routes, and new_route is refused.', fixed=True),
+    'trip.max_idle': Declaration(
+        600.0,
+        'Time after which the trip of a robot that makes no progress is over [s], so that its next '
+        'request is a departure; .inf: never.'),
     'recording.enabled': Declaration(True, 'Whether departures are recorded.', fixed=True),
     'recording.required': Declaration(
         False,
@@ -191,4 +207,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         -1,
         "-1: routes are drawn with the operating system's entropy; 0 or more: always the same "
         'sequence of routes, only for tests and replay.', -1, math.inf, fixed=True),
-})
+}
+PARAMETERS: Mapping[str, Declaration] = MappingProxyType(
+    {name: _declared(name, described) for name, described in _DESCRIBED.items()})

@@ -5,20 +5,24 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from importlib.util import find_spec
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption
+from ..errors import InvalidCoordinates, InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import SOLVERS, StrategyOptions
+from ..maps.coordinates import Coordinates
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import MAX_LOSS
-from ..maps.road_file import RoadGraph
+from ..maps.road_file import ROAD_OPTIONS, RoadGraph
+from ..maps.vector_file import file_and_layer
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
 from .table import PARAMETERS
@@ -29,14 +33,10 @@ COSTMAP_OBSTACLE = 99
 _PLAIN_NODES = 1000
 # Parameters in which it differs from what is asked for.
 OF_PLAIN_NETWORK = ('network.refine', 'network.target_nodes')
+# Maximum size of a file with roads: to read its text holds up everything else in Python [bytes].
+_MAX_ROADS = 100_000_000
 # Stands for any file with roads.
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
-# Parameters that are not fields of the options that their groups are named after.
-NO_OPTIONS = ('map.preset', 'map.costmap', 'strategy.max_gap', 'route.path_spacing')
-
-_Options = TypeVar('_Options')
-
-
 @dataclass(frozen=True)
 class RecordingOptions:
     """Whether, where and how departures are recorded.
@@ -115,28 +115,57 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
     )
 
 
+def roads_named(values: Mapping[str, Any]) -> tuple[Any, ...] | None:
+    """Return what ``read_roads`` takes if values name a file with roads to plan on, else None."""
+    graph = values['network.graph'] if values['network.method'] == 'graph' else ''
+    return (graph, *(values[f'network.{name}'] for name in ROAD_OPTIONS)) if graph else None
+
+
 def check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption if changes contradict all values that other parameters may have."""
     others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': _SOME_ROADS,
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': 'any',
                'game.ambush_radius': 1.0}
-    if changes.get('network.graph'):
-        others['network.method'] = 'graph'  # so that the file is read
     for solver in reversed(SOLVERS):  # the reason given is that of the first solver
+        values = {**others, 'strategy.solver': solver, **changes}
         try:
-            parameters_from({**others, 'strategy.solver': solver, **changes})
+            parameters_from(values, _SOME_ROADS if values['network.graph'] else None)
             return
         except InvalidOption as error:
             refused = error
     raise refused
 
 
-def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any],
-             **others: Any) -> _Options:
+def check_named(values: Mapping[str, Any]) -> None:
+    """Check what values name, a file and a coordinate system; the file is not read.
+
+    Raises InvalidOption if ``network.graph`` is not there, no file, such as a pipe that would never
+    end, or too large; or if ``map.crs`` is unknown to pyproj, if that is installed.
+    """
+    if graph := values.get('network.graph'):
+        path, _ = file_and_layer(graph)
+        try:
+            found = path.stat()
+        except (OSError, ValueError) as error:
+            raise InvalidOption(f'network.graph: {error}') from error
+        if not (S_ISREG(found.st_mode) or S_ISDIR(found.st_mode)):
+            raise InvalidOption(f'network.graph: {path} is not a regular file')
+        if found.st_size > _MAX_ROADS:
+            raise InvalidOption(f'network.graph: {path} has {found.st_size / 1e6:.0f} MB, at most '
+                                f'{_MAX_ROADS / 1e6:.0f} are read; cut it to the area of the map')
+    if (crs := values.get('map.crs')) and find_spec('pyproj'):
+        try:
+            Coordinates(crs)
+        except InvalidCoordinates as error:
+            raise InvalidOption(f'map.crs: {error}') from error
+
+
+def _options(kind: Any, group: str, values: Mapping[str, Any],
+             **others: Any) -> Any:
     """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
-    options = {name.removeprefix(start): values[name]
-               for name in values if name.startswith(start) and name not in NO_OPTIONS}
+    options = {each.name: values[start + each.name] for each in fields(kind)
+               if start + each.name in values}
     try:
         return kind(**options, **others)
     except InvalidOption as error:

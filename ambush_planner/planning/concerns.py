@@ -5,19 +5,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..game.game import Game
-from ..game.solver import certain_sites
 from ..game.strategy import within_slack
 from ..game.tolerance import Reason
 from ..words import distance, ends
+from .one_place import OnePlace, find_one_place
 from .options import holds_anywhere, start_tolerance
 from .plan import Plan
 from .refinement import LEAST_FALL
 
+_Said = TypeVar('_Said')
+Where = Callable[[FloatArray], str]
 # What a gap over the slack says about the search.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
@@ -35,9 +40,33 @@ MAX_SECURED = 0.5
 MAX_DETOUR = 5.0
 
 
-def concerns(plan: Plan) -> list[str]:
-    """Return what should be known about the value of a plan, one sentence each."""
-    found = wide_gap(plan), _secured_area(plan), _long_routes(plan)
+def _once_a_plan(say: Callable[[Plan], _Said]) -> Callable[[Plan], _Said]:
+    """Keep what is said of a plan as long as the plan: a node reports it with each departure."""
+    known: WeakKeyDictionary[Plan, _Said] = WeakKeyDictionary()
+    return wraps(say)(lambda plan: known[plan] if plan in known else (
+        known.setdefault(plan, say(plan))))
+
+
+def in_world(xy: FloatArray) -> str:
+    """Write a world position (2,) [m]."""
+    return '({:.1f}, {:.1f})'.format(*xy)
+
+
+def concerns(plan: Plan, where: Where = in_world) -> list[str]:
+    """Return what should be known about the value of a plan, one sentence each.
+
+    ``where`` writes a world position (2,) [m].
+    """
+    return _concerns_in_world(plan) if where is in_world else _concerns(plan, where)
+
+
+@_once_a_plan
+def _concerns_in_world(plan: Plan) -> list[str]:
+    return _concerns(plan, in_world)
+
+
+def _concerns(plan: Plan, where: Where) -> list[str]:
+    found = wide_gap(plan), _secured_area(plan, where), _long_routes(plan)
     return [text for text in found if text]
 
 
@@ -121,7 +150,7 @@ def _long_routes(plan: Plan) -> str:
             'ratio, so 1.2 is 20 % more, and inf no limit')
 
 
-def _secured_area(plan: Plan) -> str:
+def _secured_area(plan: Plan, where: Where) -> str:
     """Whether the secured area decides too much: the value, or whether there is one."""
     bottleneck, game = plan.bottleneck, plan.drawn_from.game
     secured = game.options.secured_distance
@@ -134,11 +163,8 @@ def _secured_area(plan: Plan) -> str:
         plan.options, plan.spacing)
     asked = plan.options.game.secured_radius
     hold = asked is not None and asked < enough
-    if place := _covers_all(plan):
-        remedy = (f'hold {distance(enough)} there (game.secured_radius -1), or '
-                  if hold else '')
-        return (f'{place}: an ambush there always succeeds and costs {plan.drawn_from.value:.4g}; '
-                f'{remedy}choose another start, stop or goal, or a larger strategy.max_detour')
+    if place := find_one_place(plan):
+        return _of_one_place(plan, place, enough if hold else 0.0, where)
     if hold and asked is not None and game.reach > 0.0:
         return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
                 f'{distance(asked)} around start and goal are secured: an ambush just outside may '
@@ -153,24 +179,22 @@ def _secured_area(plan: Plan) -> str:
     )
 
 
-def _covers_all(plan: Plan) -> str:
-    """Which single place lies on every route of a leg, '' if none does."""
-    if not is_sound(plan):
-        return ''
-    for k, leg in enumerate(plan.drawn_from.legs):
-        sites = certain_sites(leg)
-        if not len(sites):
-            continue
-        ends = np.array(plan.ends_xy)
-        away = np.hypot(*np.moveaxis(leg.network.points[sites][:, None] - ends, 2, 0))
-        at = int(away.min(axis=0).argmin())
-        name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
-        reach = max(leg.game.reach, plan.spacing)
-        if away.min() > leg.game.options.secured_distance + 2.0 * reach:
-            of = f' of leg {k + 1}' if len(plan.legs) > 1 else ''
-            return (f'one place hits every route{of}, {distance(float(away.min()))} from {name}')
-        return f'one place covers every way {"into" if at == k + 1 else "out of"} {name}'
-    return ''
+def _of_one_place(plan: Plan, place: OnePlace, enough: float, where: Where) -> str:
+    """Say where the one place that hits every route is, and what helps, the best first."""
+    of = f' of leg {place.leg + 1}' if len(plan.legs) > 1 else ''
+    what = f'one place covers every way {"into" if place.leads_in else "out of"} {place.end}' if (
+        place.covers_end) else f'one place hits every route{of}'
+    held = None if place.held is None else max(place.held, enough)
+    helps = [f'secure {distance(held)} around {_ends(plan)} (game.secured_radius={held:.4g})'
+             ] if held else []
+    helps += ['hold places on the way (ambush hold finds them)',
+              f'choose another start{", stop" * (len(plan.legs) > 1)} or goal']
+    if place.detour and place.detour > plan.options.strategy.max_detour:
+        helps.append('or drive around it (strategy.max_detour='
+                     f'{math.ceil(10.0 * place.detour) / 10.0:g})')
+    return (f'{what}, at {where(place.xy)}, {distance(place.away)} from {place.end}: an ambush '
+            f'there always succeeds and costs {plan.drawn_from.value:.4g}. What helps: '
+            f'{", ".join(helps)}')
 
 
 def _is_chance(game: Game) -> bool:
@@ -204,4 +228,9 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
 
 def plan_numbers(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of a plan by stable keys, as text; empty ones without a plan."""
-    return {name: number(plan) if plan else '' for name, number in _NUMBERS.items()}
+    return _numbers(plan) if plan else dict.fromkeys(_NUMBERS, '')
+
+
+@_once_a_plan
+def _numbers(plan: Plan) -> dict[str, str]:
+    return {name: number(plan) for name, number in _NUMBERS.items()}

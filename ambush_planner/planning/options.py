@@ -13,7 +13,7 @@ from ..game.strategy import StrategyOptions
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, chosen_spacing
 from ..network.grading import Grading
-from ..option_checks import check_at_least, none_for
+from ..option_checks import allowed, check_options, length
 
 # Maximum distance of a place from the site that stands for it, as a share of the reach.
 MAX_WIDENED = 0.04
@@ -55,18 +55,13 @@ class DriveOptions:
         reach.
     """
 
-    tube: float | None = None
-    turning_radius: float = 0.0
-    start_tolerance: float = 0.0
-    tracking_error: float = 0.0
+    tube: float | None = length(None, automatic=-1.0)
+    turning_radius: float = length()
+    start_tolerance: float = length(high=math.inf, finite=False)
+    tracking_error: float = length()
 
     def __post_init__(self) -> None:
-        none_for(self, tube=-1.0)
-        if self.tube is not None:
-            check_at_least('tube', self.tube, 0.0, 'm')
-        check_at_least('turning_radius', self.turning_radius, 0.0, 'm')
-        check_at_least('start_tolerance', self.start_tolerance, 0.0, 'm', finite=False)
-        check_at_least('tracking_error', self.tracking_error, 0.0, 'm')
+        check_options(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +76,10 @@ class PlanningOptions:
     game: GameOptions = field(default_factory=GameOptions)
     strategy: StrategyOptions = field(default_factory=StrategyOptions)
     drive: DriveOptions = field(default_factory=DriveOptions)
-    max_gap: float = 0.1
+    max_gap: float = allowed(0.1, finite=False)
 
     def __post_init__(self) -> None:
-        check_at_least('max_gap', self.max_gap, 0.0, finite=False)
+        check_options(self)
         if self.drive.tracking_error > 0.0 and not self.game.ambush_radius > 0.0:
             raise InvalidOption(f'route.tracking_error {self.drive.tracking_error} is added to the '
                                 'reach of ambushes, so game.ambush_radius must be over 0 [m]')

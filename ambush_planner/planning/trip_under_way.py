@@ -10,9 +10,9 @@ A request continues the trip, and is no departure, if all of this holds:
    only grows, because a path may come near itself; a robot that is back along it by more than
    ``back`` is no longer on it. A robot that drove on while its path was recorded joins it from
    where it is then.
-3. The robot has *not arrived*, if the request names stops that it has passed: it would be for the
-   next round. Arrived means that it has stood at the end, because Nav2's trees name such stops up
-   to the end, and asking does not say who asks. Until then such a request is *undecided*.
+3. The robot has *not arrived*, if the request names stops that it has passed: it is for the next
+   round. Arrived means within a cell of the end, or having stood there, because Nav2's trees name
+   such stops up to the end.
 
 The answer is the rest of the path from the robot's place, if that is clear on the newest map. If
 not, it is another rest of the same plan that begins at one of the ``nodes_ahead``.
@@ -111,20 +111,16 @@ class TripUnderWay:
         return (request.frames == self.destination.frames
                 and self.follow(place) is not None
                 and self._same_trip(request, place, max(request.cell, goal_tolerance))
-                and not (self._asks_again(request) and self.arrived))
+                and not (self._names_passed_stops(request) and self._has_arrived))
 
     def drive_on(self, place: Position) -> None:
         """Let a robot at ``place``, which did not have the path until now, join it from there."""
         away = float(self._line.projected(place)[0].min())
         self.drift = away if away <= _DRIVES_ON * self.back else 0.0
 
-    def is_undecided(self, request: Destination) -> bool:
-        """Whether a request that continues the trip may be for the next round of it instead."""
-        return self._asks_again(request) and self._near_end
-
     def watch(self, seen: Sighting) -> None:
         """Note where the robot is, about once a second: it arrives when it stands at the end."""
-        at_end = self.follow((seen.x, seen.y)) is not None and self._near_end
+        at_end = self.follow((seen.x, seen.y)) is not None and self._left <= self.tolerance
         self._at_end = self._at_end + 1 if at_end else 0
         before, self._seen = self._seen, seen if at_end else None
         if before and at_end and seen.seconds < before.seconds + _STANDS_FOR:
@@ -192,7 +188,7 @@ class TripUnderWay:
                 return False
         return not wanted
 
-    def _asks_again(self, request: Destination) -> bool:
+    def _names_passed_stops(self, request: Destination) -> bool:
         """Whether a request for this trip names stops that have been passed."""
         return len(request.stops) > len(self.destination.stops) - len(self.passed)
 
@@ -203,8 +199,13 @@ class TripUnderWay:
         return set(range(len(self.destination.stops))) - set(self.visits[ahead].tolist())
 
     @property
-    def _near_end(self) -> bool:
-        return float(self._line.along[-1]) - self.progress <= self.tolerance
+    def _left(self) -> float:
+        """How much of the path lies ahead [m]."""
+        return float(self._line.along[-1]) - self.progress
+
+    @property
+    def _has_arrived(self) -> bool:
+        return self.arrived or self._left <= self.destination.cell
 
     @cached_property
     def _line(self) -> _Line:

@@ -31,7 +31,8 @@ from ..game.strategy import TripStrategy, make_strategies
 from ..game.tolerance import Reason
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
-from ..planning.few_routes import FewRoutes, mixed
+from ..operations.few_routes import mixed
+from ..planning.few import FewRoutes
 from ..planning.plan import Plan
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
@@ -46,7 +47,8 @@ _NODES, _Q, _LEGS = ('points', 'alpha'), 'ambush_probability', 'legs'
 # Of graded networks.
 _REFINED = 'refined'
 # Of each leg. Names of a later leg end with its number, from 1.
-_NETWORK, _P = ('edges', 'source', 'target'), 'edge_probability'
+_EDGES, _P = 'edges', 'edge_probability'
+_NETWORK = (_EDGES, 'source', 'target')
 # Of networks with driving times, or with lengths over the ground.
 _ON_ROADS = ('seconds', 'ground_length')
 _BUDGET = ('length_budget', 'shortest_length', 'length_price')
@@ -62,7 +64,7 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_dis
 # Why the search ended.
 _REASON = 'reason'
 _COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, *NUMBERS, *_PLANNED, _REASON)
-_ROADS = ('points', 'pairs', 'speeds', 'timed')
+_ROADS = ('points', 'pairs', 'speeds', 'timed', 'names', 'name', 'places')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
 _OF_FEW = ('shares', 'value', 'lower_bound', 'candidates', 'costs', 'curve')
@@ -82,6 +84,8 @@ def strategy_file(trip: TripStrategy) -> bytes:
     for k, leg in enumerate(trip.legs):
         own = {**{name: getattr(leg.network, name) for name in (*_NETWORK, *_ON_ROADS)},
                **{name: getattr(leg, name) for name in (_P, *_BUDGET)}}
+        # As differences from row to row, numbers of nodes take a tenth.
+        own[_EDGES] = np.diff(leg.network.edges, axis=0, prepend=0).astype(np.int32)
         for circulation in leg.ambusher.circulations:
             own |= {name: getattr(circulation, name) for name in _CIRCULATION}
         if leg.mixture:
@@ -135,8 +139,10 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[TripStrategy,
 
 def _network_in(common: Mapping[str, Any], own: Mapping[str, Any]) -> Network:
     """The network of a leg."""
-    length = own.get('ground_length')
-    return Network(common['points'], common['alpha'], own['edges'], int(own['source']),
+    length, edges = own.get('ground_length'), own[_EDGES]
+    if _LEGS in common:  # earlier, they were written as they are
+        edges = edges.cumsum(axis=0, dtype=np.int64)
+    return Network(common['points'], common['alpha'], edges, int(own['source']),
                    int(own['target']), own.get('seconds'), common.get(_REFINED),
                    None if length is None else float(length))
 
@@ -202,7 +208,10 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
     if data is None:
         return None
     content = arrays_in(BytesIO(data), _ROADS)
-    return RoadGraph(content['points'], content['pairs'], content['speeds'], bool(content['timed']))
+    named = (tuple(content['names'].tolist()), content['name'], content['places']) if (
+        'names' in content) else ()  # older ones have none
+    return RoadGraph(content['points'], content['pairs'], content['speeds'],
+                     bool(content['timed']), '', *named)
 
 
 def few_file(few: FewRoutes) -> bytes:
@@ -232,5 +241,7 @@ def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
 
 def _npz(arrays: Mapping[str, Any]) -> bytes:
     stream = BytesIO()
-    np.savez_compressed(stream, **arrays)
+    # Column after column, points take half as much.
+    columns: dict[str, Any] = {name: np.asarray(each, order='F') for name, each in arrays.items()}
+    np.savez_compressed(stream, **columns)
     return stream.getvalue()

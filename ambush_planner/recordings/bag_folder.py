@@ -13,27 +13,31 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from .messages import Channel, RecordedMessage, fields_from_yaml
+from .recording_errors import UnreadableRecording, bytes_in
 from .schemas import definitions
 
 FILE_NAME = 'metadata.yaml'
 
 
 class BagFile(NamedTuple):
-    """One MCAP file: its name, first and last time [ns], and messages by (topic, type, QoS)."""
+    """One MCAP file: its name, first and last time [ns], and messages by (topic, type, QoS).
+
+    ``entry`` is what the list says of it, which is written again with each other file.
+    """
 
     name: str
     start_ns: int
     end_ns: int
     counts: Mapping[Channel, int]
+    entry: str
 
 
 def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
     """Describe a file by its messages, which are in the order of time."""
-    counts = Counter(each.channel for each in messages)
-    return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, counts)
+    start, end = messages[0].stamp_ns, messages[-1].stamp_ns
+    entry = json.dumps({'path': name, **_time_span(start, end), 'message_count': len(messages)})
+    return BagFile(name, start, end, Counter(each.channel for each in messages), entry)
 
 
 def bag_text(files: Sequence[BagFile]) -> bytes:
@@ -56,19 +60,19 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
             for channel, count in counts.items()
         ],
         'relative_file_paths': [each.name for each in files],
-        'files': [{'path': each.name, **_time_span(each.start_ns, each.end_ns),
-                   'message_count': sum(each.counts.values())} for each in files],
+        'files': [],
     }}
-    return f'{json.dumps(described, ensure_ascii=False)}\n'.encode()
+    head, end_of_list = json.dumps(described, ensure_ascii=False).rsplit(']', 1)
+    return f'{head}{", ".join(each.entry for each in files)}]{end_of_list}\n'.encode()
 
 
 def listed_in(folder: Path) -> list[str]:
-    """Return the files that the ``metadata.yaml`` of a folder lists; none if it cannot be read."""
+    """Return the files that the ``metadata.yaml`` of a folder lists; none unless it is ours."""
     try:
-        content = yaml.safe_load((folder / FILE_NAME).read_text())
-        return [str(name) for name in
-                content['rosbag2_bagfile_information']['relative_file_paths']]
-    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        content = json.loads(bytes_in(folder / FILE_NAME))
+        names = content['rosbag2_bagfile_information']['relative_file_paths']
+        return [name for name in names if isinstance(name, str)]
+    except (UnreadableRecording, ValueError, LookupError, TypeError, RecursionError):
         return []
 
 

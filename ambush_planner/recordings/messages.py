@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -31,7 +31,8 @@ class RecordedMessage:
     """A message as it was received or published at ``stamp_ns`` by the node's clock.
 
     ``topic`` is its full name, ``type`` the ROS name of its type, ``data`` the serialised message
-    (CDR), and ``qos`` the publisher's profile (rclpy), or its text as read back from a file.
+    (CDR), and ``qos`` the publisher's profile (rclpy), or its text as read back from a file. Copies
+    of it at other times share ``packed``: the data, and its compressed form.
     """
 
     topic: str
@@ -39,6 +40,7 @@ class RecordedMessage:
     data: bytes
     qos: Any
     stamp_ns: int
+    packed: list[bytes] = field(default_factory=list, compare=False, repr=False)
 
     @property
     def channel(self) -> Channel:

@@ -4,18 +4,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
+from datetime import datetime
 from itertools import chain
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 from ..errors import AmbushPlannerError
+from ..operations.slots import Slots
 from .sources import Source
 
 Position = tuple[float, float]
+_INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
 
 
 class InvalidEntry(AmbushPlannerError):
@@ -24,11 +25,15 @@ class InvalidEntry(AmbushPlannerError):
 
 @dataclass(frozen=True)
 class RecordedTrip:
-    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``."""
+    """The planned trip in the map's frame [m], its stops as in ``Plan.stops_xy``.
+
+    ``names`` are those of start and goal, '' if they have none.
+    """
 
     start: Position
     goal: Position
     stops: tuple[Position, ...] = ()
+    names: tuple[str, str] = ('', '')
 
 
 @dataclass(frozen=True)
@@ -61,39 +66,6 @@ class Diversion:
 
 
 @dataclass(frozen=True)
-class RecordedSlots:
-    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts."""
-
-    times: tuple[str, ...]
-    shares: tuple[float, ...]
-    window: int
-
-    @classmethod
-    def of(cls, times: Sequence[str], window: int) -> RecordedSlots:
-        """The best shares (docs/theory.md, section 14).
-
-        An ambush of ``window`` slots covers one of a set of slots that are as far apart: of the
-        sets that cannot have more slots, one is drawn, then one of its slots.
-        """
-        size = math.ceil(len(times) / window)
-        drawn = np.arange(len(times)) % window < len(times) - (size - 1) * window
-        return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window)
-
-    @property
-    def covered(self) -> float:
-        """The largest share of departures that one ambush covers.
-
-        A plan's value for an ambusher who knows the time, times this share, is that for one who
-        must choose it, too.
-        """
-        return max(sum(self.shares[k:k + self.window]) for k in range(len(self.shares)))
-
-    def drawn(self, rng: np.random.Generator) -> str:
-        """Draw the time of a departure."""
-        return self.times[int(rng.choice(len(self.shares), p=self.shares))]
-
-
-@dataclass(frozen=True)
 class RecordedPlan:
     """What a plan file says of its plan; times as ``Plan`` has them, ``made_ns`` when it was made.
 
@@ -103,7 +75,7 @@ class RecordedPlan:
     id: str
     made_ns: int
     seconds: float
-    slots: RecordedSlots | None
+    slots: Slots | None
     sources: tuple[Source, ...] = ()
 
 
@@ -111,9 +83,9 @@ class RecordedPlan:
 class RecordedDay:
     """What a departure drawn from a plan file is for.
 
-    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said), which was drawn after the route if
-    ``slot_drawn``; the index of the route if there are few; the id of an earlier departure for the
-    same day that it ``replaces``, because that one was not driven, and ``why``.
+    ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said) in a time ``zone``, which was drawn
+    after the route if ``slot_drawn``; the index of the route if there are few; the id of an earlier
+    departure for the same day that it ``replaces``, because that one was not driven, and ``why``.
     """
 
     date: str
@@ -122,6 +94,11 @@ class RecordedDay:
     few_route: int | None
     replaces: str = ''
     why: str = ''
+    zone: str = ''
+
+    def __post_init__(self) -> None:
+        _check_form('%Y-%m-%d', self.date)
+        _check_form('%H:%M', *filter(None, [self.slot]))
 
 
 @dataclass(frozen=True)
@@ -203,11 +180,21 @@ class Metadata:
         return asdict(self)
 
 
+def _check_form(form: str, *texts: str) -> None:
+    """Raise InvalidEntry if one of the texts is no date or time of this form."""
+    try:
+        for text in texts:
+            datetime.strptime(text, form)
+    except ValueError as error:
+        raise InvalidEntry(f'a date or time is not of the form {form}') from error
+
+
 def typed(value: Any, wanted: Any, name: str) -> Any:
     """Return a value read from JSON as the type that is ``wanted``.
 
     That may be bool, int, float (no NaN), str, a tuple, list or mapping of these, a dataclass of
-    these, or one of them or None. InvalidEntry names what is missing or has another type.
+    these, or one of them or None. Integers have 64 bits, random sources any number. InvalidEntry
+    names what is missing or has another type.
     """
     kind: Any = get_origin(wanted) or wanted
     inner = get_args(wanted)
@@ -231,5 +218,7 @@ def typed(value: Any, wanted: Any, name: str) -> Any:
     if kind is float and type(value) in (int, float) and not math.isnan(value):
         return float(value)
     if kind in (bool, int, str) and type(value) is kind:
+        if kind is int and not -_INTEGERS <= value < _INTEGERS and name != _SOURCE:
+            raise InvalidEntry(f'{name} is out of range')
         return value
     raise InvalidEntry(f'{name} is not of the type {getattr(kind, "__name__", kind)}')

@@ -14,6 +14,7 @@ import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from uuid import uuid4
 
@@ -21,11 +22,12 @@ from ..arrays import FloatArray
 from ..planning.departure import draw_route
 from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
+from .encoding import encode
 from .metadata import Metadata, RecordedCall, RecordedDay, RecordedTrip
 from .plain_messages import map_message, path_message, pose_message
 from .plan_file import SavedPlan, attachments_of, recorded_plan, recorded_trip
 from .recording_errors import NoPermission, part
-from .recording_file import encode, read_recording
+from .recording_file import read_recording
 from .versions import software_versions
 
 SUFFIX = '.departures'
@@ -76,7 +78,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     ``previous`` is the id of the departure before, ``replaces`` that of an earlier one for the same
     day that was not driven, and ``why``.
     """
-    plan, trip = saved.plan, recorded_trip(saved.plan)
+    plan, trip = saved.plan, recorded_trip(saved.plan, saved.names)
     covered = saved.slots.covered if saved.slots and drawn.slot_drawn else 1.0
     roles = {
         'map': map_message(plan.own_map, saved.parameters.occupancy, saved.frame, stamp_ns),
@@ -90,9 +92,17 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         False, tuple(tuple(nodes.tolist()) for nodes in drawn.route), (drawn.source,),
         RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}),
         saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
-        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces, why))
+        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces, why,
+                        local_zone(date, drawn.slot)))
     return said.departure_id, encode(list(roles.values()), said.entries(),
                                      attachments_of(plan, plan.own_map.crs), 'zstd')
+
+
+def local_zone(date: str, slot: str) -> str:
+    """The time zone of this computer on a day and at a time (HH:MM), such as ``UTC+01:00``."""
+    then = datetime.strptime(f'{date} {slot or "12:00"}', '%Y-%m-%d %H:%M').astimezone()
+    offset = f'{then:%z}'
+    return f'UTC{offset[:3]}:{offset[3:5]}'
 
 
 def departures_folder(plan_file: Path) -> Path:

@@ -17,6 +17,7 @@ from uuid import uuid4
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
+from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.plan import Plan, make_plan
@@ -34,26 +35,32 @@ from .attachments import (
     strategy_file,
     strategy_from_file,
 )
-from .metadata import PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
+from .encoding import encode
+from .metadata import PlanMetadata, RecordedPlan, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
-from .recording_file import RecordingFile, encode, read_recording
+from .recording_file import RecordingFile, read_recording
 from .sources import Source
 from .versions import software_versions
 
 KIND = 'plan'
+_BLOCK = 2**20  # bytes that are hashed at a time
 
 
 @dataclass(frozen=True, eq=False)
 class SavedPlan:
-    """A plan with its map, and what the node's parameters would be for it."""
+    """A plan with its map, and what the node's parameters would be for it.
+
+    ``names`` are those of start and goal, '' if they have none.
+    """
 
     plan: Plan
     parameters: NodeParameters
-    slots: RecordedSlots | None = None
+    slots: Slots | None = None
     sources: tuple[Source, ...] = ()
     frame: str = 'map'
+    names: tuple[str, str] = ('', '')
     id: str = ''
     made_ns: int = 0
 
@@ -64,8 +71,9 @@ class SavedPlan:
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
-               slots: RecordedSlots | None = None, sources: tuple[Source, ...] = ()) -> SavedPlan:
-    """A new plan to save, with the files that it was made from.
+               slots: Slots | None = None, sources: tuple[Source, ...] = (),
+               names: tuple[str, str] = ('', '')) -> SavedPlan:
+    """A new plan to save, with the files that it was made from, and names of start and goal.
 
     Raises InvalidOption if the plan was made in another process, so that its map is missing.
     """
@@ -73,8 +81,8 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
     values = parameter_values(plan, occupancy)
     roads = plan.options.network.roads
     roads = roads and in_map_frame(roads, plan.own_map.crs)
-    return SavedPlan(plan, parameters_from(values, roads), slots, sources, id=str(uuid4()),
-                     made_ns=time.time_ns())
+    return SavedPlan(plan, parameters_from(values, roads), slots, sources, names=names,
+                     id=str(uuid4()), made_ns=time.time_ns())
 
 
 def parameter_values(plan: Plan, occupancy: OccupancyOptions) -> dict[str, Any]:
@@ -100,8 +108,8 @@ def plan_bytes(saved: SavedPlan) -> bytes:
     plan = saved.plan
     message = map_message(plan.own_map, saved.parameters.occupancy, saved.frame, saved.made_ns)
     said = PlanMetadata(KIND, saved.frame, dict(saved.parameters.values),
-                        dict(software_versions()), {'map': message.topic}, recorded_trip(plan),
-                        recorded_plan(saved))
+                        dict(software_versions()), {'map': message.topic},
+                        recorded_trip(plan, saved.names), recorded_plan(saved))
     return encode([message], asdict(said), attachments_of(plan, plan.own_map.crs), 'zstd')
 
 
@@ -112,9 +120,9 @@ def recorded_plan(saved: SavedPlan) -> RecordedPlan:
                         saved.sources)
 
 
-def recorded_trip(plan: Plan) -> RecordedTrip:
-    """The trip of a plan."""
-    return RecordedTrip(plan.start_xy, plan.goal_xy, plan.stops_xy)
+def recorded_trip(plan: Plan, names: tuple[str, str] = ('', '')) -> RecordedTrip:
+    """The trip of a plan; ``names`` are those of start and goal."""
+    return RecordedTrip(plan.start_xy, plan.goal_xy, plan.stops_xy, names)
 
 
 def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
@@ -162,5 +170,5 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
         if problems := misstated_few(few, value):
             raise UnreadableRecording(file.path, f'it was edited: {problems[0]}; plan again')
         plan = replace(plan, few=few)
-    return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, about.id,
-                     about.made_ns)
+    return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, said.trip.names,
+                     about.id, about.made_ns)

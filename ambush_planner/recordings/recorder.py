@@ -20,9 +20,9 @@ from typing import Any
 
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_all_durably
+from .encoding import encode
 from .messages import RecordedMessage
-from .recording_errors import RecordingFailed, recording_to
-from .recording_file import encode
+from .recording_errors import recording_to
 
 SESSION_PREFIX = 'ambush_planner_'
 # Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with
@@ -39,13 +39,11 @@ class Recorder:
     been taken away. Several threads may use one recorder.
 
     ``directory`` is made with mode 0700 if missing; ``compression`` is ``zstd``, ``lz4`` or
-    ``none``. A file that metadata.yaml cannot list is kept, unless ``only_listed``.
+    ``none``.
     """
 
-    def __init__(self, directory: Path, compression: str = 'zstd',
-                 only_listed: bool = False) -> None:
-        self._directory = Path(directory).expanduser()
-        self._compression, self._only_listed = compression, only_listed
+    def __init__(self, directory: Path, compression: str = 'zstd') -> None:
+        self._directory, self._compression = Path(directory).expanduser(), compression
         self._folder: Path | None = None
         self._files: list[BagFile] = []
         self._next = 0
@@ -68,31 +66,25 @@ class Recorder:
             path = folder / f'{folder.name}_{self._next}.mcap'
             self._next += 1
             with recording_to(path):
-                write_all_durably({path: data})
-            self._files.append(describe_file(path.name, ordered))
-            try:
-                self._write_list(folder)
-            except RecordingFailed:
-                if self._only_listed:
-                    path.unlink(missing_ok=True)
-                raise
+                files = [*self._present(folder), describe_file(path.name, ordered)]
+                write_all_durably({path: data, folder / FILE_NAME: bag_text(files)})
+            self._files = files
             return path
 
     def remove(self, path: Path) -> None:
         """Remove the recording of a departure that has not left."""
         with self._lock, recording_to(path):
             path.unlink(missing_ok=True)
-            self._write_list(path.parent)
-
-    def _write_list(self, folder: Path) -> None:
-        with recording_to(folder / FILE_NAME):
-            # rosbag2 refuses a folder whose metadata.yaml lists a file that is missing.
-            present = set(os.listdir(folder))
-            self._files = [each for each in self._files if each.name in present]
+            self._files = self._present(path.parent)
             if self._files:
-                write_all_durably({folder / FILE_NAME: bag_text(self._files)})
+                write_all_durably({path.parent / FILE_NAME: bag_text(self._files)})
             else:
-                (folder / FILE_NAME).unlink(missing_ok=True)
+                (path.parent / FILE_NAME).unlink(missing_ok=True)
+
+    def _present(self, folder: Path) -> list[BagFile]:
+        """Return the files that are still there: rosbag2 refuses a list with one that is not."""
+        present = set(os.listdir(folder))
+        return [each for each in self._files if each.name in present]
 
     def _session_folder(self) -> Path:
         if self._folder is None or self._next >= MAX_FILES or not self._folder.is_dir():

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from ..arrays import MAX_BYTES
 from ..errors import AmbushPlannerError, shown
 
 _T = TypeVar('_T')
@@ -66,6 +67,22 @@ def reading_from(path: Path) -> Iterator[None]:
                            'a folder') from error
     except OSError as error:
         raise UnreadableRecording(path, f'{error.strerror or error}') from error
+
+
+def bytes_in(path: Path) -> bytes:
+    """Return the content of a file; raises UnreadableRecording."""
+    with reading_from(path):
+        if not (path.is_file() or path.is_dir()) and path.exists():  # a pipe would block
+            raise UnreadableRecording(path, 'it is neither a file nor a folder')
+        check_size(path, path.stat().st_size)
+        return path.read_bytes()
+
+
+def check_size(path: Path, size: int) -> None:
+    """Raise UnreadableRecording if so many bytes of a file are too many to read."""
+    if size > MAX_BYTES:
+        raise UnreadableRecording(path, f'it would take {size:.3g} bytes of memory, the limit is '
+                                  f'{MAX_BYTES:.3g}')
 
 
 def part(path: Path, name: str, read: Callable[[], _T]) -> _T:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One departure as an MCAP file with the profile ``ros2``: encoded, read back, messages decoded.
-
-The mcap library is imported on use: apt does not have it, and a node without it can still plan.
-"""
+"""Read the MCAP file of a departure, or of a plan, and decode its messages."""
 
 from __future__ import annotations
 
@@ -11,28 +8,24 @@ import re
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile, is_zipfile
 
-from .messages import Channel, RecordedMessage
+from .encoding import FORMAT, MAGIC, METADATA_RECORD
+from .messages import RecordedMessage
 from .metadata import Metadata, typed
-from .recording_errors import UnreadableRecording, reading_from
-from .schemas import definitions
+from .recording_errors import UnreadableRecording, bytes_in, check_size
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
-METADATA_RECORD = 'ambush_planner'
-# Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '11'
 # The format before, in which a trip was one network, and a route one list of its nodes.
 _BEFORE = '10'
-_CHUNK_SIZE = 2**20  # bytes
-MAGIC = b'\x89MCAP0\r\n'  # begins and ends a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,53 +58,22 @@ class RecordingFile:
         return self.definitions[message.type], message.type, message.data
 
 
-def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
-           attachments: Mapping[str, bytes], compression: str) -> bytes:
-    """Return the bytes of a whole file; ``messages`` are in the order of time."""
-    from mcap.well_known import MessageEncoding, SchemaEncoding
-    from mcap.writer import CompressionType, Writer
-
-    stream = BytesIO()
-    # The checksum of the data section covers metadata and attachments; chunks have their own.
-    writer = Writer(stream, chunk_size=_CHUNK_SIZE, enable_data_crcs=True,
-                    compression=CompressionType[compression.upper()])
-    writer.start(profile='ros2')
-    texts = {name: json.dumps(value) for name, value in entries.items()}
-    writer.add_metadata(METADATA_RECORD, {'format': FORMAT, **texts})
-    for name, data in attachments.items():
-        writer.add_attachment(0, messages[0].stamp_ns, name, 'application/zip', data)
-    schemas: dict[str, int] = {}
-    channels: dict[Channel, int] = {}
-    for message in messages:
-        definition = definitions()[message.type]
-        if message.type not in schemas:
-            schemas[message.type] = writer.register_schema(
-                message.type, SchemaEncoding.ROS2, definition.text.encode()
-            )
-        channel = message.channel
-        if channel not in channels:
-            channels[channel] = writer.register_channel(
-                message.topic, MessageEncoding.CDR, schemas[message.type],
-                {'offered_qos_profiles': channel.qos, 'topic_type_hash': definition.type_hash},
-            )
-        writer.add_message(channels[channel], message.stamp_ns, message.data, message.stamp_ns)
-    writer.finish()
-    return stream.getvalue()
-
-
 def read_recording(path: Path | str) -> RecordingFile:
     """Read a file and check its CRCs; raises UnreadableRecording."""
     from mcap.records import DataEnd, Message, Metadata
     from mcap.stream_reader import StreamReader
 
     path = Path(path)
-    with reading_from(path):
-        data = path.read_bytes()
+    data = bytes_in(path)
     try:
-        found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
+        packed = list(StreamReader(BytesIO(data), emit_chunks=True, validate_crcs=True).records)
         # The summary repeats schemas and channels.
-        found = list(takewhile(lambda each: not isinstance(each, DataEnd), found))
+        packed = list(takewhile(lambda each: not isinstance(each, DataEnd), packed))
         _check_summary(data)
+        check_size(path, sum(map(_unpacked_size, packed)))
+        found = [each for record in packed for each in _unpacked(record)]
+    except UnreadableRecording:
+        raise
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
@@ -139,7 +101,7 @@ def read_recording(path: Path | str) -> RecordingFile:
         if texts['format'] == _BEFORE:
             entries = _by_leg(path, entries)
         return _contents(path, found, entries)
-    except (ValueError, LookupError) as error:
+    except (ValueError, LookupError, RecursionError) as error:
         raise UnreadableRecording(
             path, f'its records are inconsistent ({type(error).__name__})'
         ) from error
@@ -157,6 +119,33 @@ def _by_leg(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
     if entries.get('diversion'):
         entries['diversion']['left'] = [entries['diversion']['left']]
     return entries
+def _unpacked_size(record: McapRecord) -> int:
+    """Return what a record takes, with the arrays that are attached to it [bytes]."""
+    from mcap.records import Attachment, Chunk
+
+    if isinstance(record, Attachment) and is_zipfile(BytesIO(record.data)):
+        return sum(each.file_size for each in ZipFile(BytesIO(record.data)).infolist())
+    if isinstance(record, Chunk) and record.compression == 'zstd':
+        import zstandard
+
+        # The library takes the frame at its word.
+        return max(record.uncompressed_size, zstandard.frame_content_size(record.data))
+    return record.uncompressed_size if isinstance(record, Chunk) else 0
+
+
+def _unpacked(record: McapRecord) -> Sequence[McapRecord]:
+    """Return the records of a chunk, or else the record."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import breakup_chunk
+
+    if not isinstance(record, Chunk):
+        return [record]
+    if record.compression == 'lz4':  # the library does not stop at the size that is stated
+        from lz4.frame import LZ4FrameDecompressor
+
+        data = LZ4FrameDecompressor().decompress(record.data, record.uncompressed_size)
+        record = replace(record, compression='', data=data)
+    return breakup_chunk(record, validate_crc=True)
 
 
 def _check_summary(data: bytes) -> None:

@@ -114,7 +114,7 @@ class Verifier:
             if file.entries.get('kind') == KIND:
                 saved = plan_in(file)
                 verdict.plan = typed(file.entries, PlanMetadata, 'metadata')
-                verdict.nodes = len(saved.plan.network.points)
+                verdict.nodes = saved.plan.trip.game.node_count
                 verdict.value = saved.value
                 verdict.problems += self._plan_problems(saved)
             else:

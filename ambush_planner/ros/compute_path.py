@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
-from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import PoseArray, PoseStamped
@@ -37,50 +36,42 @@ class ComputePath:
     """The action called ``name``, of the type ``action``.
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
-    last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere. Waiting goals
-    are accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal
-    leaves the solves of other requests alone. Destroy ``server`` before the node.
+    last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere; goals from
+    fixed places, whoever sends them, replace none. Waiting goals are accepted but not executing,
+    because rclpy polls coroutines that await. Cancelling a goal leaves the solves of other requests
+    alone. Destroy ``server`` before the node.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
                  settings: NodeSettings, name: str, action: Any) -> None:
-        self._node, self._error_boundary, self._requests = node, error_boundary, requests
+        self._node: Any = node
+        self._error_boundary, self._requests = error_boundary, requests
         self._settings, self._name, self._action = settings, name, action
-        self._waiting: dict[bytes, tuple[Any, Future[Answer]]] = {}
-        # One group, so that no goal ends while a request to cancel it is being handled.
-        group = MutuallyExclusiveCallbackGroup()
-        self._wake = node.create_guard_condition(self._finish, callback_group=group)
         # Resolved here: rcl does not remap the names of actions.
         self.server = ActionServer(
-            node, action, node.resolve_topic_name(name), self._result, callback_group=group,
+            node, action, node.resolve_topic_name(name), self._result,
+            callback_group=MutuallyExclusiveCallbackGroup(),
             handle_accepted_callback=self._accepted, cancel_callback=self._cancel,
             goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS,
             cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
         )
 
     def _accepted(self, handle: Any) -> None:
-        departure = started(
+        handle.departure = started(
             lambda: self._requests.start_plan(*self._plan_request(handle.request)))
-        self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
-        departure.add_done_callback(lambda _: self._wake.trigger())
+        # By the executor: it may be handling a request to cancel the goal.
+        handle.departure.add_done_callback(
+            lambda _: self._node.executor.create_task(handle.execute))
 
     def _cancel(self, handle: Any) -> CancelResponse:
         """Cancel a goal, unless its route has been drawn."""
-        _, departure = self._waiting.get(bytes(handle.goal_id.uuid), (None, None))
-        if departure is None or not departure.cancel():
-            return CancelResponse.REJECT
-        return CancelResponse.ACCEPT
+        waits = handle.departure is not None and handle.departure.cancel()
+        return CancelResponse.ACCEPT if waits else CancelResponse.REJECT
 
-    def _finish(self) -> None:
-        """Answer the goals whose departures have left, failed or been cancelled."""
-        for key, (handle, departure) in list(self._waiting.items()):
-            if departure.done():
-                del self._waiting[key]
-                self._error_boundary.attempt(self._name, 'request', partial(
-                    handle.execute, partial(self._result, departure=departure)
-                ))
-
-    def _result(self, handle: Any, departure: Future[Answer]) -> Any:
+    def _result(self, handle: Any) -> Any:
+        """Answer a goal whose departure has left, failed or been cancelled."""
+        departure: Future[Answer] = handle.departure
+        handle.departure = None  # which refers to the handle
         result = self._action.Result()
         if departure.cancelled():
             handle.canceled()
@@ -90,7 +81,7 @@ class ComputePath:
         if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
             result.error_msg = done.remarks if done else str(error)
         if done:
-            result.path = done.path
+            result.path = done.path.message
             result.planning_time = Duration(nanoseconds=done.took_ns).to_msg()
             handle.succeed()
         else:
@@ -100,7 +91,7 @@ class ComputePath:
         return result
 
     def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray, str]:
-        """Return the goal as a request of get_plan, its stops, and who asks: each robot for itself.
+        """Return the goal as a request of get_plan, its stops, and who asks.
 
         Raises Refusal if the goal is for another planner or has no poses, the start is missing or
         has no frame, or the stops have several.
@@ -126,8 +117,7 @@ class ComputePath:
         via = PoseArray(poses=[stop.pose for stop in stops])
         if stops:
             via.header = stops[0].header
-        return (GetPlan.Request(start=start, goal=last), via,
-                f'{self._name} {start.header.frame_id}')
+        return GetPlan.Request(start=start, goal=last), via, self._name
 
 
 def poses_of(goal: Any) -> list[PoseStamped]:

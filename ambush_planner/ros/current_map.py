@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import array
-from dataclasses import dataclass, replace
-from functools import cached_property
+import math
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Header
 
 from ..errors import InvalidRiskMap
 from ..maps.occupancy import OccupancyMap, check_occupancy
@@ -21,40 +20,22 @@ from ..maps.overlay import with_obstacles_of
 from ..maps.ros_messages import occupancy_from_ros, update_fault
 from ..parameters.values import COSTMAP_OBSTACLE
 
-
-@dataclass(frozen=True, eq=False)
-class ReceivedMessage:
-    """A message with the full name of its topic.
-
-    ``serialised`` are the bytes that arrived, of the message type called ``type``; None if the
-    planner made the message itself.
-    """
-
-    topic: str
-    type: str
-    message: Any
-    qos: QoSProfile
-    serialised: bytes | None = None
-
-    @cached_property
-    def data(self) -> bytes:
-        """The serialised message."""
-        if self.serialised is not None:
-            return self.serialised
-        return bytes(serialize_message(self.message))
+# Where the bytes of a message have the time of its header.
+_STAMP = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CurrentMap(OccupancyMap):
-    """A valid map with the message that it came in."""
+    """A valid map in a ``frame``, which came on a ``topic`` and was sent at a time [ns].
 
-    received: ReceivedMessage
+    ``message`` is the serialised nav_msgs/OccupancyGrid, and ``values`` are a part of it: large
+    maps are in memory once.
+    """
 
-    @property
-    def frame(self) -> str:
-        """The frame of positions on the map."""
-        name: str = self.received.message.header.frame_id
-        return name
+    topic: str
+    frame: str
+    sent_ns: int
+    message: bytearray = field(repr=False)
 
     def same_ground(self, other: CurrentMap) -> bool:
         """Whether each cell covers the same ground on both maps."""
@@ -68,33 +49,55 @@ class CurrentMap(OccupancyMap):
 
     def with_costmap(self, costmap: OccupancyMap, unknown: bool) -> CurrentMap:
         """Return the map with the obstacles of a costmap in the same frame."""
-        values = with_obstacles_of(self, costmap, COSTMAP_OBSTACLE, unknown).values
-        return self._with_values(values, self.received.message.header)
+        result, cells = self._copy()
+        cells[:] = with_obstacles_of(self, costmap, COSTMAP_OBSTACLE, unknown).values
+        return result
 
-    def updated(self, update: Any) -> CurrentMap:
-        """Return the map with the cells of a map_msgs/OccupancyGridUpdate.
-
-        Raises InvalidRiskMap if the update is malformed or does not fit the map.
-        """
-        if fault := update_fault(update, self.frame, self.values.shape):
-            raise InvalidRiskMap(f'map update: {fault}')
-        cells = np.frombuffer(update.data, np.int8).reshape(update.height, update.width)
+    def check_update(self, update: Any) -> None:
+        """Raise InvalidRiskMap if a map_msgs/OccupancyGridUpdate is malformed or does not fit."""
         try:
-            check_occupancy(cells, self.resolution, self.origin)
+            if fault := update_fault(update, self.frame, self.values.shape):
+                raise InvalidRiskMap(fault)
+            check_occupancy(_cells_of(update), self.resolution, self.origin)
         except InvalidRiskMap as error:
             raise InvalidRiskMap(f'map update: {error}') from error
-        values, x, y = self.values.copy(), update.x, update.y
-        values[y:y + update.height, x:x + update.width] = cells
-        return self._with_values(values, update.header)
 
-    def _with_values(self, values: npt.NDArray[np.int8], header: Header) -> CurrentMap:
-        """Return the map with other cell values (H, W), as if it had arrived with them."""
-        data = array.array('b', values.tobytes())
-        message = OccupancyGrid(header=header, info=self.received.message.info, data=data)
-        return replace(self, values=np.frombuffer(data, np.int8).reshape(values.shape),
-                       received=replace(self.received, message=message, serialised=None))
+    def updated(self, updates: Iterable[Any]) -> CurrentMap:
+        """Return the map with the cells of updates that fit, as if it had been sent with them."""
+        result, cells = self._copy()
+        for each in updates:
+            cells[each.y:each.y + each.height, each.x:each.x + each.width] = _cells_of(each)
+            stamp = each.header.stamp
+            struct.pack_into('<iI', result.message, _STAMP, stamp.sec, stamp.nanosec)
+        return result
+
+    def _copy(self) -> tuple[CurrentMap, npt.NDArray[np.int8]]:
+        """Return a copy, and its cells (H, W), which may be changed."""
+        message = bytearray(self.message)
+        cells = _last_cells(message, self.values.shape)
+        return replace(self, message=message, values=_frozen_view(cells)), cells
 
 
-def map_from(received: ReceivedMessage) -> CurrentMap:
+def map_from(message: OccupancyGrid, topic: str, sent_ns: int = 0) -> CurrentMap:
     """Read a map; raises InvalidRiskMap if it is malformed."""
-    return CurrentMap(*occupancy_from_ros(received.message), received=received)
+    cells, resolution, origin = occupancy_from_ros(message)
+    head = serialize_message(OccupancyGrid(header=message.header, info=message.info))
+    # The cells come last: their number, which is 0 here, and then they.
+    data = bytearray(head[:-4] + struct.pack('<I', cells.size) + cells.tobytes())
+    return CurrentMap(_frozen_view(_last_cells(data, cells.shape)), resolution, origin,
+                      topic=topic, frame=message.header.frame_id, sent_ns=sent_ns, message=data)
+
+
+def _last_cells(message: bytearray, shape: tuple[int, ...]) -> npt.NDArray[np.int8]:
+    """Return the cells (H, W) of a serialised grid, a part of its memory."""
+    return np.frombuffer(message, np.int8)[-math.prod(shape):].reshape(shape)
+
+
+def _cells_of(update: Any) -> npt.NDArray[np.int8]:
+    return np.frombuffer(update.data, np.int8).reshape(update.height, update.width)
+
+
+def _frozen_view(cells: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
+    view = cells.view()
+    view.setflags(write=False)
+    return view

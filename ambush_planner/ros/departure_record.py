@@ -3,20 +3,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
-from nav_msgs.msg import Path
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
 
-from ..arrays import IndexArray
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
-from ..recordings import RecordedMessage
+from ..planning.plan import Route
+from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
-from .current_map import ReceivedMessage
+from .conversions import SentPath
 from .plan_cache import CachedPlan
+from .topics import LATCHED, LATEST
 from .trip import Trip
 
 
@@ -24,7 +28,7 @@ from .trip import Trip
 class Answer:
     """The answer to a request for a path, and how long it took; the ``departure`` if it is one."""
 
-    path: Path
+    path: SentPath
     remarks: str
     took_ns: int
     departure: Departure | None = None
@@ -49,7 +53,7 @@ class Departure:
     joined: bool
     ends: Ends
     entropy_source: list[int]
-    route: IndexArray
+    route: Route
     published: RecordedMessage
     markers: tuple[RecordedMessage, ...]
     assessment: Assessment
@@ -59,38 +63,52 @@ class Departure:
     report: RecordedMessage | None = None
 
 
-def recorded_messages(departure: Departure) -> list[RecordedMessage]:
-    """Return inputs and publications, in the order of time.
+def numbers_of(route: Route) -> tuple[tuple[int, ...], ...]:
+    """Return the nodes of a route, leg by leg."""
+    return tuple(tuple(nodes.tolist()) for nodes in route)
 
-    Inputs get the time of the request. All others get one between request and answer: markers may
-    be older, and the clock may have been set back since.
+
+def recorded_messages(departure: Departure,
+                      full_name: Callable[[str], str]) -> list[RecordedMessage]:
+    """Return inputs and publications, in the order of time; ``full_name`` is that of a topic.
+
+    Inputs get the time of the request, as if they had come on their topics then. All others get one
+    between request and answer: markers may be older, and the clock may have been set back since.
     """
-    asked, call = departure.trip.request, departure.call
-    planned_on = departure.held.trip.map.received
-    inputs = [RecordedMessage(each.topic, each.type, each.data, each.qos, call.request_ns)
-              for each in (planned_on, asked.start, asked.goal, asked.via) if each]
+    call, planned_on = departure.call, departure.held.trip.map
+    inputs = [RecordedMessage(planned_on.topic, type_name(OccupancyGrid),
+                              bytes(planned_on.message), LATCHED, call.request_ns)]
+    inputs += [RecordedMessage(full_name(topic), type_name(each), bytes(serialize_message(each)),
+                               LATEST, call.request_ns)
+               for _, topic, each in _inputs_of(departure.trip)]
     published = [replace(each, stamp_ns=min(max(call.request_ns, each.stamp_ns), call.response_ns))
                  for each in (*departure.markers, departure.report, departure.published) if each]
     return [*inputs, *published]
 
 
-def metadata_of(departure: Departure, previous: str) -> Metadata:
+def metadata_of(departure: Departure, previous: str, full_name: Callable[[str], str]) -> Metadata:
     """Return the metadata record: what the departure was, and what it takes to draw it again."""
     trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
-    roles: dict[str, ReceivedMessage | RecordedMessage | None] = {
-        'map': planned.map.received, 'start': trip.request.start, 'goal': trip.request.goal,
-        'via': trip.request.via, 'path': departure.published,
-    }
+    topics = {'map': planned.map.topic, 'path': departure.published.topic,
+              **{role: full_name(topic) for role, topic, _ in _inputs_of(trip)}}
     return Metadata(
         departure.id, departure.number, trip.map.frame,
         {**trip.parameters.values,
          **{name: departure.held.task.parameters.values[name] for name in OF_PLAIN_NETWORK}},
-        dict(software_versions()), {role: each.topic for role, each in roles.items() if each},
+        dict(software_versions()), topics,
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
-        departure.joined, departure.assessment.value, tuple(departure.route.tolist()),
-        tuple(departure.entropy_source),
-        replace(departure.call, remarks=departure.remarks), departure.diversion, previous,
+        departure.joined, numbers_of(departure.route), tuple(departure.entropy_source),
+        replace(departure.call, remarks=departure.remarks), departure.assessment.value,
+        departure.diversion, previous,
     )
+
+
+def _inputs_of(trip: Trip) -> list[tuple[str, str, Any]]:
+    """Return the roles, topics and messages of the poses of a trip."""
+    asked = trip.request
+    found = (('start', 'start_pose', asked.start), ('goal', 'goal_pose', asked.goal),
+             ('via', 'via_poses', asked.via))
+    return [each for each in found if each[2] is not None]
 
 
 def map_changes(departure: Departure) -> dict[str, bytes]:

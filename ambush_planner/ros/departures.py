@@ -1,49 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws and publishes departures and diversions, and keeps track of the robots on them."""
+"""Draws and publishes departures and diversions."""
 
 from __future__ import annotations
 
-import math
 import secrets
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from threading import Lock
 from typing import Any
 from uuid import uuid4
+from weakref import ref
 
 import numpy as np
-from nav_msgs.msg import Path
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from rclpy.time import Time
 
-from ..arrays import FloatArray, IndexArray
-from ..errors import AmbushPlannerError
-from ..maps.ros_messages import pose_from_ros
+from ..arrays import FloatArray
 from ..planning.moved_start import other_rest, whole_route
-from ..planning.trip_under_way import Sighting, TripUnderWay, trip_on
+from ..planning.plan import Route
+from ..planning.trip_under_way import TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall
 from ..routes.driven_path import Ends, tight_turns
-from .departure_record import Answer, Departure
+from .conversions import SentPath
+from .departure_record import Answer, Departure, numbers_of
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
+from .gate import Gate
 from .inputs import Inputs
 from .plan_cache import CachedPlan, Fit
 from .recordings import Recordings
+from .robot_trips import RobotTrip, RobotTrips
+from .serial_executor import SerialExecutor
 from .topics import Publishers
 from .trip import Trip, TripRequest
-
-# Maximum number of trips of one robot that are kept, each with its plan. Asking for a path to
-# another goal does not end the present trip.
-_MAX_TRIPS = 4
 
 
 @dataclass(eq=False)
 class Pending:
     """A request for a path, by a ``client`` ('': unknown).
 
-    If it ``draws``, its answer is a departure even for a robot on its way.
+    If it ``draws``, its answer is a departure even for a robot on its way. ``tries`` counts plans
+    and routes that were out of date; ``since`` is when it began to wait for the disk [s].
     """
 
     call: RecordedCall
@@ -51,116 +47,47 @@ class Pending:
     client: str
     draws: bool
     answer: Future[Answer] = field(default_factory=Future)
-    solves: int = 0
+    tries: int = 0
+    since: float | None = None
+
+    def is_wanted(self) -> bool:
+        """Whether an answer is still wanted; from then on it cannot be cancelled."""
+        return self.answer.running() or self.answer.set_running_or_notify_cancel()
 
 
-@dataclass(eq=False)
-class RobotTrip:
-    """A trip, its departure or the last diversion of that, and the whole route (K,).
-
-    ``left`` is done once the path is published; with ``recording.required`` that takes a while.
-    ``begun``: whether a request has come since then. The first one lets a robot that drove on
-    meanwhile join the path from where it is.
-    ``before`` is the trip that this one diverts, until it has left. A tour that ends where it
-    begins is ``recorded`` when the robot has set out, because Nav2's controllers can take it to be
-    at the end.
-    """
-
-    track: TripUnderWay
-    departure: Departure
-    request: TripRequest
-    route: IndexArray
-    left: Future[None]
-    recorded: bool
-    before: RobotTrip | None = None
-    begun: bool = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.begun = self.left.done()
-
-    def is_continued_by(self, trip: Trip) -> bool:
-        """Whether a request for a trip continues this one."""
-        if trip.destination.frames != self.track.destination.frames:
-            return False
-        if not self.begun:
-            self.begun = self.left.done()
-            self.track.drive_on(trip.start_xy)
-        return self.track.continues(trip.destination, trip.start_xy, trip.request.goal_tolerance)
-
-    def settled(self) -> RobotTrip | None:
-        """Return this trip, or the one before it if its departure has failed to leave."""
-        if not self.left.done():
-            return self
-        before, self.before = self.before, None  # earlier diversions would keep their maps alive
-        return before if self.left.exception() else self
-
-
-class RobotTrips:
-    """The trips of robots; call all methods on the departures thread.
-
-    ``set_out`` is called, about once a second, with each trip whose robot has set out.
-    """
-
-    def __init__(self, inputs: Inputs, set_out: Callable[[RobotTrip], None]) -> None:
-        self._inputs, self._set_out = inputs, set_out
-        self._trips: list[RobotTrip] = []  # the newest one first
-
-    def continued_by(self, trip: Trip) -> RobotTrip | None:
-        """Return the trip under way that a request for this trip continues, if there is one."""
-        self._trips = [each for one in self._trips if (each := one.settled()) is not None]
-        return next((each for each in self._trips if each.is_continued_by(trip)), None)
-
-    def add(self, new: RobotTrip) -> None:
-        """Keep a trip, and the robot's last ones to other goals unless one of them has ended."""
-        to = new.track.destination
-        own = [each for each in self._trips if each.track.destination.frames == to.frames]
-        others = [each for each in own if each.track.destination.goal != to.goal]
-        if any(each.track.arrived for each in own):
-            others = []
-        self._trips = [new, *others[:_MAX_TRIPS - 1],
-                       *(each for each in self._trips if each not in own)]
-
-    def watch(self) -> None:
-        """Note how far the robots have come; to be called about once a second, and at the end."""
-        for each in self._trips:
-            with suppress(AmbushPlannerError):  # TF does not know where the robot is
-                at = self._inputs.locate(each.request).start_pose
-                seconds = Time.from_msg(at.header.stamp).nanoseconds / 1e9
-                each.track.watch(Sighting(*pose_from_ros(at.pose), seconds))
-                if each.track.progress > each.track.tolerance:
-                    self._set_out(each)
+class OutOfDate(Exception):
+    """The map has changed since a route was drawn, and blocks its path."""
 
 
 class Departures:
-    """Makes departures, which leave one after the other while the node is active.
+    """Makes departures, which leave one after the other while the ``gate`` is open.
 
-    Call all methods on the departures thread. ``check_active`` raises what refuses requests, if
-    anything does; that must not begin while a departure is ``leaving``. ``trips`` are those that
-    robots are on.
+    Call all methods on the departures thread, which is ``thread``. A request whose route is out of
+    date before it leaves is given to ``retry``. ``trips`` are those that robots are on; ``leaving``
+    are the futures, by robot, of departures that are being recorded first.
     """
 
     def __init__(self, displayed: DisplayedPlan, inputs: Inputs, publishers: Publishers,
-                 recordings: Recordings, reporter: Reporter, logger: RcutilsLogger,
-                 check_active: Callable[[], None]) -> None:
-        self._displayed, self._publishers, self._recordings = displayed, publishers, recordings
-        self._reporter, self._logger, self._check_active = reporter, logger, check_active
-        self.trips = RobotTrips(inputs, self._record)
+                 recordings: Recordings, reporter: Reporter, logger: RcutilsLogger, gate: Gate,
+                 thread: SerialExecutor, retry: Callable[[Pending], None]) -> None:
+        self._displayed, self._inputs, self._publishers = displayed, inputs, publishers
+        self._recordings, self._reporter, self._logger = recordings, reporter, logger
+        self._gate, self._thread, self._retry = gate, thread, retry
+        self.trips = RobotTrips(inputs, lambda: publishers.clock.now().nanoseconds / 1e9)
+        self.leaving: dict[str, Future[None]] = {}
         self._count = 0
-        self.leaving = Lock()
 
     def draw(self, fit: Fit, pending: Pending) -> bool:
         """Draw a route and publish its path; False if hardly any route is clear."""
-        self._recordings.wait_for_room()
-        self._check_active()
         self._displayed.show(fit)
         source = _entropy_source(fit.trip.parameters.values['seed'], self._count + 1)
         drawn = fit.draw(source)
         if drawn is None:
             return False
-        if not pending.answer.set_running_or_notify_cancel():
+        if not pending.is_wanted():
             return True
         self._count += 1
-        route, rows = drawn.nodes, _from_robot(drawn.poses, fit.trip)
+        route, rows = drawn.route, _from_robot(drawn.poses, fit.trip)
         remarks = (f'the path joins the routes of an earlier start: value '
                    f'{fit.assessment.value:.4g}, from there {fit.cached.plan.value:.4g}'
                    ) if fit.joined else ''
@@ -168,40 +95,40 @@ class Departures:
         departure = Departure(
             id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
             markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
-        track = trip_on(fit.cached.plan, route, rows, fit.trip.destination)
+        track = (trip_on(fit.cached.plan, route, rows, fit.trip.destination)
+                 if fit.trip.robot else None)
         self._set_out(track, departure, path, route, pending)
         return True
 
     def divert(self, under_way: RobotTrip, trip: Trip, pending: Pending) -> bool:
-        """Take the rest of another route of the same plan; False if none is clear."""
-        before, track, held = under_way.departure, under_way.track, under_way.departure.held
-        if not trip.map.same_ground(held.trip.map):
+        """Take the rest of another route of the same plan; False if it is gone or none is clear."""
+        held, track = under_way.plan(), under_way.track
+        if held is None or not trip.map.same_ground(held.trip.map):
             return False
-        self._recordings.wait_for_room()
-        number = before.diversion.number + 1 if before.diversion else 1
-        source = _entropy_source(trip.parameters.values['seed'], before.number, number)
+        number = under_way.diversions + 1
+        source = _entropy_source(trip.parameters.values['seed'], under_way.number, number)
         x, y = track.path[-1, :2].tolist()
-        ends, ahead = (trip.start_xy, (x, y)), track.nodes_ahead(trip.start_xy)
-        drawn = other_rest(held.ground, trip.map, ends, ahead, source,
+        ends, (leg, ahead) = (trip.start_xy, (x, y)), track.nodes_ahead(trip.start_xy)
+        drawn = other_rest(held.ground, trip.map, ends, leg, ahead, source,
                            trip.parameters.values['route.path_spacing'])
         if drawn is None:
             return False
-        if not pending.answer.set_running_or_notify_cancel():
+        if not pending.is_wanted():
             return True
-        self._record(under_way)
-        path, driven = self._driven(trip, held, pending, source, drawn.nodes, drawn.poses, ends)
-        departure = replace(
-            before, joined=False, markers=(),
-            diversion=Diversion(number, tuple(under_way.route.tolist()), tuple(ahead.tolist())),
-            remarks=f'departure {before.number} diverted: its path is no longer clear, and another '
-                    'route of its plan is', **driven)
+        path, driven = self._driven(trip, held, pending, source, drawn.route, drawn.poses, ends)
+        departure = Departure(
+            id=under_way.id, number=under_way.number, held=held, joined=False, markers=(),
+            assessment=under_way.assessment,
+            diversion=Diversion(number, numbers_of(under_way.route), tuple(ahead.tolist())),
+            remarks=f'departure {under_way.number} diverted: its path is no longer clear, and '
+                    'another route of its plan is', **driven)
         self._set_out(
-            trip_on(held.plan, drawn.nodes, drawn.poses, track.destination, track.passed),
-            departure, path, whole_route(under_way.route, drawn.nodes), pending, under_way)
+            trip_on(held.plan, drawn.route, drawn.poses, track.destination, track.passed),
+            departure, path, whole_route(under_way.route, drawn.route), pending)
         return True
 
     def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],
-                route: IndexArray, rows: FloatArray, ends: Ends) -> tuple[Path, dict[str, Any]]:
+                route: Route, rows: FloatArray, ends: Ends) -> tuple[SentPath, dict[str, Any]]:
         """Return a path, and the fields of its departure that say what is driven, for whom."""
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
@@ -211,49 +138,61 @@ class Departures:
         return path, {
             'call': replace(pending.call, response_ns=leaving), 'trip': trip, 'ends': ends,
             'entropy_source': source, 'route': route,
-            'published': self._publishers.as_recorded('path', path, topic),
+            'published': self._publishers.as_recorded('path', path.data, topic),
             'tight_turns': tight_turns(rows, held.plan.options.drive.turning_radius),
         }
 
-    def _set_out(self, track: TripUnderWay, departure: Departure, path: Path, route: IndexArray,
-                 pending: Pending, before: RobotTrip | None = None) -> None:
-        """Publish a departure, at once or when it is recorded; it is under way from now on.
+    def _set_out(self, track: TripUnderWay | None, departure: Departure, path: SentPath,
+                 route: Route, pending: Pending) -> None:
+        """Publish a departure, at once or when it is recorded; it is under way from then on.
 
-        ``before`` is the trip that it diverts.
+        Only a robot has a ``track``.
         """
-        self.trips.watch()  # a tour that this one ends is recorded before
         departure = self._reporter.departing(departure)
         trip, answer = departure.trip, pending.answer
+        diversions = departure.diversion.number if departure.diversion else 0
+        under_way = None if track is None else RobotTrip(
+            track, replace(pending.trip_request, parameters=trip.parameters), departure.id,
+            departure.number, diversions, departure.assessment, ref(departure.held), route,
+            (self.trips.now(), trip.stamp))
 
         def leave() -> None:
-            with self.leaving:
-                self._check_active()
+            with self._gate.leaving:
+                self._gate.check()
+                self._check_clear(trip, path.poses)
                 if trip.parameters.values['path.publish']:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
                 self._reporter.departed(departure)
             diverted = ' diverted' if departure.diversion else ''
             self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
+            if under_way and trip.parameters.recording.required:  # in the recordings' thread
+                self._thread.submit(lambda: self.trips.add(under_way))
+            elif under_way:
+                self.trips.add(under_way)
             took_ns = departure.call.response_ns - departure.call.request_ns
             answer.set_result(Answer(path, departure.remarks, took_ns, departure))
 
-        def refuse_unless_left(left: Future[None]) -> None:
-            if error := left.exception():
+        def settle(left: Future[None]) -> None:
+            if self.leaving.get(trip.robot) is left:
+                del self.leaving[trip.robot]
+            if isinstance(error := left.exception(), OutOfDate):
+                self._thread.submit(lambda: self._retry(pending), answer)
+            elif error:
                 answer.set_exception(error)
 
-        at_once = (before is not None or not (trip.moves and trip.stops_xy)
-                   or trip.parameters.recording.required
-                   or math.dist(trip.start_xy, trip.goal_xy) > track.tolerance)
-        left = self._recordings.publish(departure, leave, record=at_once)
-        if trip.moves:
-            self.trips.add(RobotTrip(track, departure, pending.trip_request, route, left, at_once,
-                                    before))
-        left.add_done_callback(refuse_unless_left)
+        left = self._recordings.publish(departure, leave)
+        if trip.robot:
+            self.leaving[trip.robot] = left
+        left.add_done_callback(settle)
 
-    def _record(self, under_way: RobotTrip) -> None:
-        if not under_way.recorded:
-            under_way.recorded = True
-            self._recordings.publish(under_way.departure, lambda: None)
+    def _check_clear(self, trip: Trip, rows: FloatArray) -> None:
+        """Raise OutOfDate if a path (L, 3) is blocked on a map that came since it was drawn."""
+        newest = self._inputs.current_map()
+        if newest is not trip.map and not (
+                newest.frame == trip.map.frame
+                and replace(trip, map=newest).ground.drivable_steps(rows[:, :2]).all()):
+            raise OutOfDate
 
 
 def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:

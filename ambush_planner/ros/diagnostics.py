@@ -19,6 +19,7 @@ from ..planning.plan import Plan
 from ..worker.solve_errors import SolveCancelled
 from .departure_record import Departure
 from .error_codes import OK_CODE, code_of
+from .gate import ACTIVE
 from .topics import Publishers
 
 # What errors concern, the most important first.
@@ -48,14 +49,15 @@ class Status:
     """The node's status.
 
     ``problems`` are by what they concern: errors of a 'request', of a map ('alpha_map', 'costmap'),
-    of the 'join' of both or of a 'recording'; warnings of 'parameters', of 'volatile' maps, of a
-    costmap that has 'stopped' and of a map without 'risk'. ``assessment`` is of the displayed plan
+    of the 'join' of both or of a 'recording'; warnings of 'parameters', of a topic's 'qos', of
+    updates of a map that were lost ('alpha_map_updates', 'costmap_updates'), of a costmap that has
+    'stopped', of a map without 'risk' and of a 'disk'. ``assessment`` is of the displayed plan
     on the current map, and ``stale`` says why that plan is stale, if it is. The
     ``last_answer`` to a request may have been the rest of the path of the ``last`` departure.
     ``records``: whether departures are recorded.
     """
 
-    lifecycle: str = 'active'
+    lifecycle: str = ACTIVE
     missing: tuple[str, ...] = ()
     solving: bool = False
     refining: bool = False
@@ -70,7 +72,7 @@ class Status:
     @property
     def state(self) -> str:
         """'solving', 'waiting' (for inputs) or 'ready'; if not active, the lifecycle state."""
-        if self.lifecycle != 'active':
+        if self.lifecycle != ACTIVE:
             return self.lifecycle
         if self.solving:
             return 'solving'
@@ -92,9 +94,9 @@ class Status:
 class Reporter:
     """Keeps the status of the node called ``name``, and publishes it on change; thread-safe.
 
-    ``present`` returns the fields of the status that it looks up each time: what is missing, and
-    whether a solve or a refinement runs or waits. A request's error is reported for
-    ``error_hold()`` [s], everything else as long as it lasts.
+    ``present`` returns the fields of the status that it looks up each time: the lifecycle state,
+    what is missing, and whether a solve or a refinement runs or waits. A request's error is
+    reported for ``error_hold()`` [s], everything else as long as it lasts.
     """
 
     def __init__(self, name: str, publishers: Publishers,
@@ -103,7 +105,7 @@ class Reporter:
         self._name, self._publishers = name, publishers
         self._present, self._error_hold = present, error_hold
         self._failed_at = 0.0
-        self._status = Status(lifecycle='unconfigured')
+        self._status = Status()
         self._lock = RLock()  # also while publishing, which keeps the reports in order
 
     def report(self) -> None:
@@ -116,17 +118,13 @@ class Reporter:
             self._publishers.publish('/diagnostics', message)
 
     def set(self, **fields: Any) -> None:
-        """Set fields of the status."""
+        """Set fields of the status; publish it if they or those looked up have changed."""
         self._change(lambda status: replace(status, **fields))
 
-    def refresh(self) -> None:
-        """Publish the status if what is looked up has changed."""
-        self._change(lambda status: status)
-
-    def unconfigured(self, lifecycle: str) -> None:
+    def forget(self) -> None:
         """Clear everything except the warning about parameters."""
         self._change(lambda status: Status(
-            lifecycle, records=status.records,
+            records=status.records,
             problems={key: each for key, each in status.problems.items() if key == 'parameters'}))
 
     def note(self, concern: str, wrong: Exception | str | None) -> None:
@@ -204,7 +202,7 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     found = [status.problems[each] for each in _ERRORS if each in status.problems]
     code = found[0].code if found else OK_CODE
     if warnings := _warnings(status):
-        ready = status.lifecycle == 'active' and not status.missing and not found
+        ready = status.lifecycle == ACTIVE and not status.missing and not found
         found += map(Problem.of, [*([status.state] if ready else []), *warnings])
     return (max((each.level for each in found), default=DiagnosticStatus.OK), code,
             '; '.join(dict.fromkeys(each.message for each in found)) or status.state)
@@ -213,7 +211,7 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
 def _warnings(status: Status) -> list[str]:
     """Return everything that is worth a warning; about plans only while the node is active."""
     found = [each.message for each in status.problems.values() if not each.code]
-    if status.lifecycle == 'active':
+    if status.lifecycle == ACTIVE:
         waiting = f'waiting for {", ".join(status.missing)}' if status.missing else ''
         length = status.assessment.concern if status.assessment else ''
         found = [waiting, *found, status.stale, length, *_departure_warnings(status.last),
@@ -225,7 +223,7 @@ def _departure_warnings(last: Departure | None) -> list[str]:
     """Return what is worse about the last departure than about its plan."""
     if last is None:
         return []
-    planned, turns, found = last.held.plan.strategy.value, last.tight_turns, []
+    planned, turns, found = last.held.plan.value, last.tight_turns, []
     if last.assessment.value > planned * (1.0 + last.trip.parameters.planning.max_gap):
         found.append(f'the last departure has a value of {last.assessment.value:.4g}, its plan had '
                      f'{planned:.4g} when it was solved (strategy.max_gap)')

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
@@ -19,13 +20,14 @@ from ..errors import AmbushPlannerError, InvalidOption
 from ..planning.plan import Plan
 from ..recordings.metadata import RecordedCall
 from ..recordings.plan_file import SavedPlan
-from ..worker.solve_errors import SolveCancelled, shutting_down
-from .current_map import ReceivedMessage
+from ..worker.solve_errors import SolveCancelled
+from .current_map import CurrentMap
 from .departure_record import Answer
 from .departures import Departures, Pending
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
 from .error_codes import Refusal
+from .gate import Gate
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, PlanCache, Task
@@ -34,78 +36,64 @@ from .serial_executor import SerialExecutor
 from .topics import Publishers
 from .trip import Trip, TripRequest
 
-# Maximum number of solves for one departure while the map changes or the robot drives. From the
-# second one on, a robot joins the plan at any value: the next one may be out of date again.
-_MAX_SOLVES, _ANY_VALUE_FROM = 4, 2
-_INACTIVE = partial(Refusal, 'INACTIVE', 'the node is inactive: activate it first (ros2 lifecycle '
-                    'set NODE activate)')
+# Maximum number of tries of one request while the map changes or the robot drives. From the second
+# plan on, a robot joins it at any value: the next one may be out of date again.
+_MAX_TRIES, _ANY_VALUE_FROM = 4, 2
 
 
 class Dispatcher:
     """Answers the requests to a configured node; thread-safe.
 
-    Requests are answered one after the other on a thread of their own, and no thread waits for a
-    solve. The dispatcher refuses requests until it is active.
-    Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
-    ``inputs`` are those that were given.
+    Requests are answered one after the other on a thread of their own, which waits neither for a
+    solve nor for a disk. Methods and the futures they return raise what a closed ``gate`` refuses
+    requests with, and the planner's errors, and leave the dispatcher usable. ``inputs`` are those
+    that were given.
     """
 
     def __init__(self, settings: NodeSettings, inputs: Inputs, publishers: Publishers,
-                 recordings: Recordings, reporter: Reporter, logger: RcutilsLogger) -> None:
+                 recordings: Recordings, reporter: Reporter, logger: RcutilsLogger,
+                 gate: Gate) -> None:
         self.inputs, self._reporter = inputs, reporter
-        self._clock, self._logger = publishers.clock, logger
-        self._plans = PlanCache(logger)
-        self._thread = SerialExecutor('departures', reporter.refresh,
-                                      lambda error: reporter.note('request', error))
+        self._clock, self._logger, self._gate = publishers.clock, logger, gate
+        self._plans = PlanCache(gate, logger)
+        self._thread = SerialExecutor('departures', lambda error: reporter.note('request', error),
+                                      reporter.set)
         self._displayed = DisplayedPlan(self._plans, inputs, settings, publishers, reporter,
                                         self._thread)
         self._departures = Departures(self._displayed, inputs, publishers, recordings, reporter,
-                                      logger, self._plans.queue.check)
+                                      logger, gate, self._thread, self._try_again)
         self._recordings = recordings
         self._waiting: list[Pending] = []
-        self._undecided: list[Pending] = []  # for a trip at its end, or for its next round
-        self._refuse(_INACTIVE)
+        self._aside: list[Pending] = []  # until there is room in the recordings' queue
+        recordings.on_room = self._retry
 
     @property
     def activity(self) -> tuple[bool, bool]:
         """Whether a solve runs or waits, and whether a plan is being refined."""
         return self._plans.queue.activity
 
-    def stop_solving(self) -> None:
-        """Cancel all solves, and refuse all requests from now on, including waiting ones."""
-        self._refuse(shutting_down)
+    def stop(self) -> None:
+        """Refuse what waits, and end the worker; return when nothing is being answered."""
         self._plans.queue.close()
-        self._thread.submit(self._departures.trips.watch)
-        self._thread.submit(self._retry)
+        self.cancel(self._gate.refusal)
         self._thread.finish()
 
-    def set_active(self, active: bool) -> None:
-        """Accept requests; or refuse them, waiting ones, too, and nothing leaves after that."""
-        self._refuse(None if active else _INACTIVE)
-        if active and self._displayed.cached is not None:
-            self.map_changed()
-
-    def _refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
-        with self._departures.leaving:  # nothing leaves after this
-            self._plans.queue.refuse(refusal)
-        self._recordings.hurry(refusal is not None)
-
     def close(self) -> None:
-        """Answer waiting requests, and end."""
-        self.stop_solving()
+        """Refuse what waits, and end."""
+        self.stop()
         self._thread.close()
 
-    def adopt(self, saved: SavedPlan, grid: ReceivedMessage, request: TripRequest) -> None:
+    def adopt(self, saved: SavedPlan, grid: CurrentMap, request: TripRequest) -> None:
         """Depart on a plan from a file, as if its map, start, goal and stops had arrived."""
         inputs = self.inputs
         if 'costmap' in inputs.map_names:
             raise InvalidOption('a plan from a file has the whole map: set map.costmap to false')
-        inputs.accept_map('alpha_map', grid)
+        inputs.take('alpha_map', grid)
         inputs.join_maps()
         inputs.start, inputs.goal, inputs.via = request.start, request.goal, request.via
         trip = inputs.locate(request)
         cached = self._plans.adopt(Task(trip), saved.plan)
-        self._logger.info(f'plan read from a file: value {saved.plan.strategy.value:.6g}, '
+        self._logger.info(f'plan read from a file: value {saved.plan.value:.6g}, '
                           f'{len(saved.plan.network.points)} nodes')
         self._thread.submit(lambda: self._displayed.show(cached.as_solved))
 
@@ -118,29 +106,21 @@ class Dispatcher:
         def watch() -> None:
             self._waiting = [each for each in self._waiting if not each.answer.done()]
             self._departures.trips.watch()
-            self._retry()
 
+        waits = self._recordings.waits
+        self._reporter.note('disk', f'the disk of the recordings has not responded for {waits:.0f} '
+                            's' if waits else '')
+        self._recordings.refuse()
         self._thread.submit(watch)
-
-    def prepare(self) -> None:
-        """Have a robot's trip to the latest goal solved in the background, before it asks."""
-        def solve() -> None:
-            with suppress(AmbushPlannerError):  # each caller gets the reason
-                self._plans.queue.check()
-                trip = self.inputs.locate(self.inputs.latest())
-                if trip.moves and not self._departures.trips.continued_by(trip):
-                    trip = trip.out_of_obstacle()
-                    if not self._plans.fit(trip):
-                        self._plans.solve(trip, background=True)
-
-        self._thread.submit(solve)
+        self._retry()
 
     def path_for(self, call: RecordedCall, trip_request: TripRequest, client: str = '',
                  draws: bool = False) -> Future[Answer]:
         """Return a path. Cancelling the future withdraws the request.
 
-        A newer request of the same ``client`` for another goal makes it fail with SolveCancelled.
-        ``draws``: always make a departure, even for a robot on its way.
+        A newer request of the same ``client``, for the same robot if that is the start, makes it
+        fail with SolveCancelled if it is for another goal. ``draws``: always make a departure, even
+        for a robot on its way.
         """
         if draws and not trip_request.parameters.values['path.publish']:
             raise InvalidOption(
@@ -156,7 +136,7 @@ class Dispatcher:
         latest = self.inputs.latest()
 
         def begin() -> None:
-            self._plans.queue.check()
+            self._gate.check()
             trip = self.inputs.locate(latest).out_of_obstacle()
             self._when_solved(self._plans.solve(trip), show, result)
 
@@ -168,60 +148,94 @@ class Dispatcher:
         self._thread.submit(begin, result)
         return result
 
-    def cancel(self) -> int:
-        """Cancel all solves, running and waiting; return their number."""
-        return self._plans.queue.cancel()
+    def cancel(self, why: AmbushPlannerError | None = None) -> tuple[int, int]:
+        """Cancel all solves, and refuse departures that wait for the disk; return their numbers."""
+        error = why or SolveCancelled('the request was cancelled')
+
+        def refuse() -> None:
+            for each in self._waiting:
+                if not each.answer.running():  # it has not been drawn
+                    _refuse(each, error)
+
+        departures = len(self._aside) + self._recordings.refuse(error)
+        self._thread.submit(refuse)
+        return self._plans.queue.cancel(str(error)), departures
 
     def _begin(self, pending: Pending) -> None:
         """Refuse the client's waiting requests for other goals, and try to answer."""
+        self._gate.check()
+        if not pending.draws:
+            robot = self.inputs.locate(pending.trip_request).robot
+            pending.client = f'{pending.client} {robot}' if pending.client and robot else ''
         for older in self._waiting:
             if (pending.client == older.client != '' and not older.answer.running()  # not drawn yet
                     and not pending.trip_request.leads_to(older.trip_request)):
-                with suppress(InvalidStateError):  # it has been answered or cancelled
-                    older.answer.set_exception(SolveCancelled(
-                        'a newer request for another goal has replaced this one'
-                    ))
+                _refuse(older, SolveCancelled(
+                    'a newer request for another goal has replaced this one'))
         self._waiting.append(pending)
         self._try(pending)
 
     def _try(self, pending: Pending) -> None:
-        """Answer without a departure, or depart on a plan, or try again once one is solved."""
+        """Answer without a departure, or depart on a plan, or try again once that is possible."""
         if pending.answer.done():  # cancelled, or a newer request has replaced this one
             return
-        self._plans.queue.check()
+        self._gate.check()
         trip = self.inputs.locate(pending.trip_request)
-        if not pending.draws and self._goes_on(trip, pending):
+        if (not pending.draws and self._goes_on(trip, pending)) or self._waits_for_room(pending):
             return
         trip = trip.out_of_obstacle()
-        fit = self._plans.fit(trip, pending.solves >= _ANY_VALUE_FROM)
+        fit = self._plans.fit(trip, pending.tries >= _ANY_VALUE_FROM)
         if not (fit and self._departures.draw(fit, pending)):
-            self._solve_for(trip, pending)
+            self._try_again(pending, trip)
+
+    def _waits_for_room(self, pending: Pending) -> bool:
+        """Put a request aside if there is no room for its recording.
+
+        To be asked before anything is drawn, so that no time passes in between.
+        """
+        now = time.monotonic()
+        if self._recordings.has_room(now - (pending.since or now)):
+            pending.since = None
+            return False
+        pending.since = pending.since or now
+        self._aside.append(pending)
+        return True
+
+    def _retry(self) -> None:
+        """Try the requests again that were put aside."""
+        def retry() -> None:
+            aside, self._aside = self._aside, []
+            for each in aside:
+                self._thread.submit(partial(self._try, each), each.answer)
+
+        if self._aside:
+            self._thread.submit(retry)
 
     def _goes_on(self, trip: Trip, pending: Pending) -> bool:
         """Answer a robot that has arrived or is on its way; False if it is neither."""
+        if left := self._departures.leaving.get(trip.robot):
+            self._thread.submit_after(left, lambda _: self._try(pending), pending.answer)
+            return True
         under_way = self._departures.trips.continued_by(trip)
-        if under_way and not under_way.left.done():  # try again once it has left, or has not
-            self._thread.submit_after(under_way.left, lambda _: self._try(pending), pending.answer)
-        elif under_way and under_way.track.is_undecided(trip.destination):
-            self._undecided.append(pending)
-        elif not trip.stops_xy and trip.ground.has_arrived(trip.start_xy, trip.goal_xy):
+        if not trip.stops_xy and trip.ground.has_arrived(trip.start_xy, trip.goal_xy):
             rows = np.array([(*trip.goal_xy, 0.0)])
             self._answer(trip, rows, 'arrived', pending, under_way is not None)
         elif under_way is None:
             return False
         else:
-            departure, rest = under_way.departure, under_way.track.rest(trip.start_xy, trip.goal_xy)
-            asked = replace(trip.request, parameters=departure.trip.parameters)
+            rest = under_way.track.rest(trip.start_xy, trip.goal_xy)
+            asked = replace(trip.request, parameters=under_way.asked.parameters)
             trip = replace(trip, request=asked)
             if not trip.ground.drivable_steps(rest[:, :2]).all():
-                return self._departures.divert(under_way, trip, pending)
-            self._answer(trip, rest, f'departure {departure.number} continued', pending, True)
+                return self._waits_for_room(pending) or self._departures.divert(under_way, trip,
+                                                                                pending)
+            self._answer(trip, rest, f'departure {under_way.number} continued', pending, True)
         return True
 
     def _answer(self, trip: Trip, rows: FloatArray, remarks: str, pending: Pending,
                 continued: bool) -> None:
         """Answer with a path (L, 3) that is no departure, and may continue one."""
-        if pending.answer.set_running_or_notify_cancel():
+        if pending.is_wanted():
             now = self._clock.now().nanoseconds
             self._reporter.note('request', None)
             if continued:
@@ -229,20 +243,23 @@ class Dispatcher:
             pending.answer.set_result(Answer(trip.path(rows, now), remarks,
                                              max(0, now - pending.call.request_ns)))
 
-    def _solve_for(self, trip: Trip, pending: Pending) -> None:
-        """Try again with a plan for this trip, unless too many were out of date."""
-        pending.solves += 1
-        if pending.solves > _MAX_SOLVES:
-            raise Refusal('OUT_OF_DATE', f'{_MAX_SOLVES} plans in a row were out of date when '
-                          'solved: the map changes or the robot drives too fast; stop it until it '
-                          'has its path, or raise network.spacing or strategy.max_gap')
-        self._when_solved(self._plans.share_or_solve(trip), lambda _: self._try(pending),
-                          pending.answer)
+    def _try_again(self, pending: Pending, trip: Trip | None = None) -> None:
+        """Try to answer, if need be with a new plan for a trip, unless too much was out of date."""
+        pending.tries += 1
+        if pending.tries > _MAX_TRIES:
+            raise Refusal('OUT_OF_DATE', f'{_MAX_TRIES} plans or routes in a row were out of date: '
+                          'the map changes or the robot drives too fast; stop it until it has its '
+                          'path, or raise network.spacing or strategy.max_gap')
+        if trip is None:
+            self._try(pending)
+        else:
+            self._when_solved(self._plans.share_or_solve(trip), lambda _: self._try(pending),
+                              pending.answer)
 
     def _when_solved(self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None],
                      result: Future[Any]) -> None:
         """Use the plan on the departures thread; an error becomes the exception of ``result``."""
-        self._reporter.refresh()
+        self._reporter.set()
         self._thread.submit_after(solve, lambda done: use(done.result()), result)
         # A future keeps its callbacks, and strong references both ways would keep the plan alive
         # until the next full garbage collection.
@@ -252,8 +269,7 @@ class Dispatcher:
         if (waiting := solve()) is not None:
             self._plans.queue.withdraw(waiting)
 
-    def _retry(self) -> None:
-        """Try the undecided requests again."""
-        undecided, self._undecided = self._undecided, []
-        for each in undecided:
-            self._thread.submit(partial(self._try, each), each.answer)
+
+def _refuse(pending: Pending, error: AmbushPlannerError) -> None:
+    with suppress(InvalidStateError):  # it has been answered or cancelled
+        pending.answer.set_exception(error)

@@ -7,11 +7,10 @@ from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
 
-from std_msgs.msg import Header
-
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
+from ..recordings.schemas import MARKER_NAMES
 from ..worker.solve_errors import SolveCancelled
 from .diagnostics import Reporter
 from .inputs import Inputs
@@ -26,7 +25,8 @@ class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
     Call ``show`` on the departures thread only, which is ``thread``. The plan is ``cached``, None
-    before the first one; ``markers`` are those of ``plan``, which may join it.
+    before the first one; ``markers`` are those of ``plan``, which may join it, that
+    recordings have: RViz and Foxglove hide the whole network.
     """
 
     def __init__(self, plans: PlanCache, inputs: Inputs, settings: NodeSettings,
@@ -49,10 +49,10 @@ class DisplayedPlan:
             self._refine(cached)
         if plan is self.plan:
             return
-        header = Header(frame_id=cached.trip.map.frame,
-                        stamp=self._publishers.clock.now().to_msg())
-        self.markers = tuple(self._publishers.publish(f'~/{name}', drawn(plan.strategy, header))
-                             for name, drawn in MARKERS.items())
+        frame, now = cached.trip.map.frame, self._publishers.clock.now().nanoseconds
+        sent = {name: self._publishers.publish(f'~/{name}', drawn(plan.trip, frame, now))
+                for name, drawn in MARKERS.items()}
+        self.markers = tuple(sent[name] for name in MARKER_NAMES)
         self.cached, self.plan = cached, plan
         self._reporter.set(plan=cached.plan, assessment=fit.assessment, stale='')
         if self._inputs.current_map() is not cached.trip.map:
@@ -71,19 +71,21 @@ class DisplayedPlan:
         it is solved again, unless a robot has driven away from its start.
         """
         self._map_is_new = False
-        cached, newest = self.cached, self._inputs.current_map()
+        cached, newest = self.cached, self._inputs.map
+        if newest is None:
+            return
         self._plans.keep_ground(newest)
         if cached is None or not newest.same_ground(cached.trip.map):
             self._reporter.set(assessment=None, stale='')
             return
         assessment, stale = cached.ground.assess(newest), ''
         tolerance = self._settings.current.values['replan.tolerance']
-        if assessment.is_stale(cached.plan.strategy.value, tolerance):
+        if assessment.is_stale(cached.plan.value, tolerance):
             stale = 'the map has changed: ' + (
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
             )
-            if not cached.trip.moves:
+            if not cached.trip.robot:
                 with suppress(AmbushPlannerError):  # the node is inactive
                     self._resolve(cached, stale)
                     stale += '; a new plan is being solved'

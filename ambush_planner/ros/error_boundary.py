@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from threading import Lock
 from typing import Any, TypeVar
@@ -16,6 +18,8 @@ from ..worker.solve_errors import for_the_log, known
 from .error_codes import code_of
 
 _Result = TypeVar('_Result')
+# How often an answer is sent to a client that is not known yet; each time takes 0.1 s.
+_SENDS = 30
 
 
 class ErrorBoundary:
@@ -62,8 +66,10 @@ def protect_services(node: Node) -> None:
     """Catch the errors of the services that rclpy itself has added to ``node``.
 
     They raise, for instance, at a parameter value of an unknown type, and at a transition that the
-    node's state does not have.
+    node's state does not have. Their answers are sent until the client is known.
     """
+    warnings.filterwarnings('error', 'failed to send response', RuntimeWarning)
+
     def answer_anyway(name: str, callback: Callable[[Any, Any], Any], request: Any,
                       response: Any) -> Any:
         try:
@@ -73,5 +79,18 @@ def protect_services(node: Node) -> None:
             node.get_logger().error(f'{name}: refused, {type(error).__name__}')
             return response
 
+    service: Any
     for service in list(node.services):
         service.callback = partial(answer_anyway, service.srv_name, service.callback)
+        service.send_response = partial(send_until_known, service.send_response)
+
+
+def send_until_known(send: Callable[[Any, Any], None], response: Any, header: Any) -> None:
+    """Send an answer, again if the middleware has not discovered its client within 0.1 s.
+
+    A lifecycle manager calls as soon as it has discovered the service, and would then wait for ever
+    where rclpy only warns; that warning is made an error here.
+    """
+    for _ in range(_SENDS):
+        with suppress(RuntimeWarning):
+            return send(response, header)

@@ -6,29 +6,35 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import NoReturn
+from functools import partial
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
-import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped
-from nav_msgs.msg import OccupancyGrid, Path
+from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Header
 
-from ..arrays import FloatArray
-from ..errors import InvalidPose, InvalidRiskMap
-from ..maps.ros_messages import path_from_ros, pose_from_ros, position_from_ros
-from ..planning.clear_ground import WAY_OUT, ClearGround
+from ..errors import AmbushPlannerError, InvalidPose, InvalidRiskMap
+from ..maps.ros_messages import pose_from_ros, position_from_ros
 from ..planning.trip_under_way import Position
-from ..recordings import type_name
-from .conversions import pose_to_ros
-from .current_map import CurrentMap, ReceivedMessage, map_from
+from .conversions import message_from, pose_to_ros
+from .current_map import CurrentMap, map_from
 from .error_codes import FrameMismatch, Refusal
 from .parameter_changes import NodeSettings
-from .topics import LATEST
 from .transforms import FrameTransforms
 from .trip import Trip, TripRequest
 
+_Read = TypeVar('_Read')
+
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.
 MAX_STOPS = 50
+
+
+class Arrived(NamedTuple):
+    """A serialised map or update of a map, and when it was sent [ns]."""
+
+    kind: type
+    data: bytes
+    sent_ns: int
 
 
 class Inputs:
@@ -36,8 +42,7 @@ class Inputs:
 
     A map is checked on arrival, and a malformed one leaves the previous map current. A pose is
     checked at departure, when its map is known; a bad pose replaces the previous one, so that no
-    convoy departs for an abandoned goal. If a trip starts at the robot, its pose is
-    recorded as if it had arrived on ``start_pose``. ``full_name`` is that of a topic.
+    convoy departs for an abandoned goal. ``full_name`` is that of a topic.
 
     Attributes
     ----------
@@ -57,29 +62,51 @@ class Inputs:
         wanted = settings.current.values['map.costmap']
         self.map_names = ('alpha_map', 'costmap') if wanted else ('alpha_map',)
         self._arrived: dict[str, CurrentMap | None] = dict.fromkeys(self.map_names)
-        self.start: ReceivedMessage | None = None
-        self.goal: ReceivedMessage | None = None
-        self.via: ReceivedMessage | None = None
+        self.start: PoseStamped | None = None
+        self.goal: PoseStamped | None = None
+        self.via: PoseArray | None = None
         self.asked_directly = False
         self.map: CurrentMap | None = None
-        self._refused: dict[str, InvalidRiskMap] = {}  # the last one of each topic
+        self._refused: dict[str, AmbushPlannerError] = {}  # the last error of each topic
         self._joined: tuple[object, ...] = ()  # what the current map was joined from
 
-    def accept_map(self, topic: str, received: ReceivedMessage) -> None:
-        """Take a map, or a map_msgs/OccupancyGridUpdate of one, for ``join_maps``.
+    def accept_map(self, topic: str, arrived: list[Arrived]) -> None:
+        """Take the newest map that arrived on a topic, and the updates sent since, all at once.
 
-        Raises InvalidRiskMap if it is malformed or does not fit the map, and Refusal if there is
-        none to update. The current map then stays.
+        rclpy hands over maps before updates, whichever was sent first. What cannot be used is left
+        out. Then raises the last of its errors: Refusal if bytes are not a message, or there is no
+        map to update, InvalidRiskMap if one is malformed or does not fit.
         """
-        if not isinstance(received.message, OccupancyGrid):
-            present = self._arrived[topic] or self._no_map()
-            self._arrived[topic] = present.updated(received.message)
-            return
-        try:
-            self._arrived[topic] = map_from(received)
-        except InvalidRiskMap as error:
-            self._refused[topic] = error
-            raise
+        errors, name = [], self._full_name(topic)
+
+        def read(each: Arrived, fits: Callable[[Any], _Read]) -> _Read | None:
+            try:
+                return fits(message_from(each.data, each.kind, name))
+            except (InvalidRiskMap, Refusal) as error:
+                errors.append(error)
+                return None
+
+        def fitting(update: Any) -> Any:
+            (newest or self._no_map()).check_update(update)
+            return update
+
+        in_order = sorted(arrived, key=lambda each: each.sent_ns)
+        maps = (read(each, partial(map_from, topic=name, sent_ns=each.sent_ns))
+                for each in reversed(in_order) if each.kind is OccupancyGrid)
+        newest = next(filter(None, maps), self._arrived[topic])
+        since = newest.sent_ns if newest else 0
+        updates = [update for each in in_order
+                   if each.kind is not OccupancyGrid and each.sent_ns >= since
+                   and (update := read(each, fitting))]
+        if newest is not None:
+            self.take(topic, newest.updated(updates) if updates else newest)
+        if errors:
+            self._refused[topic] = errors[-1]
+            raise errors[-1]
+
+    def take(self, topic: str, new: CurrentMap) -> None:
+        """Take the map of a topic for ``join_maps``."""
+        self._arrived[topic] = new
 
     def join_maps(self) -> CurrentMap | None:
         """Put the costmap's obstacles, if it is wanted, on the risk map; return the current map.
@@ -90,25 +117,27 @@ class Inputs:
         new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
         if new is None or None in self._arrived.values():
             return None
+        joined: tuple[object, ...] = (new,)
         if costmap is not None:
             current, header = self._settings.current, Header(frame_id=costmap.frame)
             origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
             there = pose_from_ros(self._transforms.to_frame(
                 origin, 'the costmap', new.frame, current.values['transform.max_age']).pose)
-            joined = new, costmap, there, current.occupancy.unknown_alpha is None
-            if self.map is not None and joined == self._joined:
-                return self.map
+            unknown = current.occupancy.unknown_alpha is None
+            joined = new, costmap, there, unknown
+        if joined != self._joined:
             self._joined = joined
-            new = new.with_costmap(replace(costmap, origin=there), joined[-1])
-        if self.map is None or not self.map.same_map(new):
-            self.map = new
+            if costmap is not None:
+                new = new.with_costmap(replace(costmap, origin=there), unknown)
+            if self.map is None or not self.map.same_map(new):
+                self.map = new
         return self.map
 
     def missing(self) -> tuple[str, ...]:
         """Return the full names of the topics of the inputs that have not arrived."""
         robot = self._settings.current.values['robot_base_frame']
         poses = {'start_pose': self.start or robot, 'goal_pose': self.goal}
-        inputs = {**self._arrived, **({} if self.asked_directly else poses)}
+        inputs: dict[str, Any] = {**self._arrived, **({} if self.asked_directly else poses)}
         return tuple(self._full_name(name) for name, given in inputs.items() if not given)
 
     def latest(self) -> TripRequest:
@@ -134,12 +163,8 @@ class Inputs:
         """
         self.asked_directly = True
         self.current_map()
-        received = [
-            ReceivedMessage(self._full_name(topic), type_name(message), message, LATEST)
-            for topic, message in (('start_pose', start), ('goal_pose', goal), ('via_poses', stops))
-        ]
-        via = received[2] if stops.poses else None
-        return TripRequest(self._settings.agreeing(), received[0], received[1], tolerance, via)
+        via = stops if stops.poses else None
+        return TripRequest(self._settings.agreeing(), start, goal, tolerance, via)
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises Refusal if none has arrived."""
@@ -161,31 +186,38 @@ class Inputs:
         Raises Refusal if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
         transformed into the map's frame or is not a valid pose.
         """
-        present, start, values = self.current_map(), request.start, request.parameters.values
-        robot, max_age = values['robot_base_frame'], values['transform.max_age']
+        present, max_age = self.current_map(), request.parameters.values['transform.max_age']
+        start_pose, robot = self.start_of(request)
 
         def on_map(pose: PoseStamped, name: str) -> PoseStamped:
             return self._transforms.to_frame(pose, name, present.frame, max_age)
 
-        frame = start.message.header.frame_id if start else ''
-        if start is None or (robot and not frame):
-            start_pose, frame = on_map(robot_pose(robot), 'start'), robot
-            start = ReceivedMessage(self._full_name('start_pose'), type_name(start_pose),
-                                    start_pose, LATEST)
-        else:
-            start_pose = on_map(start.message, 'start')
-        goal_pose = on_map(request.goal.message, 'goal')
-        via = request.via.message if request.via else PoseArray()
+        goal_pose, via = on_map(request.goal, 'goal'), request.via or PoseArray()
         if len(via.poses) > MAX_STOPS:
             raise InvalidPose(
                 f'via_poses: {len(via.poses)} stops, but at most {MAX_STOPS} are allowed')
         stops = {f'stop {number}': PoseStamped(header=via.header, pose=pose)
                  for number, pose in enumerate(via.poses, start=1)}
-        return Trip(present, replace(request, start=start), start_pose, goal_pose,
-                    position_from_ros(start_pose, 'start'), position_from_ros(goal_pose, 'goal'),
+        own = request.start is None or not request.start.header.frame_id
+        return Trip(present, replace(request, start=start_pose) if own else request, start_pose,
+                    goal_pose, position_from_ros(start_pose, 'start'),
+                    position_from_ros(goal_pose, 'goal'),
                     tuple(position_from_ros(on_map(stop, name), name)
-                          for name, stop in stops.items()),
-                    '' if frame == present.frame else frame)
+                          for name, stop in stops.items()), robot)
+
+    def start_of(self, request: TripRequest) -> tuple[PoseStamped, str]:
+        """Return where a trip starts on the current map now, and the frame of its robot.
+
+        A robot is ``robot_base_frame``, or a frame that moves in the map's; '': the start is a
+        fixed place. Raises as ``locate`` does.
+        """
+        frame, start, values = self.current_map().frame, request.start, request.parameters.values
+        own = robot_pose(values['robot_base_frame'])
+        start = own if own and not (start and start.header.frame_id) else start or PoseStamped()
+        on_map = self._transforms.to_frame(start, 'start', frame, values['transform.max_age'])
+        robot = start.header.frame_id
+        moves = robot == values['robot_base_frame'] or self._transforms.moves(robot, frame)
+        return on_map, robot if moves else ''
 
     def robot_place(self, robot: str, frame: str, max_age: float) -> Position | None:
         """Return where a robot's frame is in another one [m]; None if that is not known."""
@@ -194,43 +226,6 @@ class Inputs:
             return pose and position_from_ros(
                 self._transforms.to_frame(pose, 'start', frame, max_age), 'start')
         return None
-
-    def invalid_poses(self, path: Path) -> list[int] | None:
-        """Return the indices of a path's poses, from the robot on, that cannot be reached.
-
-        The newest map counts. None if the path has no poses: Nav2's trees ask so before their first
-        path. Raises Refusal without a map, FrameMismatch if the path is not in the map's frame, and
-        InvalidPose.
-        """
-        if not path.poses:
-            return None
-        newest, parameters = self.current_map(), self._settings.current
-        if path.header.frame_id != newest.frame:
-            raise FrameMismatch(f'the path is in the frame {path.header.frame_id[:80]!r}, the map '
-                                f'in {newest.frame!r}')
-        points = path_from_ros(path)[:, :2]
-        if not np.isfinite(points).all():
-            raise InvalidPose('path: positions must be finite')
-        values = parameters.values
-        place = self.robot_place(values['robot_base_frame'], newest.frame,
-                                 values['transform.max_age'])
-        first = _first_near(points, place) if place else 0
-        rest = points[first:]
-        ground = ClearGround(newest, parameters.occupancy, parameters.planning.network)
-        if len(rest) == 1:
-            return [] if ground.segments(rest, rest).all() else [first]
-        return (np.flatnonzero(~ground.drivable_steps(rest)) + first + 1).tolist()
-
-
-def _first_near(points: FloatArray, place: Position) -> int:
-    """Return the pose of a path (L, 2) where it first passes a place [m].
-
-    The nearest pose of a way out and back may be on the way back.
-    """
-    away, steps = np.hypot(*(points - place).T), np.hypot(*np.diff(points, axis=0).T)
-    near = away <= max(WAY_OUT + steps.max(initial=0.0), away.min())
-    first = int(near.argmax())
-    return first + int(np.append(np.diff(away[first:]) < 0.0, False).argmin())
 
 
 def robot_pose(frame: str) -> PoseStamped | None:

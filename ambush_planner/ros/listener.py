@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from threading import Event, Thread
+from typing import Any
 
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 
 from ..worker.solve_errors import for_the_log, unexpected
 
@@ -16,27 +19,39 @@ _SPIN_PERIOD = 0.25
 
 
 class Listener:
-    """Runs the callbacks of a ``node`` of its own in a thread; ``start`` it once they are all set.
+    """Receives maps, transforms and paths to check in a thread; ``start`` it once all are set.
 
-    Large or frequent messages then do not keep the planner's executor from answering. The node,
-    ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's context and enclave;
-    resolve its names by the planner's node. The thread ends with ``close`` or with the context.
+    They then do not keep the planner's executor from answering. The ``node``, ``_NAME_listener``,
+    is hidden from ``ros2 node list`` and in the planner's context and enclave. The thread ends with
+    ``close`` or with the context.
     """
 
-    def __init__(self, node: Node, purpose: str) -> None:
-        self._planner, self._purpose = node, purpose
+    def __init__(self, planner: Node) -> None:
+        self._planner = planner
         self.node = Node(
-            f'_{node.get_name()}_{purpose}', context=node.context, namespace=node.get_namespace(),
+            f'_{planner.get_name()}_listener', context=planner.context,
+            namespace=planner.get_namespace(),
             # Command line arguments belong to the planner's node, which resolves the names.
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
             # The SROS2 policy does not grant it these services.
             parameter_overrides=[Parameter('start_type_description_service', value=False),
                                  Parameter('use_sim_time', value=False)],
         )
-        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor = SingleThreadedExecutor(context=planner.context)
         self._executor.add_node(self.node)
         self._closed = Event()
         self._thread = Thread(target=self._spin, name=self.node.get_name(), daemon=True)
+
+    def subscribe(self, kind: type, topic: str, qos: QoSProfile,
+                  receive: Callable[..., None]) -> None:
+        """Have ``receive`` called with each serialised message and what DDS says of it."""
+        self.node.create_subscription(kind, self._planner.resolve_topic_name(topic), receive, qos,
+                                      raw=True)
+
+    def serve(self, kind: Any, name: str, respond: Callable[[Any], Any]) -> None:
+        """Serve requests, each with what ``respond`` returns."""
+        self.node.create_service(kind, self._planner.resolve_service_name(name),
+                                 lambda request, _: respond(request))
 
     def start(self) -> None:
         """Begin to receive."""
@@ -59,6 +74,5 @@ class Listener:
             except ExternalShutdownException:
                 return
             except Exception as error:  # unreadable bytes, for instance
-                self._planner.get_logger().error(
-                    f'{self._purpose}: {for_the_log(unexpected(error))}',
-                    throttle_duration_sec=10.0)
+                self._planner.get_logger().error(f'listener: {for_the_log(unexpected(error))}',
+                                                 throttle_duration_sec=10.0)

@@ -1,25 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Markers of a strategy for RViz and Foxglove: one per topic, built from whole arrays.
 
-Each function returns a serialised visualization_msgs/MarkerArray.
+Each function returns a serialised visualization_msgs/MarkerArray for a frame and a time [ns].
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
-from geometry_msgs.msg import Vector3
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker
 
 from ..arrays import FloatArray, IndexArray
-from ..game.strategy import Strategy
+from ..game.strategy import TripStrategy
 from ..network.network import Network
-from .cdr import marker_array
+from ..recordings.cdr import LINE_LIST, SPHERE_LIST, marker_array
 
 # Minimum probability of edges and nodes that are drawn, and of sites relative to the likeliest one:
 # others would be almost transparent.
-_MIN_SHOWN = 1e-4
+_MIN_SHOWN = 1e-3
+# Accuracy of positions, as a share of the edge length, and of colours: finer digits cannot be seen,
+# and would double the size of a recording.
+_ACCURACY, _LEVELS = 1.0 / 64.0, 128.0
 # Height of a layer as a fraction of the network's extent, and its maximum [m]. In Foxglove, lines
 # must lie below the path, which is at 0, and discs above the map.
 _HEIGHT, _MAX_HEIGHT = 0.005, 50.0
@@ -30,60 +32,66 @@ _DISCS = ('ambush_sites', 'stops')
 # so that the path below them is visible.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
 _AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 0.9]])
+_PLAIN_COLOURS = {'stops': (0.0, 0.2, 1.0, 0.9), 'network': (0.5, 0.5, 0.5, 0.4)}
 _ONE_COLOUR = np.empty((0, 4), dtype=np.float32)
 
 
-def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
+def edge_probabilities(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a line list of the edges in use, coloured by the square root of their probability.
 
-    The root keeps the many edges in the middle visible compared with the few at the ends.
+    The root keeps the many edges in the middle visible compared with the few at the ends. Of a trip
+    with stops, the uses by all legs.
     """
-    network, p = strategy.network, strategy.shown_probability
-    shown = np.flatnonzero(p >= _MIN_SHOWN)
-    colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
-    return _marker('edge_probabilities', header, network, 0.12,
-                   network.points[network.edges[shown].ravel()], colours)
+    network, (edges, uses) = trip.game.network, trip.ground_uses
+    shown = np.flatnonzero(uses >= _MIN_SHOWN)
+    colours = _colours(_CONVOY, np.repeat(np.sqrt(np.minimum(uses[shown], 1.0)), 2))
+    return _marker('edge_probabilities', frame, stamp_ns, network, 0.12,
+                   network.points[edges[shown].ravel()], colours)
 
 
-def mean_direction(strategy: Strategy, header: Header) -> bytes:
+def mean_direction(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a line list with an arrow per node: the average direction of convoys from there.
 
-    The length shows how certain the direction is, the colour how often the node is visited.
+    The length shows how certain the direction is, the colour how often the node is visited. Each
+    leg has arrows of its own.
     """
-    network, x = strategy.network, strategy.game.visits(strategy.shown_probability)
-    direction = strategy.mean_direction()
-    shown = np.flatnonzero((x >= _MIN_SHOWN) & (np.hypot(*direction.T) > 1e-6))
-    arrows = _arrows(network.points[shown], 0.8 * _edge_length(network) * direction[shown])
-    return _marker('mean_direction', header, network, 0.06, arrows,
-                   _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
+    network, arrows, often = trip.game.network, [], []
+    for leg in trip.legs:
+        x, direction = leg.visit_probability, leg.mean_direction()
+        shown = np.flatnonzero((x >= _MIN_SHOWN) & (np.hypot(*direction.T) > 1e-6))
+        arrows.append(_arrows(network.points[shown],
+                              0.8 * _edge_length(network) * direction[shown]))
+        often.append(x[shown])
+    colours = _colours(_CONVOY, np.repeat(np.sqrt(np.concatenate(often)), 6))
+    return _marker('mean_direction', frame, stamp_ns, network, 0.06, np.concatenate(arrows),
+                   colours)
 
 
-def ambush_sites(strategy: Strategy, header: Header) -> bytes:
+def ambush_sites(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a list of flat discs at the ambush sites, coloured by their probability.
 
     Discs have the ambush radius, if it is not 0. If no ambush causes a loss, the list is empty.
     """
-    network, q = strategy.network, strategy.ambush_at_places
+    network, q = trip.game.network, trip.ambusher.q
     often = float(q.max())
-    shown = np.flatnonzero((q >= _MIN_SHOWN * often) & (strategy.value > 0.0))
-    diameter = 2.0 * strategy.game.reach / _edge_length(network) or 0.6
-    return _marker('ambush_sites', header, network, diameter,
-                   network.points[network.representatives[shown]],
+    shown = np.flatnonzero((q >= _MIN_SHOWN * often) & (trip.value > 0.0))
+    diameter = 2.0 * trip.game.reach / _edge_length(network) or 0.6
+    return _marker('ambush_sites', frame, stamp_ns, network, diameter, network.points[shown],
                    _colours(_AMBUSHER, q[shown] / often))
 
 
-def stops(strategy: Strategy, header: Header) -> bytes:
+def stops(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a list of flat discs at the stops."""
-    network = strategy.network
-    return _marker('stops', header, network, 1.0, network.points[network.stops],
-                   colour=ColorRGBA(r=0.0, g=0.2, b=1.0, a=0.9))
+    network, begins = trip.game.network, [leg.network.source for leg in trip.legs[1:]]
+    return _marker('stops', frame, stamp_ns, network, 1.0,
+                   network.points[np.array(begins, dtype=np.int64)])
 
 
-def network_lines(strategy: Strategy, header: Header) -> bytes:
+def network_lines(trip: TripStrategy, frame: str, stamp_ns: int) -> bytes:
     """Return a grey line list of all edges, with opposite edges drawn once."""
-    network = strategy.network
-    return _marker('network', header, network, 0.03, network.points[_pairs(network).ravel()],
-                   colour=ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4))
+    network, (edges, _) = trip.game.network, trip.ground_uses
+    return _marker('network', frame, stamp_ns, network, 0.03,
+                   network.points[_pairs(edges, len(network.points)).ravel()])
 
 
 # What draws the marker of each topic, by its name below the node's.
@@ -91,24 +99,20 @@ MARKERS = {'network': network_lines, 'edge_probabilities': edge_probabilities,
            'mean_direction': mean_direction, 'ambush_sites': ambush_sites, 'stops': stops}
 
 
-def _marker(namespace: str, header: Header, network: Network, size: float, points: FloatArray,
-            colours: npt.NDArray[np.float32] = _ONE_COLOUR,
-            colour: ColorRGBA | None = None) -> bytes:
+def _marker(namespace: str, frame: str, stamp_ns: int, network: Network, size: float,
+            points: FloatArray, colours: npt.NDArray[np.float32] = _ONE_COLOUR) -> bytes:
     """Return lines of a width, or discs of a diameter, in edge lengths.
 
     Without points it deletes an earlier marker.
     """
     length, extent = _edge_length(network), float(np.ptp(network.points, axis=0).max())
-    width = float(size * length)
-    discs, scale = namespace in _DISCS, Vector3(x=width)
-    if discs:
-        scale.y, scale.z = width, 0.1 * length
-    marker = Marker(header=header, ns=namespace, scale=scale, color=colour or ColorRGBA(),
-                    type=Marker.SPHERE_LIST if discs else Marker.LINE_LIST,
-                    action=Marker.ADD if len(points) else Marker.DELETE)
-    marker.pose.orientation.w = 1.0
-    marker.pose.position.z = _LAYERS[namespace] * min(_HEIGHT * extent, _MAX_HEIGHT)
-    return marker_array(marker, points, colours)
+    discs, width = namespace in _DISCS, size * length
+    height = _LAYERS[namespace] * min(_HEIGHT * extent, _MAX_HEIGHT)
+    scale = (width, width, 0.1 * length) if discs else (width, 0.0, 0.0)
+    unit = 2.0 ** math.floor(math.log2(_ACCURACY * length))  # so that the last bits are 0
+    return marker_array(frame, stamp_ns, namespace, SPHERE_LIST if discs else LINE_LIST, height,
+                        scale, _PLAIN_COLOURS.get(namespace, (0.0,) * 4),
+                        np.rint(points / unit) * unit, np.rint(colours * _LEVELS) / _LEVELS)
 
 
 def _edge_length(network: Network) -> float:
@@ -116,14 +120,12 @@ def _edge_length(network: Network) -> float:
     return float(np.median(network.lengths))
 
 
-def _pairs(network: Network) -> IndexArray:
-    """Return the first nodes (K, 2) of connected places, each pair once."""
-    count = network.place_count
-    tails, heads = network.places[network.edges].T
+def _pairs(edges: IndexArray, count: int) -> IndexArray:
+    """Return the connected nodes (K, 2) of edges (M, 2) between ``count``, each pair once."""
+    tails, heads = edges.T
     # One number per pair: np.unique over rows takes 8 times as long.
     keys = np.unique(np.minimum(tails, heads) * count + np.maximum(tails, heads))
-    pairs = np.stack(np.divmod(keys, count), axis=1)
-    return np.asarray(network.representatives[pairs])
+    return np.stack(np.divmod(keys, count), axis=1)
 
 
 def _colours(ramp: FloatArray, shares: FloatArray) -> npt.NDArray[np.float32]:

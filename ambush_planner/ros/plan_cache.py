@@ -24,13 +24,14 @@ from ..planning.solving import WarmStart
 from ..routes.driven_path import Ends
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
-from .trip import Trip
+from .gate import Gate
+from .trip import Suits, Trip, how
 
 # Least spacing that is expected of a plan that is being solved [m].
 _LEAST_SPACING = 0.1
 # Maximum number of plans kept, and of the bytes that they take for each edge, and for each cell of
-# the maps that a plan was solved and last assessed on, which are kept with their messages.
-_MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 330_000_000, 1100, 4
+# the map that a plan was solved on.
+_MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 150_000_000, 1100, 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +72,11 @@ class Task:
 
     def will_suit(self, trip: Trip) -> bool:
         """Whether the plan will probably suit a trip."""
-        own, planning = self.trip, trip.parameters.planning
+        planning, limit = trip.parameters.planning, self.parameters.planning.strategy.time_limit
         # The planner chooses a spacing that is at least the map's resolution.
         spacing = planning.network.spacing or max(trip.map.resolution, _LEAST_SPACING)
-        return (trip.map.same_ground(own.map) and own.conditions == trip.conditions
-                and own.parameters.planning.strategy.time_limit == planning.strategy.time_limit
-                and own.request.goal_tolerance == trip.request.goal_tolerance
-                and (own.distance(trip) <= start_tolerance(planning, spacing)
-                     or own.is_joined_by(trip, spacing)))
+        suits = how(self.trip, trip, spacing, start_tolerance(planning, spacing))
+        return suits != Suits.NOT and limit == planning.strategy.time_limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,44 +106,41 @@ class CachedPlan:
         """Return where routes for this trip begin and end [m]."""
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
+    def how(self, trip: Trip) -> Suits:
+        """Return how the plan suits a trip; a goal that was moved stays the same."""
+        if self.goal_was_moved and trip.goal_xy != self.trip.goal_xy:
+            return Suits.NOT
+        return how(self.trip, trip, self.plan.spacing, self.plan.start_tolerance)
+
     def fit(self, trip: Trip) -> Fit | None:
-        """Return how one can depart on this plan for a trip that may differ a little, if at all."""
-        own, plan = self.trip, self.plan
-        if plan.options.network.roads and own.is_joined_by(trip, plan.spacing):
-            way = np.array([trip.start_xy]), np.array([own.start_xy])
-            if trip.ground.segments(*way)[0]:  # the robot drives to the planned start
-                trip = replace(trip, start_xy=own.start_xy)
-        away = own.distance(trip)
-        same_goal = own.goal_and_tolerance == trip.goal_and_tolerance
-        if (away > plan.start_tolerance or not self._serves(trip)
-                or (self.goal_was_moved and not same_goal)):
+        """Return how one can depart from a trip's own place, if at all."""
+        suits = self.how(trip)
+        if suits > Suits.NEARLY or not self._allows(trip):
             return None
-        fits = away == 0.0 or self.ground.connects(trip.map, self.ends(trip))
+        fits = suits == Suits.EXACTLY or self.ground.connects(trip.map, self.ends(trip))
         return Fit(self, trip) if fits else None
 
     def joined(self, trip: Trip, at_any_value: bool) -> Fit | None:
         """Return how a robot that has moved joins this plan from where it is, if at all.
 
-        Unless ``at_any_value``, that must not raise the value by more than ``strategy.max_gap``.
+        Unless ``at_any_value``, that must not raise the value by more than ``strategy.max_gap``. On
+        roads it drives to the planned start.
         """
-        if not (self.trip.is_joined_by(trip, self.plan.spacing) and self._serves(trip)):
+        if not self._allows(trip):
             return None
+        if self.plan.options.network.roads:
+            way = np.array([trip.start_xy]), np.array([self.trip.start_xy])
+            clear = trip.ground.segments(*way)[0]
+            return Fit(self, replace(trip, start_xy=self.trip.start_xy)) if clear else None
         joined = joined_plan(self.ground, trip.map, self.ends(trip))
-        most = (1.0 + trip.parameters.planning.max_gap) * self.plan.strategy.value
+        most = (1.0 + trip.parameters.planning.max_gap) * self.plan.value
         good = joined and (at_any_value or joined.assessment.value <= most)
         return Fit(self, trip, joined) if good else None
 
-    def answers(self, trip: Trip) -> bool:
-        """Whether the plan is for exactly this trip, perhaps on another map."""
-        return (self.trip.start_xy == trip.start_xy
-                and self.trip.goal_and_tolerance == trip.goal_and_tolerance
-                and self.trip.conditions == trip.conditions)
-
-    def _serves(self, trip: Trip) -> bool:
+    def _allows(self, trip: Trip) -> bool:
         """Whether one may depart on this plan on a trip's map and with its parameters."""
-        return (trip.map.same_ground(self.trip.map) and self.trip.conditions == trip.conditions
-                and self.ground.assess(trip.map).allows_departure(
-                    trip.parameters.planning.max_gap, self.plan.strategy.gap))
+        return self.ground.assess(trip.map).allows_departure(
+            trip.parameters.planning.max_gap, self.plan.trip.gap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,16 +175,16 @@ class Fit:
 class PlanCache:
     """Plans by trip: kept, or solved in the worker process; thread-safe.
 
-    Methods that solve raise what the ``queue`` refuses them with, and QueueFull if too many solves
-    wait.
+    Methods that solve raise what a closed ``gate`` refuses them with, and QueueFull if too many
+    solves wait.
     """
 
-    def __init__(self, logger: RcutilsLogger) -> None:
+    def __init__(self, gate: Gate, logger: RcutilsLogger) -> None:
         self._logger = logger
         self._plans: list[CachedPlan] = []  # the least recently used one first
         self._lock = RLock()
         self._losses = LatestLosses()
-        self.queue: SolveQueue[Task, CachedPlan] = SolveQueue()
+        self.queue: SolveQueue[Task, CachedPlan] = SolveQueue(gate.check)
 
     def fit(self, trip: Trip, at_any_value: bool = False) -> Fit | None:
         """Return the nearest plan that suits a trip, else the nearest one that can be joined.
@@ -197,9 +192,10 @@ class PlanCache:
         ``at_any_value``: even if joining it raises the value much.
         """
         with self._lock:
-            plans = sorted(self._plans, key=lambda one: one.trip.distance(trip))
-            near = [each for each in plans if each.trip.is_joined_by(trip, each.plan.spacing)]
-            tries = chain((each.fit(trip) for each in plans),
+            suiting = sorted((each for each in self._plans if each.how(trip) != Suits.NOT),
+                             key=lambda one: one.trip.distance(trip))
+            near = [each for each in suiting if trip.robot and each.trip.goal_xy == trip.goal_xy]
+            tries = chain((each.fit(trip) for each in suiting),
                           (each.joined(trip, at_any_value) for each in near[:1]))
             fit = next(filter(None, tries), None)
             if fit is not None:
@@ -216,11 +212,10 @@ class PlanCache:
         """Solve for exactly this trip.
 
         If the network is to be refined and no refined plan is known, on whichever map, this is a
-        first plan. A ``background`` solve gives way to solves that somebody waits for, and to the
-        next background solve.
+        first plan. A ``background`` solve is given up for the next one that somebody waits for.
         """
         with self._lock:
-            known = next((each for each in self._plans if each.answers(trip)), None)
+            known = next((each for each in self._plans if each.how(trip) == Suits.EXACTLY), None)
             first = is_graded(trip.parameters.planning) and (known is None or known.task.first)
             earlier = known if known and known.trip.map is not trip.map else None
             return self._submit(Task(trip, first), earlier, background)
@@ -250,20 +245,20 @@ class PlanCache:
     def _submit(self, task: Task, known: CachedPlan | None, background: bool,
                 low_priority: bool = False) -> Future[CachedPlan]:
         """Solve, starting from a ``known`` plan for nearly the same."""
-        warm = WarmStart.of(known.plan.strategy) if known else None
+        warm = WarmStart.of(known.plan.trip) if known else None
         return self.queue.submit(task, task.request(warm), partial(self._solved, task),
                                  task.parameters.values['queue.size'], background, low_priority)
 
     def _solved(self, task: Task, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
         cached = self.adopt(task, plan)
-        self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
-                          f'{plan.network.place_count} nodes')
+        self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.value:.6g}, '
+                          f'{len(plan.network.points)} nodes')
         return cached
 
     def _keep(self, cached: CachedPlan) -> None:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
-        others = [each for each in self._plans if not each.answers(cached.trip)]
+        others = [each for each in self._plans if each.how(cached.trip) != Suits.EXACTLY]
         taken = np.cumsum([
             _OF_EDGE * len(each.plan.network.edges) + _OF_CELL * each.trip.map.values.size
             for each in (cached, *reversed(others))])

@@ -12,18 +12,14 @@ from std_msgs.msg import Header
 
 from ..errors import InvalidOption
 from ..maps.occupancy import risk_from_occupancy
-from ..parameters.table import PARAMETERS
-from ..parameters.values import NO_OPTIONS, NodeParameters
-from ..recordings import UnreadableRecording, type_name
+from ..parameters.table import PARAMETERS, is_planned
+from ..parameters.values import NodeParameters
+from ..recordings import UnreadableRecording
 from ..recordings.plain_messages import grid_values
 from ..recordings.plan_file import SavedPlan, read_plan
 from .conversions import occupancy_to_ros, pose_to_ros
-from .current_map import ReceivedMessage
-from .topics import LATCHED
+from .current_map import CurrentMap, map_from
 from .trip import TripRequest
-
-# Parameters that the plan sets begin with one of these; the node keeps the others.
-_SET = ('map.', 'network.', 'game.', 'strategy.', 'route.')
 
 
 def read_plan_for_node(path: str) -> SavedPlan:
@@ -50,24 +46,18 @@ def read_plan_for_node(path: str) -> SavedPlan:
 def planned_parameters(saved: SavedPlan) -> dict[str, Any]:
     """The parameters that a plan sets, by name."""
     return {name: value for name, value in saved.parameters.values.items()
-            if name in PARAMETERS and name.startswith(_SET)
-            and (name not in NO_OPTIONS or name == 'map.preset')}
+            if name in PARAMETERS and (is_planned(name) or name == 'map.preset')}
 
 
 def inputs_of(saved: SavedPlan, parameters: NodeParameters,
-              resolve: Callable[[str], str]) -> tuple[ReceivedMessage, TripRequest]:
-    """The messages from which a plan could have been made; ``resolve`` gives a topic's name."""
+              full_name: Callable[[str], str]) -> tuple[CurrentMap, TripRequest]:
+    """The map and the trip of a plan as if they had arrived; ``full_name`` is that of a topic."""
     plan, header = saved.plan, Header(frame_id=saved.frame)
     risk_map, network = plan.own_map, plan.network
-    values = grid_values(risk_map, saved.parameters.occupancy)
-
-    def received(topic: str, message: Any) -> ReceivedMessage:
-        return ReceivedMessage(resolve(topic), type_name(message), message, LATCHED)
-
+    grid = occupancy_to_ros(grid_values(risk_map, saved.parameters.occupancy), risk_map.resolution,
+                            risk_map.origin, header)
     start, goal = (PoseStamped(header=header, pose=pose_to_ros(*network.points[node].tolist()))
                    for node in (network.source, network.target))
     stops = PoseArray(header=header, poses=[pose_to_ros(*xy) for xy in plan.stops_xy])
-    grid = occupancy_to_ros(values, risk_map.resolution, risk_map.origin, header)
-    via = received('via_poses', stops) if plan.stops_xy else None
-    return received('alpha_map', grid), TripRequest(
-        parameters, received('start_pose', start), received('goal_pose', goal), via=via)
+    return (map_from(grid, full_name('alpha_map')),
+            TripRequest(parameters, start, goal, via=stops if plan.stops_xy else None))

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from functools import partial
 from typing import Any
 
 import rclpy
@@ -32,9 +30,11 @@ from .conversions import installed_type
 from .diagnostics import Reporter
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
-from .error_codes import Refusal
+from .gate import ACTIVE, Gate
 from .inputs import Inputs
+from .listener import Listener
 from .parameter_changes import NodeSettings
+from .path_checks import PathChecks
 from .plan_from_file import inputs_of
 from .recordings import Recordings
 from .requests import Requests
@@ -84,8 +84,10 @@ class PlannerNode(LifecycleNode):
         self._dispatcher: Dispatcher | None = None  # while the node is configured
         self._recordings: list[Recordings] = []  # those of earlier configurations may still write
         self._transition_error: Exception | None = None
-        self._settings = NodeSettings(self, lambda why: self._reporter.note('parameters', why))
-        self._bond = Bond(self)
+        self._gate = Gate()
+        self._settings = NodeSettings(self, self._gate,
+                                      lambda why: self._reporter.note('parameters', why))
+        Bond(self, self._gate)
         current, logger = self._settings.current, self.get_logger()
         if current.values['seed'] >= 0:
             logger.warning('the parameter seed is set: every run draws the same sequence of '
@@ -100,7 +102,6 @@ class PlannerNode(LifecycleNode):
         self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
         self._at_end.callback(self._error_boundary.log_repeated)
         self._requests = Requests(self, self._error_boundary, self._configured_dispatcher)
-        self._at_end.callback(self._requests.close)
         for name, kind in ACTIONS.items():
             if action := installed_type('nav2_msgs.action', kind):
                 serving = ComputePath(self, self._error_boundary, self._requests, self._settings,
@@ -120,11 +121,11 @@ class PlannerNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer requests."""
-        return self._changed('activate', partial(self._set_active, True))
+        return self._changed('activate', self._activate)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests and cancel solves; plans and inputs are kept."""
-        return self._changed('deactivate', partial(self._set_active, False))
+        return self._changed('deactivate', self._deactivate)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything except the parameters."""
@@ -132,7 +133,7 @@ class PlannerNode(LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests for good."""
-        return self._changed('shutdown', partial(self._unconfigure, 'finalized'))
+        return self._changed('shutdown', lambda: self._unconfigure('finalized'))
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Be unconfigured after a transition that failed, whose error stays reported."""
@@ -155,48 +156,57 @@ class PlannerNode(LifecycleNode):
         with ExitStack() as made:
             publishers = Publishers(self, PLAN_TOPICS)
             made.callback(publishers.close)
-            transforms = FrameTransforms(self)
+            self._listener = listener = Listener(self)
+            made.callback(listener.close)
+            transforms = FrameTransforms(self, listener)
             made.callback(transforms.close)
             inputs = Inputs(transforms, self.resolve_topic_name, self._settings)
             recordings = Recordings(self._settings.current.recording, self._reporter,
-                                    self.get_logger())
+                                    self.get_logger(), self.resolve_topic_name)
             made.callback(recordings.finish)
             self._recordings = [recordings, *(each for each in self._recordings if each.alive)]
             dispatcher = Dispatcher(self._settings, inputs, publishers, recordings,
-                                    self._reporter, self.get_logger())
+                                    self._reporter, self.get_logger(), self._gate)
             made.callback(dispatcher.close)
             if (saved := self._settings.saved) is not None:  # before newer maps arrive
                 dispatcher.adopt(saved, *inputs_of(saved, self._settings.current,
                                                    self.resolve_topic_name))
-            self._listening = Subscriptions(self, inputs, self._settings, self._error_boundary,
-                                            self._reporter, dispatcher)
+            self._listening = Subscriptions(self, listener, inputs, self._settings,
+                                            self._error_boundary, self._reporter, dispatcher)
             made.callback(self._listening.close)
+            PathChecks(listener, inputs, self._settings, self._error_boundary)
+            made.callback(listener.close)  # first: nothing is received any more
+            listener.start()
             self._at_cleanup = made.pop_all()
         self._dispatcher = dispatcher
-        self._reporter.set(lifecycle='inactive')
+        self._move('inactive')
 
     def _configured_dispatcher(self) -> Dispatcher:
         if (dispatcher := self._dispatcher) is None:  # read once: a cleanup may forget it
-            raise Refusal(
-                'INACTIVE', 'the node is not configured: configure and activate it first (ros2 '
-                'lifecycle set); after a cleanup, publish start and goal again (a latched map '
-                'arrives by itself)')
+            raise self._gate.refusal
         return dispatcher
 
-    def _set_active(self, active: bool) -> None:
-        self._configured_dispatcher().set_active(active)
-        self._settings.active = active
-        self._bond.set_active(active)
-        self._reporter.set(lifecycle='active' if active else 'inactive')
+    def _activate(self) -> None:
+        dispatcher = self._configured_dispatcher()
+        self._move(ACTIVE)
+        dispatcher.map_changed()
+
+    def _deactivate(self) -> None:
+        self._move('inactive')
+        self._configured_dispatcher().cancel(self._gate.refusal)
 
     def _unconfigure(self, state: str = 'unconfigured') -> None:
-        self._settings.active = False
-        self._bond.set_active(False)
+        self._move(state)
         try:
             self._at_cleanup.close()
         finally:
             self._dispatcher = None
-            self._reporter.unconfigured(state)
+            self._reporter.forget()
+
+    def _move(self, state: str) -> None:
+        """Be in a lifecycle state."""
+        self._gate.move(state)
+        self._reporter.set()
 
     def stop_solving(self, executor: Executor) -> None:
         """Cancel all solves and refuse waiting requests; action goals by spinning ``executor``.
@@ -204,8 +214,9 @@ class PlannerNode(LifecycleNode):
         The executor spins for a moment: the answer to a goal takes several tasks, and answers are
         lost if DDS announces first that the node has gone.
         """
+        self._move('finalized')
         if self._dispatcher is not None:
-            self._dispatcher.stop_solving()
+            self._dispatcher.stop()
         end = time.monotonic() + _LAST_ANSWERS_TIME
         with suppress(ExternalShutdownException):
             while time.monotonic() < end:
@@ -227,10 +238,11 @@ class PlannerNode(LifecycleNode):
         return result
 
     def _present(self) -> dict[str, Any]:
-        if (dispatcher := self._dispatcher) is None:
-            return {}
-        solving, refining = dispatcher.activity
-        return {'solving': solving, 'refining': refining, 'missing': dispatcher.inputs.missing()}
+        present: dict[str, Any] = {'lifecycle': self._gate.state}
+        if (dispatcher := self._dispatcher) is not None:
+            present['solving'], present['refining'] = dispatcher.activity
+            present['missing'] = dispatcher.inputs.missing()
+        return present
 
     def _report(self) -> None:
         self._error_boundary.log_repeated()
@@ -252,37 +264,19 @@ def check_arguments(arguments: list[str] | None) -> None:
         parser.parse_args(remove_ros_args(given)[1:])
 
 
-def noted_signals() -> list[int]:
-    """Have SIGINT and SIGTERM do nothing but append their numbers to the returned list.
-
-    rclpy's handlers end the context at once, whatever its threads are doing, which crashes a
-    starting node; and an Event's lock would not let one signal interrupt another. A second Ctrl-C
-    does not interrupt the clean-up.
-    """
-    received: list[int] = []
-    _handle_signals(lambda number, _: received.append(number))
-    return received
-
-
-def _handle_signals(handler: Callable[[int, Any], None] | signal.Handlers) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handler)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
+def main(args: list[str] | None, received: list[int]) -> int:
+    """Run the node until a signal has been ``received`` or its context ends; return the code."""
     check_arguments(args)
     os.umask(0o077)  # for logs, and whatever else libraries write
-    received = noted_signals()
     try:
         with ExitStack() as ending:
-            # Python restores its handlers at its end, and a second Ctrl-C would kill it then.
-            ending.callback(_handle_signals, signal.SIG_IGN)
             ending.callback(rclpy.try_shutdown)
             try:
                 rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             except RuntimeError as error:  # a missing parameter file, for instance
                 raise InvalidOption(str(error)) from error
+            if received:
+                return 0
             node = PlannerNode()
             ending.callback(node.destroy_node)
             executor = SingleThreadedExecutor()

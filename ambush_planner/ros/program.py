@@ -1,17 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program ``ambush_planner``: the node in a process that has one heap."""
+"""The program ``ambush_planner``: the node in a process of its own, with one heap."""
 
 from __future__ import annotations
 
 import ctypes
+import resource
+import signal
 import sys
 from contextlib import suppress
+from typing import Any
 
 _M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # from glibc's malloc.h
 
 
+def noted_signals() -> list[int]:
+    """Have SIGINT and SIGTERM do nothing but append their numbers to the returned list.
+
+    rclpy's handlers end the context at once, whatever its threads are doing, which crashes a
+    starting node; and an Event's lock would not let one signal interrupt another. A second Ctrl-C
+    does not interrupt the clean-up; a second SIGTERM ends a process that hangs.
+    """
+    received: list[int] = []
+
+    def note(number: int, _: Any) -> None:
+        received.append(number)
+        if number == signal.SIGTERM:
+            signal.signal(number, signal.SIG_DFL)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, note)
+    return received
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
+    received = noted_signals()  # before the imports, which take a second
+    # A core dump would hold routes and the sources of their draw.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
     with suppress(AttributeError):  # not glibc
         # One heap for all threads, without large arrays: freed memory is used again or given back.
         # With glibc's defaults the node grew by 10 % in half an hour.
@@ -19,7 +44,11 @@ def main(args: list[str] | None = None) -> int:
             ctypes.CDLL(None).mallopt(option, value)
     # Not before: rclpy's libraries start threads, and heaps that these had first would be shared.
     from .planner_node import main as run
-    return run(args)
+    try:
+        return run(args, received)
+    finally:
+        # Python restores its handler at its end, and a second Ctrl-C would kill it then.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == '__main__':

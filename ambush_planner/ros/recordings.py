@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Condition, Thread
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -26,76 +27,95 @@ from .diagnostics import Reporter
 
 # Maximum number of departures that wait for the disk: few enough to be written at shutdown.
 _MAX_WAITING = 4
-# Maximum time [s] that a departure waits for room in the queue.
-_MAX_WAIT = 2.0
+# Time after which a disk that has not written a departure counts as hung, and a departure that need
+# not be recorded waits no longer for room in the queue [s].
+_MAX_WAIT = 3.0
 
 
-class _Queued(NamedTuple):
-    """A departure that waits for the disk, how it leaves, and the future of its leaving."""
+@dataclass(eq=False)
+class _Queued:
+    """A departure that waits for the disk, how it leaves, and the future of its leaving.
+
+    ``settled``: it leaves, or has been refused.
+    """
 
     departure: Departure
     leave: Callable[[], None]
-    left: Future[None]
+    left: Future[None] = field(default_factory=Future)
+    settled: bool = False
 
 
 class Recordings:
     """Publishes departures, and writes them one after the other, as ``options`` say.
 
-    At the start, temporary files in the folder are removed.
+    ``full_name`` is that of a topic; ``on_room`` is called when there is room for another one. At
+    the start, temporary files in the folder are removed. No method but ``wait`` waits.
     """
 
-    def __init__(self, options: RecordingOptions, reporter: Reporter,
-                 logger: RcutilsLogger) -> None:
+    def __init__(self, options: RecordingOptions, reporter: Reporter, logger: RcutilsLogger,
+                 full_name: Callable[[str], str]) -> None:
         self._options, self._reporter, self._logger = options, reporter, logger
-        self._recorder = Recorder(Path(options.directory), options.compression, options.required)
+        self._full_name = full_name
+        self.on_room: Callable[[], None] = lambda: None
+        self._recorder = Recorder(Path(options.directory), options.compression)
         self._plan_files: WeakKeyDictionary[Plan, dict[str, bytes]] = WeakKeyDictionary()
         self._unwritten: deque[_Queued] = deque()  # the first one is being written
         self._condition = Condition()
-        # True after a departure timed out on the disk, until the next write.
-        self._stuck = False
-        self._hurry = self._closing = False
+        self._begun = time.monotonic()  # when the disk got what it is writing
+        self._closing = False
         self._previous = ''  # the recording_id of the last one
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
         self._thread.start()
 
-    def wait_for_room(self) -> None:
-        """Wait for room in the queue, but not for a stuck disk; call before a route is drawn."""
-        with self._condition:
-            room = self._condition.wait_for(lambda: not self._full or self._hurry or self._stuck,
-                                            _MAX_WAIT)
-            self._stuck = self._stuck or not room
+    @property
+    def waits(self) -> float:
+        """For how long a departure has been waiting for a disk that hangs [s]; 0 if none has."""
+        waits = time.monotonic() - self._begun
+        return waits if self._unwritten and waits > _MAX_WAIT else 0.0
 
-    def publish(self, departure: Departure, leave: Callable[[], None],
-                record: bool = True) -> Future[None]:
-        """Have a departure ``leave`` and queue its recording; never waits for the disk.
+    def has_room(self, waited: float) -> bool:
+        """Whether a departure may be drawn now that has ``waited`` for room [s].
+
+        So that there is no wait between a draw and the departure, ask before. A hung disk has
+        room: it makes no difference to wait longer.
+        """
+        return bool(len(self._unwritten) < _MAX_WAITING or self.waits
+                    or (waited > _MAX_WAIT and not self._options.required))
+
+    def publish(self, departure: Departure, leave: Callable[[], None]) -> Future[None]:
+        """Have a departure ``leave`` and queue its recording.
 
         If recordings are required, it leaves once it is on the disk, in the recordings' thread. The
         future is done when it has left; it has an exception if ``leave`` raised it or if a required
-        recording failed. What has not left has no file. Without ``record`` only a required one is
-        recorded.
+        recording failed. What has not left has no file.
         """
-        queued = _Queued(departure, leave, Future())
-        if not self._options.required:
+        queued, required = _Queued(departure, leave), self._options.required
+        if not required:
             _leave(queued)
-            if not (self._options.enabled and record) or queued.left.exception():
+            if not self._options.enabled or queued.left.exception():
                 return queued.left
         with self._condition:
-            if not (self._full and self._stuck):
+            if len(self._unwritten) < _MAX_WAITING and not (required and self.waits):
+                if not self._unwritten:
+                    self._begun = time.monotonic()
                 self._unwritten.append(queued)
                 self._condition.notify_all()
                 return queued.left
-        self._failed(queued, RecordingFailed(
-            Path(self._options.directory),
-            f'the disk does not respond, and {_MAX_WAITING} departures wait for it; departure '
-            f'{departure.number} is not recorded',
-        ))
+        self._failed(queued, self._hung(f'departure {departure.number} is not recorded'))
         return queued.left
 
-    def hurry(self, hurry: bool) -> None:
-        """Begin or end not to wait for room: the node is being deactivated."""
-        with self._condition:
-            self._hurry = hurry
-            self._condition.notify_all()
+    def refuse(self, error: AmbushPlannerError | None = None) -> int:
+        """Refuse the departures that must be recorded first and are not yet; return their number.
+
+        Without an ``error``, only if the disk hangs.
+        """
+        if not self._options.required or not (error or self.waits):
+            return 0
+        refused = [each for each in list(self._unwritten) if self._settle(each)]
+        for each in refused:
+            self._failed(each, error or self._hung(f'departure {each.departure.number} is refused'),
+                         report=error is None)
+        return len(refused)
 
     def finish(self) -> None:
         """Write the waiting departures, then end."""
@@ -115,10 +135,6 @@ class Recordings:
         """Whether departures may still be written."""
         return self._thread.is_alive()
 
-    @property
-    def _full(self) -> bool:
-        return len(self._unwritten) >= _MAX_WAITING
-
     def _work(self) -> None:
         if self._options.enabled:
             try:
@@ -134,34 +150,50 @@ class Recordings:
             self._write(self._unwritten[0])
             with self._condition:
                 self._unwritten.popleft()
-                self._stuck = False
-                self._condition.notify_all()
+                self._begun = time.monotonic()
+            self.on_room()
 
     def _write(self, queued: _Queued) -> None:
         """Record a departure; a required recording stays only if the departure then leaves."""
+        if self._options.required and queued.settled:
+            return
         held = queued.departure.held
         try:
             if held.plan not in self._plan_files:
                 crs = held.task.parameters.occupancy.crs
                 self._plan_files[held.plan] = attachments_of(held.plan, crs)
-            metadata = metadata_of(queued.departure, self._previous)
+            metadata = metadata_of(queued.departure, self._previous, self._full_name)
             path = self._recorder.record_departure(
-                recorded_messages(queued.departure), metadata.entries(),
+                recorded_messages(queued.departure, self._full_name), metadata.entries(),
                 {**self._plan_files[held.plan], **map_changes(queued.departure)})
         except Exception as error:  # the thread must live to write the next one
-            self._failed(queued, known(error))
+            if not self._options.required or self._settle(queued):
+                self._failed(queued, known(error))
             return
         self._report(None)
         if self._options.required:
-            _leave(queued)
+            if self._settle(queued):
+                _leave(queued)
             if queued.left.exception():
                 with suppress(RecordingFailed):  # a file more than departures, at worst
                     self._recorder.remove(path)
                 return
         self._previous = metadata.recording_id
 
-    def _failed(self, queued: _Queued, error: AmbushPlannerError) -> None:
-        self._report(error)
+    def _settle(self, queued: _Queued) -> bool:
+        """Whether this is the first to decide if a departure leaves."""
+        with self._condition:
+            first, queued.settled = not queued.settled, True
+            return first
+
+    def _hung(self, outcome: str) -> RecordingFailed:
+        return RecordingFailed(Path(self._options.directory),
+                               f'the disk does not respond, and {len(self._unwritten)} departures '
+                               f'wait for it; {outcome}')
+
+    def _failed(self, queued: _Queued, error: AmbushPlannerError, report: bool = True) -> None:
+        if report:
+            self._report(error)
         if self._options.required:
             queued.left.set_exception(error)
 

@@ -20,11 +20,10 @@ from ..errors import InvalidOption
 from ..planning.plan import Plan
 from ..recordings import type_name
 from ..recordings.metadata import RecordedCall
-from .conversions import fields_of, installed_type
+from .conversions import fields_of
 from .departure_record import Answer
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary
-from .listener import Listener
+from .error_boundary import ErrorBoundary, send_until_known
 from .serial_executor import started
 from .topics import REQUESTS
 from .trip import TripRequest
@@ -46,30 +45,11 @@ class Requests:
         self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
                     planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
-                    lambda answer: GetPlan.Response(plan=answer.path), planning)
+                    lambda answer: GetPlan.Response(plan=answer.path.message), planning)
         self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(), _replan_response,
                     planning)
         self._serve(Trigger, '~/cancel', self._cancel, _cancel_response,
                     MutuallyExclusiveCallbackGroup())
-        # A thread of its own checks paths: rclpy takes 0.3 s to read one of 20 000 poses.
-        self.path_checks: Listener | None = None
-        if kind := installed_type('nav2_msgs.srv', 'IsPathValid'):
-            self.path_checks = Listener(node, 'path_checks')
-            self.path_checks.node.create_service(
-                kind, node.resolve_service_name('~/is_path_valid'),
-                partial(self._check_path, kind.Response))
-            self.path_checks.start()
-
-    def close(self) -> None:
-        """End the thread that checks paths."""
-        if self.path_checks is not None:
-            self.path_checks.close()
-
-    def _check_path(self, kind: Any, request: Any, _: Any) -> Any:
-        invalid, error = self._error_boundary.attempt(
-            'is_path_valid', 'request',
-            lambda: self._dispatcher().inputs.invalid_poses(request.path))
-        return kind() if error else validity(kind, invalid)
 
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
                    client: str = '') -> Future[Answer]:
@@ -91,7 +71,7 @@ class Requests:
             kind, name, lambda request, _: started(partial(start, request)), qos_profile=REQUESTS,
             callback_group=group,
         )
-        send = service.send_response
+        send = partial(send_until_known, service.send_response)
 
         def respond(header: Any, future: Future[_Result]) -> None:
             response, error = self._error_boundary.attempt(
@@ -112,8 +92,8 @@ class Requests:
         latest = self._dispatcher().inputs.latest()
         return self._ask(Trigger, '~/new_route', request, latest, 'topics')
 
-    def _cancel(self, _: Trigger.Request) -> Future[int]:
-        done: Future[int] = Future()
+    def _cancel(self, _: Trigger.Request) -> Future[tuple[int, int]]:
+        done: Future[tuple[int, int]] = Future()
         done.set_result(self._dispatcher().cancel())
         return done
 
@@ -131,21 +111,17 @@ class Requests:
         return _success(f'departure {left.number} ({left.id}) is published on {path}{remarks}')
 
 
-def validity(kind: Any, invalid: list[int] | None) -> Any:
-    """Return the answer of ``~/is_path_valid``; from Lyrical on it has ``success``."""
-    more = {'success': True} if hasattr(kind, 'success') else {}
-    return kind(is_valid=invalid == [], invalid_pose_indices=invalid or [], **more)
-
-
 def _replan_response(plan: Plan) -> Trigger.Response:
-    return _success(f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
-                    f'{plan.strategy.gap:.3g}, {plan.network.place_count} nodes')
+    return _success(f'solved in {plan.seconds:.3f} s: value {plan.value:.6g}, gap '
+                    f'{plan.trip.gap:.3g}, {len(plan.network.points)} nodes')
 
 
-def _cancel_response(count: int) -> Trigger.Response:
-    if not count:
-        return _failure('no solve is running')
-    return _success('the solve was cancelled' if count == 1 else f'{count} solves were cancelled')
+def _cancel_response(counts: tuple[int, int]) -> Trigger.Response:
+    solves, departures = counts
+    parts = [*(['the solve was cancelled' if solves == 1 else f'{solves} solves were cancelled']
+               if solves else []),
+             *([f'{departures} departures no longer wait for the disk'] if departures else [])]
+    return _success('; '.join(parts)) if parts else _failure('no solve is running')
 
 
 def _success(message: str) -> Trigger.Response:

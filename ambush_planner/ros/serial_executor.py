@@ -26,13 +26,13 @@ def started(work: Callable[[], Future[_Result]]) -> Future[_Result]:
 class SerialExecutor:
     """Runs pieces of work in order in a thread called ``name``.
 
-    Each is preceded by a call of ``before_each``. ``on_error`` gets errors of work that has no
-    future. Work after ``close`` is refused with SolveCancelled.
+    ``on_error`` gets errors of work that has no future. Each piece is preceded by a call of
+    ``before_each``. Work after ``close`` is refused with SolveCancelled.
     """
 
-    def __init__(self, name: str, before_each: Callable[[], None],
-                 on_error: Callable[[Exception], None]) -> None:
-        self._before_each, self._on_error = before_each, on_error
+    def __init__(self, name: str, on_error: Callable[[Exception], None],
+                 before_each: Callable[[], None] = lambda: None) -> None:
+        self._on_error, self._before_each = on_error, before_each
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
 
     def submit(self, work: Callable[[], None], future: Future[Any] | None = None) -> None:

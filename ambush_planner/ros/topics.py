@@ -21,7 +21,7 @@ _RELIABLE, _LATCHING = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LO
 LATCHED = QoSProfile(depth=1, reliability=_RELIABLE, durability=_LATCHING)
 LATEST = QoSProfile(depth=1, reliability=_RELIABLE)
 # Every update of a map matters, and costmaps send many.
-UPDATES = QoSProfile(depth=100, reliability=_RELIABLE)
+UPDATES = QoSProfile(depth=1000, reliability=_RELIABLE)
 # Requests that arrive while a solve runs are all answered.
 REQUESTS = QoSProfile(depth=1000, reliability=_RELIABLE)
 DIAGNOSTICS = QoSProfile(depth=10, reliability=_RELIABLE)

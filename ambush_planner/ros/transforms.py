@@ -10,6 +10,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
@@ -34,27 +35,29 @@ class FrameTransforms:
     ``to_frame`` may be called from any thread. Call ``close`` before destroying the node.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, listener: Listener) -> None:
         self._clock, self._buffer = node.get_clock(), TransformBuffer()
-        # When a simulation or a bag restarts, old transforms would stay the latest ones.
+        # After a jump back, of a simulation, a bag or by a little, old ones would stay the newest.
         self._jumps = self._clock.create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1),
+            JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1),
                           on_clock_change=True),
             post_callback=lambda _: self._buffer.clear(),
         )
-        self._listener: Listener | None = None
-        if tf_message := installed_type('tf2_msgs.msg', 'TFMessage'):
-            self._listener = Listener(node, 'tf')
+        self._message = installed_type('tf2_msgs.msg', 'TFMessage')
+        if self._message is not None:
             for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
-                self._listener.node.create_subscription(
-                    tf_message, node.resolve_topic_name(topic), partial(self.receive, static), qos)
-            self._listener.start()
+                listener.subscribe(self._message, topic, qos, partial(self._read, static))
 
     def close(self) -> None:
-        """Stop listening."""
-        if self._listener is not None:
-            self._listener.close()
+        """Take no more notice of the clock."""
         self._jumps.unregister()
+
+    def moves(self, frame: str, other: str) -> bool:
+        """Whether a frame moves in another one: what is given in it is no fixed place."""
+        try:
+            return self._buffer.lookup(other, frame).newest_ns is not None
+        except TransformUnknown:
+            return False
 
     def to_frame(self, pose: PoseStamped, name: str, frame: str, max_age: float) -> PoseStamped:
         """Return the pose called ``name`` in ``frame``; unchanged if that is its frame.
@@ -76,7 +79,7 @@ class FrameTransforms:
                    "map's frame")
         if not given:
             raise FrameMismatch(f'{problem}: its header.frame_id is empty')
-        if self._listener is None:
+        if self._message is None:
             raise FrameMismatch(f'{problem}, or install tf2_msgs to have it transformed')
         # Checked before the rotation, which would normalise an invalid orientation.
         position_from_ros(pose, name)
@@ -107,13 +110,16 @@ class FrameTransforms:
             self._buffer.add(StampedTransform(each.header.frame_id, each.child_frame_id, stamp_ns,
                                               (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
 
+    def _read(self, static: bool, data: bytes, _: dict[str, int]) -> None:
+        self.receive(static, deserialize_message(data, self._message))
+
 
 def _transformed(pose: PoseStamped, found: Found, frame: str) -> PoseStamped:
     p, q = pose.pose.position, pose.pose.orientation
     moved = found.matrix @ rigid_motion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
     x, y, z = moved[:3, 3].tolist()
     qx, qy, qz, qw = Rotation.from_matrix(moved[:3, :3]).as_quat().tolist()
-    stamp = Time(nanoseconds=found.stamp_ns or 0).to_msg()
+    stamp = Time(nanoseconds=max(found.stamp_ns or 0, 0)).to_msg()  # rclpy has none before 1970
     return PoseStamped(
         header=Header(frame_id=frame, stamp=stamp),
         pose=Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)),

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trip as it was requested, and as it is located on a map."""
+"""A trip as it was requested, and as it is located on a map; how a plan for one suits another."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
-from rclpy.time import Time
-from std_msgs.msg import Header
+from geometry_msgs.msg import PoseArray, PoseStamped
 
 from ..arrays import FloatArray
 from ..parameters.values import NodeParameters
@@ -18,8 +17,9 @@ from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import REGION
 from ..planning.options import strays
 from ..planning.trip_under_way import Destination, Position
-from .conversions import path_to_ros
-from .current_map import CurrentMap, ReceivedMessage
+from ..recordings.cdr import poses_along
+from .conversions import SentPath, row_of
+from .current_map import CurrentMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +31,15 @@ class TripRequest:
     """
 
     parameters: NodeParameters
-    start: ReceivedMessage | None
-    goal: ReceivedMessage
+    start: PoseStamped | None
+    goal: PoseStamped
     goal_tolerance: float = 0.0
-    via: ReceivedMessage | None = None
+    via: PoseArray | None = None
 
     def leads_to(self, other: TripRequest) -> bool:
         """Whether two requests have the same goal and stops."""
-        one, two = self.goal.message, other.goal.message
-        stops = [(each.via.message.header.frame_id, each.via.message.poses) if each.via else None
+        one, two = self.goal, other.goal
+        stops = [(each.via.header.frame_id, each.via.poses) if each.via else None
                  for each in (self, other)]
         return (one.header.frame_id == two.header.frame_id and one.pose == two.pose
                 and stops[0] == stops[1])
@@ -50,7 +50,7 @@ class Trip:
     """A request located on a map; poses and positions [m] are in the map's frame.
 
     The ``request`` has a start: that of the robot, if none was given. ``robot`` is the frame in
-    which the start was given, if that is not the map's: the start moves.
+    which the start was given, if that moves in the map's frame; '' for a fixed place.
     """
 
     map: CurrentMap
@@ -66,11 +66,6 @@ class Trip:
     def parameters(self) -> NodeParameters:
         """The parameters of the request."""
         return self.request.parameters
-
-    @property
-    def moves(self) -> bool:
-        """Whether the start is the place of a robot."""
-        return self.robot != ''
 
     @property
     def goal_and_tolerance(self) -> tuple[Position, float]:
@@ -94,33 +89,61 @@ class Trip:
         planning = self.parameters.planning
         planning = replace(planning, network=replace(planning.network, refine=0), max_gap=0.0,
                            strategy=replace(planning.strategy, time_limit=math.inf))
-        return self.stops_xy, self.parameters.occupancy, planning
+        return self.stops_xy, self.request.goal_tolerance, self.parameters.occupancy, planning
+
+    @property
+    def stamp(self) -> float:
+        """When the robot was at the start, by its transform [s]; 0 for a fixed place."""
+        return seconds(self.start_pose.header.stamp) if self.robot else 0.0
 
     def distance(self, other: Trip) -> float:
         """Return the distance of the starts or of the goals of two trips [m], the larger one."""
         return max(math.dist(self.start_xy, other.start_xy),
                    math.dist(self.goal_xy, other.goal_xy))
 
-    def is_joined_by(self, other: Trip, spacing: float) -> bool:
-        """Whether the other one is a robot's, near enough to join a plan for this one.
-
-        On roads, within the tube of its start: other ways could leave the road.
-        """
-        planning = self.parameters.planning
-        most = strays(planning, spacing) if planning.network.roads else REGION * spacing
-        return (other.moves and self.goal_and_tolerance == other.goal_and_tolerance
-                and math.dist(self.start_xy, other.start_xy) <= most)
-
     def out_of_obstacle(self) -> Trip:
         """Return the trip of a robot in the inflation of a costmap, from where it can drive out."""
-        if not self.moves or self.parameters.values['map.preset'] == 'alpha':
+        if not self.robot or self.parameters.values['map.preset'] == 'alpha':
             return self
         return replace(self, start_xy=self.ground.way_out(self.start_xy))
 
-    def path(self, rows: FloatArray, stamp_ns: int) -> Path:
-        """Return the path along ``rows`` (L, 3) = (x, y, yaw) from the start's pose to the goal's.
+    def path(self, rows: FloatArray, stamp_ns: int) -> SentPath:
+        """Return the path along ``rows`` (L, 3) = (x, y, yaw) at a time [ns].
 
-        ``stamp_ns`` is its time [ns].
+        It begins with exactly the start's pose, and ends at the last position with the goal's
+        height and orientation: a blocked goal has been moved there.
         """
-        header = Header(frame_id=self.map.frame, stamp=Time(nanoseconds=stamp_ns).to_msg())
-        return path_to_ros(rows, self.start_pose.pose, self.goal_pose.pose, header)
+        poses, last = poses_along(rows), rows[-1, :2]
+        poses[0] = row_of(self.start_pose.pose)
+        poses[-1] = *last, *row_of(self.goal_pose.pose)[2:]
+        return SentPath(self.map.frame, stamp_ns, poses)
+
+
+def seconds(stamp: Any) -> float:
+    """Return the time of a builtin_interfaces/Time [s]."""
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+class Suits(IntEnum):
+    """How a plan for one trip suits another: as it is, by moved ends, by being joined, or not."""
+
+    EXACTLY, NEARLY, JOINED, NOT = range(4)
+
+
+def how(planned: Trip, trip: Trip, spacing: float, tolerance: float) -> Suits:
+    """Return how a plan suits a trip, as far as the trip that it was ``planned`` for shows.
+
+    Its nodes are ``spacing`` apart, and start and goal may be ``tolerance`` away from its own [m].
+    A robot may join routes to its goal from the region around their start; on roads, from within
+    the tube, since other ways could leave the road.
+    """
+    if not trip.map.same_ground(planned.map) or trip.conditions != planned.conditions:
+        return Suits.NOT
+    away, same_goal = planned.distance(trip), planned.goal_xy == trip.goal_xy
+    if away == 0.0:
+        return Suits.EXACTLY
+    if away <= tolerance:
+        return Suits.NEARLY
+    planning = planned.parameters.planning
+    region = strays(planning, spacing) if planning.network.roads else REGION * spacing
+    return Suits.JOINED if trip.robot and same_goal and away <= region else Suits.NOT

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IndexArray, found_in, members
+from ..arrays import BoolArray, FloatArray, IndexArray, found_in_sorted, members
 from ..errors import InvalidOption
 from ..game.discs import SecuredArea
 from ..maps.obstacles import ObstacleField
@@ -92,7 +92,7 @@ class Corridors:
 
     def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
         """Indices (K,) of the links from tails (K,) to heads (K,); -1: there is none."""
-        return found_in(self._keys, tails * len(self.uv) + heads)
+        return found_in_sorted(self._keys, tails * len(self.uv) + heads)
 
     def shortened(self, route: IndexArray) -> IndexArray:
         """Skip nodes of a route (K,) by the shortest way along links between them.

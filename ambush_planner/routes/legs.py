@@ -20,7 +20,7 @@ MAX_STRAY = 0.005
 _SAMPLES = 4000
 
 
-def way_points(path: FloatArray, stops: FloatArray) -> IndexArray:
+def corners_of_legs(path: FloatArray, stops: FloatArray) -> IndexArray:
     """Return the indices (W,) of a path's ends, of its stops (S, 2), and of its main corners."""
     return main_corners(path, MAX_STRAY * float(distances_along(path)[-1]),
                         [int(_away(path, stop).argmin()) for stop in stops], MAX_LEGS)

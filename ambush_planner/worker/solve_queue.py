@@ -16,7 +16,7 @@ from ..planning.plan import Plan, PlanRequest
 from .process import WorkerParent, WorkerProcess
 from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known, shutting_down
 
-_SUPERSEDED = 'a newer background solve replaced this one'
+_SUPERSEDED = 'a newer solve replaced this background solve'
 _WITHDRAWN = 'all callers have withdrawn'
 
 _Key = TypeVar('_Key', bound=Hashable)
@@ -27,17 +27,14 @@ _Result = TypeVar('_Result')
 class _Solve(Generic[_Key, _Result]):
     """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
-    ``waiters`` callers wait for its outcome. Without any it is a background solve, cancelled unless
-    ``persistent``. A ``preempted`` solve goes back to the queue.
+    ``waiters`` callers wait for its outcome. Without any it is a background solve.
     """
 
     key: _Key
     request: PlanRequest
     finish: Callable[[Plan], _Result]
     low_priority: bool
-    persistent: bool = False
     waiters: int = 0
-    preempted: bool = False
     outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
@@ -48,16 +45,19 @@ class _Solve(Generic[_Key, _Result]):
 
 
 class SolveQueue(Generic[_Key, _Result]):
-    """Passes solves to one worker process, which it replaces if it died."""
+    """Passes solves to one worker process, which it replaces if it died.
 
-    def __init__(self) -> None:
+    ``check`` raises what solves are refused with, if they are.
+    """
+
+    def __init__(self, check: Callable[[], None]) -> None:
+        self._check = check
         self._condition = Condition()
         self._waiting: dict[_Key, _Solve[_Key, _Result]] = {}
         self._running: _Solve[_Key, _Result] | None = None
         self._parent = WorkerParent()
         self._worker: WorkerProcess | None = None
         self._closed = False
-        self._refusal: Callable[[], AmbushPlannerError] | None = None
         self._thread = Thread(target=self._work, name='solves', daemon=True)
         self._thread.start()
 
@@ -93,33 +93,28 @@ class SolveQueue(Generic[_Key, _Result]):
         size
             Number of solves that may wait, besides the running and the background ones.
         background
-            No caller waits for it: it runs after all others, begins again if one of them comes
-            while it runs, and replaces other background solves that wait.
+            No caller waits for it: it runs after all others, and the next solve of any kind
+            replaces it, unless it is for the same key.
         low_priority
             The worker leaves the processor to other processes.
 
         Raises what the queue refuses solves with, and QueueFull if ``size`` solves wait.
         """
         with self._condition:
-            self.check()
-            superseded: list[_Solve[_Key, _Result]] = []
+            self._check()
+            if self._closed:
+                raise shutting_down()
             solve = next((each for each in self._unfinished
                           if each.key == key and not each.cancelled), None)
+            superseded: list[_Solve[_Key, _Result]] = []
             if solve is None:
-                if background:
-                    superseded = [each for each in self._waiting.values() if each.background]
-                    for each in superseded:
-                        del self._waiting[each.key]
-                else:
+                if not background:
                     self._check_room(size)
+                superseded = self._end_background(running=not background)
                 solve = _Solve(key, request, finish, low_priority)
                 self._waiting[key] = solve
                 self._condition.notify()
-            if background:
-                solve.persistent = True
-            else:
-                solve.waiters += 1
-                self._preempt_background()
+            solve.waiters += not background
         _end(superseded, _SUPERSEDED)
         return solve.outcome
 
@@ -129,13 +124,13 @@ class SolveQueue(Generic[_Key, _Result]):
             here = [each for each in self._unfinished if each.outcome is outcome]
             for solve in here:
                 solve.waiters -= 1
-            ended = [solve for solve in here if not solve.waiters and not solve.persistent]
+            ended = [solve for solve in here if not solve.waiters]
             if self._running in ended:
                 self._end_running(_WITHDRAWN)
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
         _end(waited, _WITHDRAWN)
 
-    def cancel(self, why: str = 'the solve was cancelled') -> int:
+    def cancel(self, why: str) -> int:
         """Cancel all solves; return their number."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
@@ -144,32 +139,22 @@ class SolveQueue(Generic[_Key, _Result]):
         _end(waiting, why)
         return len(waiting) + running
 
-    def refuse(self, refusal: Callable[[], AmbushPlannerError] | None) -> None:
-        """Cancel all solves, and refuse others from now on; with None, end that."""
-        with self._condition:
-            self._refusal = refusal
-        if refusal is not None:
-            self.cancel(str(refusal()))
-
-    def check(self) -> None:
-        """Raise what solves are refused with, if they are."""
-        if (refusal := self._refusal) is not None:
-            raise refusal()
-
     def close(self) -> None:
         """Cancel all solves and end the worker process."""
-        self.refuse(shutting_down)
         with self._condition:
             self._closed = True
             self._condition.notify()
+        self.cancel(str(shutting_down()))
         self._thread.join()
 
-    def _preempt_background(self) -> None:
-        """End a running background solve, which waits from then on."""
-        if self._running is not None and self._running.background:
-            self._running.preempted = True
-            if self._worker is not None:
-                self._worker.kill()
+    def _end_background(self, running: bool) -> list[_Solve[_Key, _Result]]:
+        """Take background solves off the queue and return them; end the one that is ``running``."""
+        waiting = [each for each in self._waiting.values() if each.background]
+        for each in waiting:
+            del self._waiting[each.key]
+        if running and self._running is not None and self._running.background:
+            self._end_running(_SUPERSEDED)
+        return waiting
 
     def _check_room(self, size: int) -> None:
         running = self._running
@@ -217,7 +202,7 @@ class SolveQueue(Generic[_Key, _Result]):
         error: AmbushPlannerError | None = None
         try:
             worker = self._living_worker()
-            if solve.cancelled or solve.preempted:  # before there was a worker to kill
+            if solve.cancelled:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request, solve.low_priority))
         except Exception as raised:  # also MemoryError: callers wait for an outcome
@@ -226,12 +211,6 @@ class SolveQueue(Generic[_Key, _Result]):
                 self._worker.kill()
         with self._condition:
             self._running = None
-            if solve.preempted and result is None and not solve.cancelled:
-                newer = any(each.persistent for each in self._waiting.values())
-                if not (solve.background and newer):
-                    solve.preempted, self._waiting[solve.key] = False, solve
-                    return
-                solve.cancelled = _SUPERSEDED
         if solve.cancelled:
             solve.outcome.set_exception(SolveCancelled(solve.cancelled))
         elif error is not None:

@@ -26,6 +26,8 @@ from .gibbs import AcyclicNetwork, acyclic_network, in_series
 
 # Flow that is rounding, of a strategy with 1 in all.
 NO_FLOW = 1e-13
+# Edges that fewer than one departure in 10^12 would use: more than half of all on a fine network.
+RARE = 1e-12
 
 
 class MarkovChain:
@@ -121,6 +123,11 @@ class MarkovChain:
         visits = network.onwards.solve(share, self._start.copy())
         p = visits[network.tail] * share * clear[network.head]
         return MarkovChain(network, p), float(clear[0])
+
+    def without_rare(self) -> MarkovChain:
+        """The chain of the routes without ``RARE`` edges."""
+        chain, _ = self.avoiding(np.flatnonzero(self.p < RARE))
+        return chain
 
     def _each(self, rows: csr_matrix) -> Iterator[tuple[int, slice, int, int, FloatArray]]:
         """Each site that routes can meet: its entries in the rows, and the visits before a hit.

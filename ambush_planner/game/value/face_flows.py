@@ -11,15 +11,17 @@ costs that change keep the basis feasible, so the primal simplex method goes on 
 
 from __future__ import annotations
 
+import importlib.util
 import time
 from functools import cache
 from typing import Any, NamedTuple
 
-import highspy
 import numpy as np
 
 from ...arrays import FloatArray, IndexArray
 from ...errors import SolverFailed, TimeLimit
+
+HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
 
 # HiGHS' options: primal simplex (4) with devex prices (1), which keeps a feasible basis.
 _OPTIONS: dict[str, Any] = {
@@ -42,6 +44,8 @@ def quiet_model() -> Any:
 
     ``highspy.Highs`` itself if that class has changed: it must find x of three equations.
     """
+    import highspy
+
     quiet: Any = highspy.Highs.__base__
     model, find = quiet(), np.array([4.0, -1.0, 2.0])
     try:
@@ -68,6 +72,9 @@ class FaceFlows:
     """The linear program in HiGHS' memory; nodes, rows and columns are numbered as they come."""
 
     def __init__(self) -> None:
+        import highspy
+
+        self._highs = highspy
         self._model = _with_options(quiet_model()())
         self._rows = self._columns = 0
         self._free: list[int] = []
@@ -78,11 +85,11 @@ class FaceFlows:
 
     def add_shares(self, count: int) -> IndexArray:
         """Add rows of shares; return their numbers."""
-        return self._add_rows(count, -highspy.kHighsInf)
+        return self._add_rows(count, -self._highs.kHighsInf)
 
     def release(self, node: int) -> None:
         """Let a node be out of balance: the others of its graph then say all."""
-        self._model.changeRowBounds(node, -highspy.kHighsInf, highspy.kHighsInf)
+        self._model.changeRowBounds(node, -self._highs.kHighsInf, self._highs.kHighsInf)
         self._free.append(node)
 
     def add_columns(self, rows: IndexArray, entries: FloatArray, cost: FloatArray, low: FloatArray,
@@ -102,9 +109,9 @@ class FaceFlows:
 
     def start_at(self, limit: IndexArray) -> None:
         """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
-        status = {-1: highspy.HighsBasisStatus.kLower, 0: highspy.HighsBasisStatus.kBasic,
-                  1: highspy.HighsBasisStatus.kUpper}
-        basis = highspy.HighsBasis()
+        status = {-1: self._highs.HighsBasisStatus.kLower, 0: self._highs.HighsBasisStatus.kBasic,
+                  1: self._highs.HighsBasisStatus.kUpper}
+        basis = self._highs.HighsBasis()
         basis.col_status = [status[each] for each in limit.tolist()]
         rows = np.full(self._rows, -1)
         rows[self._free] = 0
@@ -126,7 +133,7 @@ class FaceFlows:
         if np.isfinite(left):  # HiGHS' limit is one for all runs together
             self._model.setOptionValue('time_limit', self._model.getRunTime() + left)
         self._model.run()
-        if self._model.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        if self._model.getModelStatus() != self._highs.HighsModelStatus.kOptimal:
             _time_left(deadline)
             raise SolverFailed('HiGHS ended the LP in potentials with the status '
                                f'{self._model.modelStatusToString(self._model.getModelStatus())}')

@@ -46,8 +46,8 @@ class PotentialSearch(NamedTuple):
     # lower z, most of the columns that join would not be needed in the end.
     many: float = 0.03
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
-    points: int = 16  # most potentials of which mixtures are made
-    near: float = 0.5  # share of the value below which a site's largest loss is left out of these
+    points: int = 24  # most potentials of which mixtures are made
+    near: float = 0.2  # share of the value below which a site's largest loss is left out of these
     follow: float = 0.8  # how far the legs' weights go towards the prices of a mixture at once
     stalls: int = 8  # rounds without a better value or bound after which a search ends
 

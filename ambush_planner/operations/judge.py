@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -19,10 +20,10 @@ from ..errors import InvalidOption
 from ..game.budget import shortest_length
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track
-from .options import PlanningOptions
+from ..planning.options import PlanningOptions
+from ..planning.plan import Plan
+from ..planning.trip import PLANNED, Trip, plan_quietly
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan
-from .trip import PLANNED, Trip, plan_quietly
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
@@ -35,12 +36,24 @@ USUAL = 0.75
 MAX_SPIKE, MIN_SPIKE = 3, 5.0
 # Maximum step that does not break a track [usual steps].
 MAX_STEP = 5.0
-# Maximum step that does not break a track, as a share of the distance from start to goal.
-MAX_BRIDGED = 0.1
+# Maximum step that does not break a track, as a share of the distance from start to goal: of one
+# with short steps, and of any.
+MAX_BRIDGED, MAX_USUAL = 0.1, 0.6
 # Minimum overlap in time of two tracks of one trip, as a share of the shorter one.
 MIN_OVERLAP = 0.5
 # Minimum length budget of the optimum, as a multiple of the shortest route.
 MIN_DETOUR = 1.05
+
+
+class LeftOut(NamedTuple):
+    """A track or trip that does not count: ``reason`` is the same for all of its kind."""
+
+    name: str
+    reason: str
+    detail: str = ''
+
+    def __str__(self) -> str:
+        return f'{self.name} {self.reason}{self.detail}'
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +113,8 @@ def _interval(driven: PathMixture) -> tuple[float, float]:
 
 
 def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, near: float,
-               reach: float) -> tuple[list[Track], list[str]]:
-    """The trips from start to goal, which are their ends, and a sentence for each left out.
+               reach: float) -> tuple[list[Track], list[LeftOut]]:
+    """The trips from start to goal, which are their ends, and what is left out and why.
 
     A trip leads from the last approach to the start, within ``near`` [m], to the first approach to
     the goal after it; a track can have several. Outliers are removed, short jumps are bridged.
@@ -111,22 +124,22 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
     left_out = []
     for track in tracks:
         for found in _trips_of(track, start, goal, near, MIN_STEP * reach):
-            if isinstance(found, str):
+            if isinstance(found, LeftOut):
                 left_out.append(found)
             elif twin := next((trip for trip in trips if _is_one(found, trip, reach)), None):
-                same = 'a copy of' if found.times is None else 'the same trip as'
-                left_out.append(f'{found.name} is {same} {twin.name}')
+                same = 'is a copy of' if found.times is None else 'is the same trip as'
+                left_out.append(LeftOut(found.name, same, f' {twin.name}'))
             else:
                 trips.append(found)
     return trips, left_out
 
 
 def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
-              min_step: float) -> Iterator[Track | str]:
+              min_step: float) -> Iterator[Track | LeftOut]:
     """Yield the trips of a track, or why it has none."""
     times = np.zeros(len(track.xy)) if track.times is None else track.times
     if len(late := np.flatnonzero(np.diff(times) < 0.0)):
-        yield f'in {track.name}, time goes backwards after position {late[0] + 1}'
+        yield LeftOut(track.name, 'goes back in time', f' after position {late[0] + 1}')
         return
     kept = _without_spikes(track.xy, _apart(track.xy, min_step))
     xy, times = track.xy[kept], times[kept]
@@ -134,17 +147,19 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
     end = np.where(away.min(axis=0) <= near, away.argmin(axis=0), -1)
     for k, name in enumerate(('start', 'goal')):
         if k not in end:
-            yield f'{track.name} never comes within {near:.4g} m of the {name}'
+            yield LeftOut(track.name, f'never comes within {near:.4g} m of the {name}')
             return
     if not (legs := _legs(away, end)):
-        yield (f'{track.name} leads from the goal to the start: the return trip is planned '
-               'separately')
+        yield LeftOut(track.name, 'leads from the goal to the start: the return trip is planned '
+                      'separately')
     steps = _steps(xy)
-    most = max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
+    distance = math.dist(start, goal)
+    most = min(max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * distance),
+               max(MAX_USUAL * distance, near))
     for number, (first, last) in enumerate(legs, start=1):
         name = track.name if len(legs) == 1 else f'trip {number} of {track.name}'
         if (jump := steps[first:last].max()) > most:
-            yield f'{name} has a jump of {jump:.4g} m, more than {most:.4g} m'
+            yield LeftOut(name, 'has a jump', f' of {jump:.4g} m, more than {most:.4g} m')
             continue
         when = np.pad(times[first : last + 1], 1, mode='edge')
         yield Track(name, np.vstack((start, xy[first : last + 1], goal)),

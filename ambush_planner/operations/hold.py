@@ -3,13 +3,15 @@
 
 Places are added one by one, each given those before it. Any ambusher's mixture bounds from below
 what holding a place can achieve, by what it causes from elsewhere (``bound_if_held``). So only the
-most promising candidates are solved, until no other one can be better by more than the slack.
+most promising candidates are solved, until no other one can be better by more than the slack, or
+the time is up.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,20 +20,22 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..arrays import sums
-from ..errors import InvalidOption
+from ..errors import InvalidOption, TimeLimit
 from ..game.game import SecuredPlace
 from ..game.revaluation import bound_if_held
 from ..game.strategy import TripStrategy
 from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
-from .cell_losses import thinned
-from .options import PlanningOptions
-from .solving import Ground, WarmStart
-from .trip import Position, Trip, plan_trip
+from ..planning.cell_losses import thinned
+from ..planning.options import PlanningOptions
+from ..planning.solving import Ground, WarmStart
+from ..planning.trip import Position, Trip, plan_trip
 
 # Candidates of one step if none are given, and their least distance, as a share of the radius.
 MAX_CANDIDATES, APART = 16, 0.7
+# Share of the time limit for the plan before any place is held.
+PLANNED = 1.0 / 3.0
 
 _Place = tuple[str, Position]
 
@@ -55,10 +59,14 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """The places to hold, in their order, and the strategy ``before``, if none of them is held."""
+    """The places to hold, in their order, and the strategy ``before``, if none of them is held.
+
+    ``complete`` is false if the time was up before the bounds had ruled out all other candidates.
+    """
 
     before: TripStrategy
     steps: tuple[Held, ...]
+    complete: bool = True
 
     @property
     def strategies(self) -> tuple[TripStrategy, ...]:
@@ -77,57 +85,77 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     nobody who drives there is hit. Value and lower bound of each step are those of ``plan_trip``
     with these ``held_places``. Candidates are the given ones [m], or the sites around which the
     ambusher causes most, and those that cost most beyond. The search ends early if the value is
-    0 or no candidate remains. Before each game, ``progress`` is called with the number of the place
+    0, no candidate remains, or the time limit of the options is up; then the last place is the best
+    of those that were solved. Before each game, ``progress`` is called with the number of the place
     that is sought and how many candidates may be the best.
 
     Raises InvalidOption if the radius is below the map's resolution, the count below 1 or a
     candidate off the map, and the errors of ``plan_trip``.
     """
     _check(risk_map, radius, count, candidates or {})
-    options = options or PlanningOptions()
-    plan = plan_trip(risk_map, start_xy, goal_xy, options, stops=(stops := list(stops)))
+    options, begin = options or PlanningOptions(), time.monotonic()
+    limit = options.strategy.time_limit
+    end = begin + limit
+    first = replace(options, strategy=replace(options.strategy, time_limit=PLANNED * limit))
+    plan = plan_trip(risk_map, start_xy, goal_xy, first, stops=(stops := list(stops)))
     networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(plan.network.refined)
 
     def solved(held: tuple[SecuredPlace, ...], after: TripStrategy | None = None) -> TripStrategy:
         warm = WarmStart.of(after) if after else None
         game = replace(options.game, held_places=held)
         ground = Ground.of(risk_map, replace(options, game=game))
-        end = time.monotonic() + options.strategy.time_limit
         return ground.solve(networks, end, warm)
 
     before = strategy = plan.trip
     steps: list[Held] = []
-    while len(steps) < count and strategy.value > 0.0:
+    complete = True
+    while complete and len(steps) < count and strategy.value > 0.0:
         taken = [step.name for step in steps]
         given = None if candidates is None else [
             each for each in candidates.items() if each[0] not in taken]
         if not (places := _by_site_price(strategy, given, radius)):
             break
-        steps.append(_best_of(places, radius, strategy, options.strategy.tolerance, solved,
-                              partial(progress, len(steps) + 1)))
-        strategy = steps[-1].strategy
-    return Holding(before, tuple(steps))
+        step, complete = _best_of(places, radius, strategy, options.strategy.tolerance, solved, end,
+                                  partial(progress, len(steps) + 1))
+        if step:
+            steps.append(step)
+            strategy = step.strategy
+    return Holding(before, tuple(steps), complete)
 
 
 def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tolerance: float,
-             solved: Callable[..., TripStrategy], progress: Callable[[int], None]) -> Held:
-    """The place of least value if it is held, too; of those within the slack of it, the first."""
+             solved: Callable[..., TripStrategy], end: float,
+             progress: Callable[[int], None]) -> tuple[Held | None, bool]:
+    """The place of least value if it is held, too; of those within the slack of it, the first.
+
+    Also returns whether it was found before ``end`` (``time.monotonic``); else it is the best of
+    those solved by then, None if none of them is better than holding no other place.
+    """
     held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
     bounds = np.array([bound_if_held(before, each) for each in held])
     values, last = np.full(len(held), np.inf), before
-    while left := [k for k in np.flatnonzero(np.isinf(values)).tolist()
-                   if not within(values.min(), bounds[k], tolerance)]:
-        progress(len(left))
-        k = min(left, key=lambda each: float(bounds[each]))
-        last = solved(held[k], last)
-        values[k], bounds[k] = last.value, last.lower_bound
-        for j in set(left) - {k}:
-            bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
+    strategies: dict[int, TripStrategy] = {}
+    with suppress(TimeLimit):
+        while left := [k for k in np.flatnonzero(np.isinf(values)).tolist()
+                       if not within(values.min(), bounds[k], tolerance)]:
+            if time.monotonic() >= end:
+                break
+            progress(len(left))
+            k = min(left, key=lambda each: float(bounds[each]))
+            last = strategies[k] = solved(held[k], last)
+            values[k], bounds[k] = last.value, last.lower_bound
+            for j in set(left) - {k}:
+                bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
+    if left and not values.min() <= before.value:
+        return None, False
     best = next(k for k, value in enumerate(values) if within(value, values.min(), tolerance))
-    # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
+    strategy = strategies[best]
+    with suppress(TimeLimit):
+        # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
+        cold = strategy if left else solved(held[best])
+        strategy = cold if within(cold.value, strategy.value, tolerance) else strategy
     others = float(np.delete(bounds, best).min(initial=np.inf))
-    return Held(*places[best], solved(held[best]), others, int(np.isfinite(values).sum()),
-                len(held))
+    return Held(*places[best], strategy, others, len(strategies), len(held)), not left
 
 
 def _by_site_price(strategy: TripStrategy, given: Sequence[_Place] | None,

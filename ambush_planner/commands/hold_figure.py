@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of ``ambush hold``."""
+
+from __future__ import annotations
+
+from textwrap import fill
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+
+from .. import figures, map_figures
+from ..colours import AMBUSHER
+from ..labels import Labels
+from ..maps.risk_map import RiskMap
+from ..operations.hold import Holding
+from ..words import count
+
+HELD = '#35c48c'  # a green that is none of the routes'
+NAME_WIDTH = 12  # characters in a line below the curve
+_KEY = Line2D([], [], linestyle='none', marker='o', markersize=12, color=HELD, alpha=0.5,
+              markeredgewidth=0.0, label='held: nobody can wait here')
+
+
+def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
+    """The places on the map, with the strategy if all are held, and below the value as a curve."""
+    # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
+    lines = 3 + len(map_figures.ground_key(risk_map))
+    heights = 6.1 + 0.3 * lines, 2.1
+    figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
+    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=heights))
+    figures.draw_strategy(overview, found.strategies[-1], risk_map, key=[_KEY])
+    held = f'{count(len(found.steps), "place")} held (green)'
+    overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
+                       linespacing=1.4)
+    frame = np.column_stack((overview.get_xlim(), overview.get_ylim()))
+    size = np.full(2, figures.BADGE * float(np.ptp(frame[:, 0])))
+    marks = figures.marks_of(found.strategies[-1])
+    labels = Labels(frame, marks, np.hstack((marks - size / 4.0, marks + size / 4.0)))
+    for k, step in enumerate(found.steps, start=1):
+        overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.5, linewidth=0, zorder=5))
+        spot = labels.beside(np.array(step.xy), size, 0.25 * float(size[0]), True)
+        figures.number_badge(overview, k, np.array(step.xy), HELD, spot)
+    style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
+    curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
+               label='lower bound', **style)
+    curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
+    names = [fill(f'{number} {step.name}', NAME_WIDTH)
+             for number, step in enumerate(found.steps, 1)]
+    curve.set_xticks(range(len(found.strategies)), ['0', *names])
+    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
+              ylabel='mean loss\nby the best ambush')
+    curve.grid(color='0.92')
+    curve.legend(frameon=False)
+    return figure

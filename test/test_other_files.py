@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of files that people have: each row of the tables in docs/roads.md and tables.md."""
+
+import json
+import re
+import sqlite3
+import warnings
+import zipfile
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+pytest.importorskip('geopandas', reason='vector files need geopandas')
+import geopandas
+from commands import heard, table_under
+from shapely.geometry import LineString
+from test_declared_roads import OSM
+
+from ambush_planner import AmbushPlannerError, RiskMap
+from ambush_planner.maps.coordinates import Coordinates
+from ambush_planner.maps.risk_layers import risk_from_layers
+from ambush_planner.maps.road_file import read_roads
+from ambush_planner.maps.track_file import read_tracks
+from ambush_planner.network.road_network import roads_on_map
+from ambush_planner.operations.judge import find_trips
+
+CRS, CORNER = 'EPSG:32633', np.array((455000.0, 5410000.0))
+GROUND = RiskMap(np.ones((40, 40)), np.zeros((40, 40), bool), 10.0, (*CORNER, 0.0), CRS)
+ROUND = CORNER + [(10.0, 10.0), (10.0, 390.0), (390.0, 390.0), (390.0, 10.0)]
+STRAIGHT = CORNER + [(10.0, 10.0), (200.0, 10.0), (390.0, 10.0)]
+WAY = CORNER + np.stack((np.arange(10.0, 391.0, 20.0), np.full(20, 10.0)), axis=1)
+
+
+def lines(*shapes, crs=CRS, **columns):
+    shapes = shapes or (STRAIGHT, ROUND)
+    return geopandas.GeoDataFrame(columns or None, geometry=[*map(LineString, shapes)], crs=crs)
+
+
+def roads(name='roads.gpkg', frame=None, text=None, **options):
+    """Read roads of a table or a text from a file, and lay them on the map."""
+    def say(folder):
+        if isinstance(text, str | bytes):
+            (folder / name).write_bytes(text.encode() if isinstance(text, str) else text)
+        elif frame is not None:
+            with warnings.catch_warnings():
+                warnings.simplefilter('ignore')  # of what a shapefile cuts
+                frame.to_file(folder / name)
+        given, said = heard(read_roads, str(folder / name), **options)
+        roads_on_map(given, GROUND)
+        return said
+    return say
+
+
+def with_levels():
+    bridge = CORNER + [(200.0, -100.0), (200.0, 10.0), (200.0, 100.0)]
+    halves = STRAIGHT[:2], STRAIGHT[1:], bridge[:2], bridge[1:], ROUND
+    return lines(*halves, highway=['road'] * 5, F_ZLEV=[0, 0, 0, 1, 0], T_ZLEV=[0, 0, 1, 0, 0])
+
+
+def short_side_road():
+    end = CORNER + (100.0, 10.03)
+    shapes = [Coordinates(CRS).to_lat_lon(each)[:, ::-1] for each in (
+        WAY[[0, -1]], np.stack((end, end + (0.0, 50.0))))]
+    return lines(*shapes, crs='EPSG:4326', highway=['road', 'road'])
+
+
+def without_dbf(folder):
+    lines(highway=['footway', 'road']).to_file(folder / 'a.shp')
+    (folder / 'a.dbf').unlink()
+    return roads('a.shp')(folder)
+
+
+def fewer_rows(folder):
+    for name, count in (('cut', 2), ('one', 1)):
+        lines(highway=['footway', 'road']).iloc[:count].to_file(folder / f'{name}.shp')
+    (folder / 'one.dbf').replace(folder / 'cut.dbf')
+    return roads('cut.shp')(folder)
+
+
+def undefined_system(folder):
+    lines(highway=['road', 'road']).to_crs(4326).to_file(folder / 'a.gpkg')
+    with closing(sqlite3.connect(folder / 'a.gpkg')) as file:
+        file.create_function('ST_IsEmpty', 1, lambda _: 0)
+        for table in ('gpkg_contents', 'gpkg_geometry_columns'):
+            file.execute(f'UPDATE {table} SET srs_id = 0')
+        file.commit()
+    return roads('a.gpkg')(folder)
+
+
+def with_table(name):
+    def say(folder):
+        lines(highway=['road', 'road']).to_file(folder / 'a.gpkg', layer='roads')
+        with closing(sqlite3.connect(folder / 'a.gpkg')) as file:
+            file.execute('CREATE TABLE names (fid INTEGER PRIMARY KEY, name TEXT)')
+            file.execute("INSERT INTO gpkg_contents (table_name, data_type, identifier, srs_id) "
+                         "VALUES ('names', 'attributes', 'names', 0)")
+            file.commit()
+        return roads(f'a.gpkg|layername={name}')(folder)
+    return say
+
+
+def route_graph(*frames):
+    nodes = [{'type': 'Feature', 'properties': {'id': k, 'frame': frame},
+              'geometry': {'type': 'Point', 'coordinates': each.tolist()}}
+             for k, (frame, each) in enumerate(zip(frames, STRAIGHT, strict=False))]
+    edge = {'type': 'Feature', 'properties': {'id': 9, 'startid': 0, 'endid': 1},
+            'geometry': {'type': 'LineString', 'coordinates': [[0, 0], [1, 1]]}}
+    return json.dumps({'type': 'FeatureCollection', 'features': [*nodes, edge]})
+
+
+KLASSE = lines(klasse=['path', 'street'])
+IN_DEGREES = lines(highway=['road', 'road']).to_crs(4326)
+TAGS = ', '.join(f'"name:{k}"=>"a long name"' for k in range(20))
+NAMES = {'highway': ['track', 'road']}
+ROADS = {
+    'roads of a city, `klasse` says what they are': roads(frame=KLASSE),
+    'a value that `--road-column` does not find': roads(frame=KLASSE, road_column='klasse=road'),
+    'footways of TIGER': roads('a.shp', lines(MTFCC=['S1710', 'S1400'])),
+    'a drawing, its layers are `Layer`': roads(frame=lines(Layer=['POWER', 'ROADS'])),
+    'a map of lanelet2': roads('a.osm', text=OSM.replace('highway', 'type').replace(
+        'TAGS', '<tag k="type" v="line_thin"/>')),
+    '`--all-lines-are-roads` for data that are known': roads(
+        frame=lines(**NAMES), all_lines_are_roads=True),
+    'direction by `FAHRTRICHT`': roads('a.shp', lines(**NAMES, FAHRTRICHT=['G', None])),
+    'direction by values only': roads(
+        frame=lines(fclass=['track', 'road'], flag=['Two Way', 'One Way'])),
+    'a road that is closed by two values, as osmnx merges them': roads(frame=lines(
+        **NAMES, access=['["no", "private"]', None])),
+    'tags of OpenStreetMap in JSON, next to columns': roads(frame=lines(
+        **NAMES, tags=['{"vehicle": "no", "name": "A"}', None])),
+    '`other_tags` cut by a shapefile': roads('a.shp', lines(**NAMES, other_tags=[TAGS, None])),
+    '`construction` cut to `constructi`': roads('a.shp', lines(**NAMES, constructi=['yes', None])),
+    'a shapefile with fewer rows than shapes': fewer_rows,
+    'a shapefile without `.dbf`': without_dbf,
+    'a side road that ends 3 cm short, in degrees': roads('a.geojson', short_side_road()),
+    'bridge and road with levels at their ends': roads('a.shp', with_levels()),
+    'a way with `visible="false"`': roads('a.osm', text=OSM.replace(
+        'TAGS', '<tag k="highway" v="road"/>').replace(
+            '<way id="12"', "<way id='12' visible = 'false'")),
+    'GeoJSON in metres': roads('a.geojson', text=lines(**NAMES, crs=None).to_json()),
+    'latitude before longitude': roads('a.geojson', lines(
+        *(np.array(each.coords)[:, ::-1] for each in IN_DEGREES.geometry), **NAMES, crs=4326)),
+    'a GeoPackage with the undefined geographic system': undefined_system,
+    'a route graph of two frames': roads('a.geojson', text=route_graph('map', 'odom')),
+    'a table of a GeoPackage, by its name': with_table('names'),
+    'a layer that is not there': with_table('road'),
+    'a spreadsheet': roads('a.xlsx', text=b'PK\3\4'),
+    'the page of a login': roads('a.geojson', text='<!DOCTYPE html><html>Sign in</html>'),
+    'GraphML': roads('a.graphml', text='<graphml>'),
+    'a file that ends early': roads('a.geojson', text=lines(**NAMES).to_json()[:-50]),
+}
+
+
+def written(folder, name, text):
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    return str(folder / name)
+
+
+def tracks(text, name='a.csv'):
+    """Read tracks, and find trips along ``WAY`` in them."""
+    def say(folder):
+        found, said = heard(read_tracks, written(folder, name, text), GROUND)
+        trips, left_out = find_trips(found, WAY[0], WAY[-1], 25.0, 20.0)
+        assert len(trips) + len(left_out) >= 1
+        return ' '.join((said, *map(str, left_out)))
+    return say
+
+
+def incidents(text, name='i.csv', **layer):
+    def say(folder):
+        written(folder, name, text)
+        top = {'crs': CRS, 'resolution': 20.0, 'bounds': [*CORNER, *(CORNER + 400.0)]}
+        made, said = heard(risk_from_layers, {**top, 'layers': [
+            {'incidents': name, 'half_life': 90, 'bandwidth': 60, **layer}]}, folder)
+        return ' '.join((said, *made.remarks))
+    return say
+
+
+def rows(header, *columns, each='{0},{1}'):
+    """A table with a position of ``WAY`` in each row."""
+    cells = zip(WAY.tolist(), *columns, strict=False) if columns else ((at,) for at in WAY.tolist())
+    return header + '\n' + ''.join(
+        ','.join((each.format(*at), *map(str, more))) + '\n' for at, *more in cells)
+
+
+def dated(*dates):
+    return 'x,y,date\n' + ''.join(
+        f'{x},{y},{date}\n' for (x, y), date in zip(WAY.tolist(), dates, strict=False))
+
+
+def three_vehicles(header, names='ABC', moment='2025-03-03T06:{:02}:00Z'):
+    return header + '\n' + ''.join(
+        f'{moment.format(k)},{name},{x:.1f},{y + 2.0 * lane:.1f}\n'
+        for k in range(20) for lane, name in enumerate(names)
+        for x, y in [WAY[(k + 7 * lane) % 20].tolist()])
+
+
+def packed(folder):
+    with zipfile.ZipFile(folder / 'a.gpx', 'w') as file:
+        file.writestr('a.gpx', '<gpx/>')
+    return read_tracks(str(folder / 'a.gpx'), GROUND)
+
+
+DEGREES = Coordinates(CRS).to_lat_lon(WAY)
+TIMES = [f'2025-03-03T06:{k:02}:00Z' for k in range(20)]
+TABLES = {
+    'tracks of three vehicles, in time, apart by `driver`': tracks(
+        three_vehicles('time,driver,x,y')),
+    'times in `recorded`': tracks(rows('x,y,recorded', TIMES)),
+    'tracks by `Device ID`, times in `fixTime`': tracks(three_vehicles('fixTime,Device ID,x,y')),
+    'times as milliseconds since 1970': tracks(rows('x,y,timestamp', range(
+        1741000000000, 1741000020000, 1000))),
+    'dates such as 07.04.2026': incidents(dated('07.04.2026', '2026-04-07')),
+    'the year alone': incidents(dated('2025', '2024')),
+    'a date in 3025': incidents(dated('2025-03-31', '3025-03-31')),
+    '`until: 1/4/2026`': incidents(dated('2025-03-31'), until='1/4/2026'),
+    'dates of ISO 8601 in basic form': incidents(dated('20250301', '20250331', '20250302')),
+    'degrees and minutes in `lat`': tracks('lat,lon\n48 50.5,14 23.1\n'),
+    'a row with one field less': incidents(dated('2025-03-31') + '455100,5410100\n'),
+    'a comma at the end of each row, and of none in the header': incidents(
+        dated('2025-03-31,', '2025-03-30,')),
+    'fields separated by `;`': tracks(rows('x,y').replace(',', ';')),
+    'decimal commas between quotes': incidents('x,y,date\n"455205,5","5410105,5",2025-03-31\n'),
+    '`Lat` and `LAT`': tracks('Lat,LAT,lon\n48.8,48.8,14.3\n'),
+    '`time` and `Time`': tracks(rows('x,y,Time,time', ['06:00'] * 20, TIMES)),
+    'a blank cell in `trip`': tracks(rows('x,y,trip', ['1'] * 5 + [''] + ['1'] * 14)),
+    '`lat` and `lon` swapped': tracks('lon,lat\n' + ''.join(
+        f'{lat},{lon}\n' for lat, lon in DEGREES)),
+    '`lat` and `lon` swapped, beyond 90 degrees': tracks('lat,lon\n138.7,35.1\n138.8,35.2\n'),
+    'degrees in `x` and `y`': incidents('x,y,date\n14.389,48.842,2025-03-31\n'),
+    'a line of two points': tracks('x,y\n{},{}\n{},{}\n'.format(*WAY[0], *WAY[-1]), 'two.csv'),
+    'a log of a receiver in NMEA': tracks('$GNRMC,120000,A,4850,N,01438,E\n', 'drive.log'),
+    'a TCX file of a watch': tracks('<?xml version="1.0"?>\n<TrainingCenterDatabase>', 'a.gpx'),
+    'a GPX file in a zip': packed,
+    'an empty file': tracks('', 'a.gpx'),
+    'a track in metres, in GeoJSON without a system': tracks(
+        lines(WAY, crs=None).to_json(), 'a.geojson'),
+    'UTF-16, as spreadsheets write it': tracks(rows('x,y').encode('utf-16')),
+}
+
+
+SECTION = 'What is said of other files'
+
+
+@pytest.mark.parametrize(('page', 'samples'), [('roads', ROADS), ('tables', TABLES)])
+def test_every_row_of_the_documents_is_tried(page, samples):
+    documented = [given for given, _ in table_under(f'docs/{page}.md', SECTION)]
+    assert sorted(documented) == sorted(samples)
+
+
+CASES = [(samples[given], said) for page, samples in (('roads', ROADS), ('tables', TABLES))
+         for given, said in table_under(f'docs/{page}.md', SECTION) if given in samples]
+
+
+@pytest.mark.parametrize(('sample', 'documented'), CASES, ids=[said or 'none' for _, said in CASES])
+def test_what_is_said_is_what_the_documents_say(sample, documented, tmp_path, recwarn):
+    try:
+        said = sample(tmp_path)
+    except AmbushPlannerError as error:
+        said = str(error)
+    assert '\n' not in said
+    parts = re.findall('`([^`]+)`', documented)
+    for words in parts:
+        # Names of options for programs are not on the page.
+        assert words in re.sub(r' \((road_column, )?(all_lines_are_roads|two_way)\)', '', said)
+    assert bool(said) == bool(parts)
+    assert not [each for each in recwarn if 'ambush_planner' not in str(each.category)]
