@@ -163,7 +163,7 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
 def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin: float, end: float,
                   finished: Finished) -> Plan:
     """The best plan that is finished by ``end`` (``time.monotonic``)."""
-    options, reserve = trip.options, RESERVE * (end - begin)
+    options, reserve = trip.options, RESERVE * (end - begin) if end < np.inf else 0.0
     ground = Ground.of(trip.risk_map, options)
     progress('solving the game', np.inf)
     strategy = ground.solve(trip.networks(None), end - reserve, warm)
