@@ -3,6 +3,7 @@
 
 import csv
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.tables import InvalidFeatures
 from ambush_planner.planning import holding
-from ambush_planner.planning.solving import solve_on_network
+from ambush_planner.planning.solving import Ground
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
@@ -115,19 +116,20 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
 @pytest.mark.parametrize(('games', 'steps'), [(0, 0), (1, 1), (3, 1)])
 def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, steps):
     """The clock ends it after some games; each has the time that is left of one limit."""
-    limits = []
+    ends, begin = [], time.monotonic()
 
-    def until_then(risk_map, network, options, warm=None):
-        if len(limits) == games:
-            raise TimeLimit('the time is up')
-        limits.append(options.strategy.time_limit)
-        return solve_on_network(risk_map, network, options, warm)
+    class Until(Ground):
+        def solve(self, networks, end, warm=None):
+            if len(ends) == games:
+                raise TimeLimit('the time is up')
+            ends.append(end)
+            return super().solve(networks, end, warm)
 
-    monkeypatch.setattr(holding, 'solve_on_network', until_then)
+    monkeypatch.setattr(holding, 'Ground', Until)
     options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))
     found = places_to_hold(yard, START, GOAL, RADIUS, 2, options)
-    assert not found.complete and len(found.steps) == steps
-    assert limits == sorted(limits, reverse=True) and max(limits, default=0.0) < 1000.0
+    assert not found.complete and len(found.steps) == steps and len(ends) == games
+    assert len({*ends}) <= 1 and max(ends, default=begin) <= time.monotonic() + 1000.0
     values = [each.value for each in found.strategies]
     assert values == sorted(values, reverse=True)
     for step in found.steps:
@@ -205,7 +207,7 @@ def test_the_legend_of_a_square_map_ends_above_the_curve():
     figure.draw_without_rendering()
     legend = figure.axes[0].get_legend().get_texts()
     (curve,) = (axes for axes in figure.axes if 'places held' in axes.get_xlabel())
-    assert len(legend) == 4
+    assert len(legend) == 5
     assert legend[-1].get_window_extent().y0 > curve.get_window_extent().y1
 
 
