@@ -33,10 +33,10 @@ from .maps.tables import InvalidFeatures
 from .maps.terrain_file import risk_from_terrain
 from .network.construction import NetworkOptions, build_network
 from .network.network import Network
+from .operations.frontier import FrontierRow, frontier
+from .operations.hold import Held, Holding, places_to_hold
+from .operations.many import Problem, Solved, solve_many
 from .planning.evaluation import evaluate
-from .planning.frontier import FrontierRow, frontier
-from .planning.holding import Held, Holding, places_to_hold
-from .planning.many import Problem, Solved, solve_many
 from .planning.options import DriveOptions, PlanningOptions
 from .planning.plan import Plan
 from .planning.trip import plan_trip

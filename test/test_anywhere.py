@@ -31,9 +31,11 @@ from ambush_planner import (
     TimeLimit,
     plan_trip,
 )
+from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.game.distribution.route_distribution import RouteDistribution
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ambush_planner.planning.cell_losses import CellLosses, CellSearch
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
 
@@ -151,6 +153,20 @@ def test_a_plan_that_has_proved_nothing_in_time_does_not_search_for_a_bound():
     with pytest.raises(TimeLimit) as late:
         plan_trip(*ground(11, 'hills', 22), options)
     assert late.value.strategy.lower_bound == 0.0
+
+
+def test_a_search_finds_the_places_that_cost_more_the_worst_first():
+    solution = solved_case('maze', 2.5, -1.0, 1.5, 0.3)
+    game, apart = solution.plan.strategy.game, 3.0
+    shortest = shortest_route_strategy(game)
+    worst = solution.losses_on(shortest).max()
+    for above in worst * np.array([0.2, 0.8, 0.95, 0.999]):
+        found = CellSearch(CellLosses(solution.risk_map, False), [game]).worst(
+            chain_of(game.network, shortest), above, apart)
+        assert found.mean_loss[0] >= worst * (1.0 - EQUAL)
+        assert found.mean_loss.min() > above and (np.diff(found.mean_loss) <= 0.0).all()
+        between = np.linalg.norm(found.points[:, None] - found.points, axis=2)
+        assert (between + 2.0 * apart * np.eye(len(between)) > apart).all()
 
 
 @pytest.mark.parametrize('case', SMALL, ids=str)

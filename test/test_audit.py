@@ -15,8 +15,8 @@ from ambush_planner.game.game import make_games
 from ambush_planner.game.route_sampler import RouteSampler
 from ambush_planner.game.solver import solve_legs
 from ambush_planner.game.strategy import TripStrategy
+from ambush_planner.operations.slots import Slots
 from ambush_planner.recordings.audit import MIN_DEPARTURES, NotAuditable, audit
-from ambush_planner.recordings.metadata import RecordedSlots
 
 # Probability that a correct audit fails a statistical test; all seeds are fixed.
 FALSE_ALARM = 1e-6
@@ -26,7 +26,7 @@ FALSE_ALARM = 1e-6
 class Departure:
     drawn_from: TripStrategy
     route: tuple[np.ndarray, ...]
-    drawn_slot: tuple[str, RecordedSlots] | None = None
+    drawn_slot: tuple[str, Slots] | None = None
 
     @property
     def covered(self):
@@ -125,7 +125,7 @@ def test_two_strategies_are_tested_each_under_its_own_distribution(terrain, pape
 
 def test_times_of_departure_follow_their_shares_or_are_a_finding(terrain):
     """Honest draws of routes, with honest times or with 08:00 every time."""
-    slots = RecordedSlots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1)
+    slots = Slots(('08:00', '09:00', '10:00', '11:00'), (0.25,) * 4, 1)
     routes, rng = drawn(terrain, 20, 3), np.random.default_rng(4)
     fair = [(slots.times[k], slots) for k in rng.choice(4, 20)]
     for times, finding in ((fair, False), ([('08:00', slots)] * 20, True)):

@@ -66,14 +66,16 @@ def changed(values, cells, new):
 def test_on_its_own_map_a_strategy_has_its_own_value(yaw, spacing, stops):
     """Even if nodes lie on the borders of cells and the map is rotated."""
     made, on, ground = planned(rough(1), origin=(3.0, -2.0, yaw), spacing=spacing, stops=stops)
-    trip, budget = made.trip, made.options.strategy.max_detour * made.trip.shortest_length
-    assessment = ground.assess(on)
-    assert assessment == Assessment(trip.value, trip.lower_bound, 1.0,
-                                    pytest.approx(trip.expected_length, rel=1e-9), budget)
+    trip = made.trip
+    assessed = ground.assess(on)
+    assert assessed == Assessment(trip.value, trip.lower_bound, 1.0, assessed.expected_length,
+                                  assessed.length_budget)
+    assert assessed.expected_length == pytest.approx(trip.expected_length)
+    assert assessed.length_budget == pytest.approx(sum(leg.length_budget for leg in made.legs))
     assert not ground.assess(on).is_over_budget
     again = ground.assess(grid(on.values.copy(), on.origin))
-    assert again.value == pytest.approx(trip.value, rel=1e-12)
-    assert again.lower_bound == pytest.approx(trip.lower_bound, rel=1e-9)
+    assert again.value == pytest.approx(made.value, rel=1e-12)
+    assert again.lower_bound == pytest.approx(made.lower_bound, rel=1e-9)
 
 
 cells = st.lists(st.tuples(*[st.integers(0, SIZE - 1)] * 2), min_size=1, max_size=30)
@@ -100,7 +102,7 @@ def test_a_strategy_is_blocked_if_an_edge_meets_a_new_obstacle(clearance, where)
 @given(st.sampled_from(((), (STOP,))),
        st.lists(st.tuples(*[st.integers(6, 17)] * 2), min_size=1, max_size=6))
 def test_value_and_clear_share_are_those_of_drawing_until_a_route_is_clear(stops, where):
-    """A place that both legs of a trip pass counts twice."""
+    """A place that both legs of a trip pass costs both."""
     made, on, ground = rough_plan(0.0, stops)
     newest = grid(changed(on.values, where, 100))
     assessment = ground.assess(newest)
@@ -108,12 +110,12 @@ def test_value_and_clear_share_are_those_of_drawing_until_a_route_is_clear(stops
     kept = [route for route in routes if ground.is_clear(route, newest)]
     assert len(kept) / len(routes) == pytest.approx(assessment.clear_share, abs=0.08)
     if assessment.clear_share > 0.3:
-        visits = np.bincount(np.concatenate([np.concatenate(route) for route in kept]),
-                             minlength=len(made.network.points)) / len(kept)
+        passed = np.concatenate([nodes for route in kept for nodes in route])
+        visits = np.bincount(passed, minlength=len(made.network.points)) / len(kept)
         loss = made.network.alpha * visits
         assert loss.max() == pytest.approx(assessment.value, rel=0.35)
-        length = np.mean([sum(np.hypot(*np.diff(made.network.points[leg], axis=0).T).sum()
-                              for leg in route) for route in kept])
+        length = np.mean([sum(np.hypot(*np.diff(made.network.points[nodes], axis=0).T).sum()
+                              for nodes in route) for route in kept])
         assert length == pytest.approx(assessment.expected_length, rel=0.05)
         assert assessment.allows_departure(np.inf, 0.0)
 

@@ -11,18 +11,17 @@ from games import drawn_routes, examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner.game.hits import law_of
+from ambush_planner.game.distribution.chain import RouteMixture
 from ambush_planner.planning.conditioning import ConditionedStrategy
 
 
-def strategy_on(count, edges, flows, source=0, target=None):
+def strategy_on(count, edges, flows, source=0, target=None, mixture=None):
     edges = np.array(edges, dtype=np.int64).reshape(-1, 2)
     network = SimpleNamespace(
         points=np.zeros((count, 2)), edges=edges, tails=edges[:, 0], heads=edges[:, 1],
         source=source, target=count - 1 if target is None else target)
-    p = np.array(flows, dtype=float)
-    return SimpleNamespace(network=network, edge_probability=p, mixture=None,
-                           law=law_of(SimpleNamespace(network=network), p))
+    return SimpleNamespace(network=network, edge_probability=np.array(flows, dtype=float),
+                           mixture=mixture, law=mixture)
 
 
 @st.composite
@@ -58,21 +57,33 @@ def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
     strategy, lost = drawn
     left = [(route, chance) for route, chance in routes_of(strategy) if not lost[route].any()]
     share, law = ConditionedStrategy(strategy).avoiding(lost)
-    p = law.uses(len(lost)) if law else np.zeros(len(lost))
     assert share == pytest.approx(sum(chance for _, chance in left), abs=1e-12)
+    if not left:
+        assert law is None
+        return
     wanted = np.zeros(len(lost))
     for route, chance in left:
         wanted[route] += chance / share
-    np.testing.assert_allclose(p, wanted, atol=1e-9)
+    np.testing.assert_allclose(law.uses(len(lost)), wanted, atol=1e-9)
 
 
 def test_a_strategy_with_circles_has_no_condition():
-    circle = strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
-    conditioned = ConditionedStrategy(circle)
-    share, law = conditioned.avoiding(np.zeros(4, bool))
-    assert share == 1.0 and law is circle.law
-    share, law = conditioned.avoiding(np.eye(4, dtype=bool)[1])
-    assert share == 0.0 and law is None
+    circle = ConditionedStrategy(
+        strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0]))
+    assert circle.avoiding(np.array([True, False, False, False])) == (0.0, None)
+    assert circle.avoiding(np.zeros(4, bool)) == (1.0, None)
+
+
+def test_whole_routes_that_are_clear_keep_their_odds():
+    edges = [(0, 1), (0, 2), (1, 3), (2, 3), (3, 4), (3, 5), (4, 6), (5, 6)]
+    routes = [np.array([0, 2, 4, 6]), np.array([1, 3, 5, 7]), np.array([0, 2, 5, 7])]
+    mixture = RouteMixture(routes, np.array([0.5, 0.3, 0.2]), np.zeros(3, int))
+    conditioned = ConditionedStrategy(strategy_on(7, edges, mixture.uses(8), mixture=mixture))
+    lost = np.arange(8) == 4
+    share, law = conditioned.avoiding(lost)
+    assert share == pytest.approx(0.5) and law.shares == pytest.approx([0.6, 0.4])
+    assert [route.tolist() for route in law.routes] == [[1, 3, 5, 7], [0, 2, 5, 7]]
+    assert conditioned.avoiding(lost | (np.arange(8) == 7)) == (0.0, None)
 
 
 def test_a_rest_is_drawn_in_the_order_of_edges_on_every_machine():

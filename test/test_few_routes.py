@@ -21,10 +21,10 @@ from ambush_planner import (
     plan_trip,
 )
 from ambush_planner.game.value import highs
-from ambush_planner.planning.few_routes import few_routes
+from ambush_planner.operations.few_routes import few_routes
+from ambush_planner.operations.path_mixtures import PathMixtures
+from ambush_planner.operations.random_draws import OUTCOMES, nearest_counts, random_draws
 from ambush_planner.planning.options import DriveOptions
-from ambush_planner.planning.path_mixtures import PathMixtures
-from ambush_planner.planning.random_draws import OUTCOMES, nearest_counts, random_draws
 from ambush_planner.routes.driven_path import driven_paths
 
 # 16 different routes, so that all sets of two can be tried.

@@ -24,7 +24,7 @@ from ambush_planner import (
 from ambush_planner.commands import frontier as command
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.planning.frontier import FrontierRow
+from ambush_planner.operations.frontier import FrontierRow
 
 # Tolerance of entropies: a solve may leave some of the entropy and of the slack unused.
 ENTROPY = 0.02

@@ -25,8 +25,8 @@ from ambush_planner.commands import judge as command
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.track_file import InvalidFeatures, Track, read_tracks
-from ambush_planner.planning.habits import MIN_DETOUR, find_trips, judge
-from ambush_planner.planning.path_mixtures import MAX_GAP
+from ambush_planner.operations.judge import MIN_DETOUR, find_trips, judge
+from ambush_planner.operations.path_mixtures import MAX_GAP
 
 # A driver with habits in docs/yard.yaml.
 START, GOAL = (4.0, 20.0), (56.0, 20.0)

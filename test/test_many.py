@@ -45,7 +45,7 @@ def problem(risk_map, k, **options):
 
 
 def numbers(plan):
-    return plan.value, plan.strategy.route_entropy
+    return plan.value, plan.trip.route_entropy
 
 
 def expected(each):

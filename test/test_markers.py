@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Markers tell what the strategy says: one marker a topic, as many points as colours."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from audit_samples import GOAL, SECURED, SPACING, START, occupancy
@@ -29,10 +27,15 @@ ALL = (edge_probabilities, mean_direction, ambush_sites)
 
 
 @pytest.fixture(scope='module')
-def strategy():
+def trip():
     risk_map = risk_from_occupancy(*occupancy_from_ros(risk_grid()))
     options = PlanningOptions(network=NetworkOptions(spacing=1.0))
-    return plan_trip(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
+    return plan_trip(risk_map, (1.5, 5.5), (8.5, 5.5), options).trip
+
+
+@pytest.fixture(scope='module')
+def strategy(trip):
+    return trip.legs[0]
 
 
 def only(serialised):
@@ -56,8 +59,8 @@ def alphas(marker):
 
 
 @pytest.mark.parametrize('build', ALL)
-def test_one_marker_with_a_colour_a_point(strategy, build):
-    marker = only(build(strategy, 'map', 0))
+def test_one_marker_with_a_colour_a_point(trip, build):
+    marker = only(build(trip, 'map', 0))
     assert (marker.ns, marker.id, marker.action) == (build.__name__, 0, Marker.ADD)
     assert marker.header.frame_id == 'map'
     assert marker.pose.orientation.w == 1.0
@@ -66,16 +69,16 @@ def test_one_marker_with_a_colour_a_point(strategy, build):
     assert ((alphas(marker) > 0.0) & (alphas(marker) <= 1.0)).all()
 
 
-def test_edges_in_use_are_drawn_from_tail_to_head(strategy):
-    marker = only(edge_probabilities(strategy, 'map', 0))
+def test_edges_in_use_are_drawn_from_tail_to_head(trip, strategy):
+    marker = only(edge_probabilities(trip, 'map', 0))
     assert marker.type == Marker.LINE_LIST
     network, p = strategy.network, strategy.edge_probability
     used = network.edges[p >= 1e-3]
     assert_near(positions(marker), network.points[used.ravel()])
 
 
-def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
-    strokes = positions(only(mean_direction(strategy, 'map', 0))).reshape(-1, 6, 2)
+def test_arrows_start_at_nodes_and_point_along_the_mean_direction(trip, strategy):
+    strokes = positions(only(mean_direction(trip, 'map', 0))).reshape(-1, 6, 2)
     visited = (strategy.visit_probability >= 1e-3) & (np.hypot(*strategy.mean_direction().T) > 1e-6)
     assert_near(strokes[:, 0], strategy.network.points[visited])
     shafts, wanted = strokes[:, 1] - strokes[:, 0], strategy.mean_direction()[visited]
@@ -83,58 +86,50 @@ def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
     np.testing.assert_allclose(cosine, 1.0, atol=1e-3)
 
 
-def test_sites_are_where_the_ambusher_waits(strategy):
-    marker = only(ambush_sites(strategy, 'map', 0))
-    q = strategy.ambush_probability
+def test_sites_are_where_the_ambusher_waits(trip, strategy):
+    marker = only(ambush_sites(trip, 'map', 0))
+    q = trip.ambusher.q
     assert_near(positions(marker), strategy.network.points[q >= 1e-3 * q.max()])
-    reaching = solve(strategy.network, GameOptions(ambush_radius=1.2))
+    reaching = solve(strategy.network, GameOptions(ambush_radius=1.2)).alone
     scale = only(ambush_sites(reaching, 'map', 0)).scale
     assert (scale.x, scale.y) == (2.4, 2.4), 'as wide as the ambush reaches'
 
 
-def test_network_draws_each_pair_once(strategy):
-    marker = only(network_lines(strategy, 'map', 0))
+def test_network_draws_each_pair_once(trip, strategy):
+    marker = only(network_lines(trip, 'map', 0))
     pairs = {frozenset(edge) for edge in strategy.network.edges.tolist()}
     ends = positions(marker).reshape(-1, 4)
     assert len(np.unique(ends, axis=0)) == len(ends) == len(pairs)
     assert 0.0 < marker.color.a < 1.0
 
 
-# A trip out and back over the same ground: a site of both legs is shown once, with its total.
-
-
 @pytest.fixture(scope='module')
-def plan():
-    """A round trip whose ambusher waits at each of his sites equally often on both legs."""
+def round_trip():
+    """A trip out and back over the same ground."""
     options = PlanningOptions(network=NetworkOptions(spacing=1.6 * SPACING),
                               game=GameOptions(secured_radius=SECURED))
     risk_map = risk_from_occupancy(occupancy(), 5.0)
-    made = plan_trip(risk_map, START, START, options, stops=[GOAL])
-    ambusher = made.strategy.ambusher
-    both = np.tile(ambusher.q / 2.0, (2, 1))
-    return replace(made, strategy=replace(made.strategy, ambusher=replace(ambusher, by_leg=both)))
+    return plan_trip(risk_map, START, START, options, stops=[GOAL]).trip
 
 
-@pytest.fixture
-def total(plan):
-    """Each place's share of both legs (K,)."""
-    strategy = plan.strategy
-    out, back = strategy.ambusher.by_leg
-    return strategy.game.at_places(out + back)
+def test_markers_and_report_show_each_site_of_both_legs_once(round_trip):
+    network, q = round_trip.game.network, round_trip.ambusher.q
+    assert q.sum() == pytest.approx(1.0)
+    assert_near(positions(only(ambush_sites(round_trip, 'map', 0))),
+                network.points[q >= 1e-3 * q.max()], np.median(network.lengths))
+    reported, often = report_data._sites(round_trip), q > 1e-3 * q.max()
+    np.testing.assert_array_equal(reported[:, :2], network.points[often])
+    np.testing.assert_allclose(reported[:, 2], q[often] / q.max())
 
 
-def test_shares_of_places_add_up_to_1(plan, total):
-    np.testing.assert_allclose(plan.strategy.ambush_at_places, total, atol=1e-12)
-    assert total.sum() == pytest.approx(1.0)
-
-
-def test_markers_and_report_show_each_site_once(plan, total):
-    strategy = plan.strategy
-    points = strategy.network.points[strategy.network.representatives]
-    (marker,) = deserialize_message(ambush_sites(strategy, 'map', 0), MarkerArray).markers
-    assert_near([(point.x, point.y) for point in marker.points],
-                points[total >= 1e-3 * total.max()], np.median(strategy.network.lengths))
-    reported, often = report_data._sites(strategy), total > 1e-3 * total.max()
-    np.testing.assert_array_equal(reported[:, :2], points[often])
-    np.testing.assert_allclose(reported[:, 2], total[often] / total.max())
-    assert len(plan.bottleneck.sites) == (total > 1e-6 * total.max()).sum()
+def test_edges_of_both_legs_are_shown_with_their_sum(round_trip):
+    edges, uses = round_trip.ground_uses
+    length = sum(leg.expected_length for leg in round_trip.legs)
+    ends = round_trip.game.network.points[edges]
+    assert uses @ np.hypot(*(ends[:, 0] - ends[:, 1]).T) == pytest.approx(length)
+    marker = only(edge_probabilities(round_trip, 'map', 0))
+    assert len(marker.points) == 2 * (uses >= 1e-3).sum()
+    arrows = positions(only(mean_direction(round_trip, 'map', 0))).reshape(-1, 6, 2)
+    assert len(arrows) == sum(
+        ((leg.visit_probability >= 1e-3) & (np.hypot(*leg.mean_direction().T) > 1e-6)).sum()
+        for leg in round_trip.legs)

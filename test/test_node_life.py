@@ -96,7 +96,7 @@ def test_clear_routes_that_exceed_the_length_budget_are_a_warning():
 
 @pytest.mark.parametrize('worth, warned', [(0.9996, True), (0.54, False)])
 def test_a_departure_that_is_worth_more_than_its_plan_is_a_warning(worth, warned):
-    plan = SimpleNamespace(strategy=SimpleNamespace(value=0.504))
+    plan = SimpleNamespace(value=0.504)
     last = SimpleNamespace(number=1, id='x', assessment=Assessment(worth, 0.5, 1.0, 10.0),
                            tight_turns=0, held=SimpleNamespace(plan=plan),
                            trip=SimpleNamespace(parameters=SimpleNamespace(

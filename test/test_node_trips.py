@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from forging import Forger
 from geometry_msgs.msg import PoseArray
 from ros_harness import header, pose, stage, wait_until
 
@@ -81,13 +80,3 @@ def test_recordings_of_trips_hold(runs, capsys):
 def by_stops(files, count=3):
     return next(path for path, trip in zip(files, trips(files), strict=True)
                 if len(trip.stops) == count)
-
-
-def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
-    """If each node were a place of its own, the value would come out too low."""
-    forger = Forger(by_stops(runs[0]))
-    leg = forger.arrays()['leg']
-    assert leg.max() == 3
-    forger.set_arrays(places=np.arange(len(leg)), leg=0 * leg)
-    assert verify.main([str(forger.save(tmp_path / 'forged.mcap'))]) != 0
-    assert 'FAILS' in capsys.readouterr().out

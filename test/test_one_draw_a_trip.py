@@ -240,13 +240,13 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
     assert together(verdicts) == ([], [])
     found = read_departures(files, pytest.fail)
     assert [each.metadata.departure for each in found] == [1, 2, 3, 4, 5]
-    driven, network = found[0], found[0].drawn_from.network
+    driven, leg = found[0], found[0].drawn_from.legs[0]
     assert [len(each.parts) for each in found] == [3, 1, 1, 1, 1]
     parts = [whole[:int(0.25 * len(whole)) + 1], once[:int(0.3 * len(once)) + 1], twice]
     np.testing.assert_allclose(driven.path_poses[:, :2], np.vstack(parts)[:, :2], atol=1e-9)
-    chances = dict(zip(map(tuple, network.edges.tolist()),
-                       driven.drawn_from.edge_probability.tolist(), strict=True))
-    assert all(chances[step] > 0.0 for step in pairwise(driven.route.tolist()))
+    chances = dict(zip(map(tuple, leg.network.edges.tolist()),
+                       leg.edge_probability.tolist(), strict=True))
+    assert all(chances[step] > 0.0 for step in pairwise(driven.route[0].tolist()))
     seen = json.loads(run_here(audit, tmp_path, '--json').out)
     assert (seen['departures'], seen['impossible']) == (5, 0)
     assert [each for each in seen['findings'] if BY_CHANCE not in each] == []

@@ -23,7 +23,7 @@ from ambush_planner.maps.risk_layers import risk_from_layers
 from ambush_planner.maps.road_file import read_roads
 from ambush_planner.maps.track_file import read_tracks
 from ambush_planner.network.road_network import roads_on_map
-from ambush_planner.planning.habits import find_trips
+from ambush_planner.operations.judge import find_trips
 
 CRS, CORNER = 'EPSG:32633', np.array((455000.0, 5410000.0))
 GROUND = RiskMap(np.ones((40, 40)), np.zeros((40, 40), bool), 10.0, (*CORNER, 0.0), CRS)

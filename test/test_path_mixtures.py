@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, PlanningOptions, RiskMap, TimeLimit, plan_trip
 from ambush_planner.errors import BudgetInfeasible
-from ambush_planner.planning.path_mixtures import MAX_GAP, PathMixtures
+from ambush_planner.operations.path_mixtures import MAX_GAP, PathMixtures
 
 START, GOAL = (3.0, 10.0), (37.0, 10.0)
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0), game=GameOptions(ambush_radius=2.0))

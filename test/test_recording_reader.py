@@ -32,6 +32,7 @@ from recording_samples import file_of, metadata_entries, recorded, small_departu
 from ambush_planner import PlanningOptions, StrategyOptions, plan_trip
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.operations.slots import Slots
 from ambush_planner.recordings import (
     UnreadableRecording,
     read_departure,
@@ -42,7 +43,7 @@ from ambush_planner.recordings import (
 )
 from ambush_planner.recordings.bag_folder import listed_in
 from ambush_planner.recordings.encoding import encode
-from ambush_planner.recordings.metadata import InvalidEntry, RecordedSlots, typed
+from ambush_planner.recordings.metadata import typed
 from ambush_planner.recordings.plan_file import digest_of
 from ambush_planner.recordings.recorded_departure import ground_of
 from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode
@@ -256,8 +257,8 @@ def a_day(**changes):
     (['08:00'], [1.0], 0), (['8 am'], [1.0], 1)])
 def test_slots_that_are_none_are_refused(times, shares, window):
     slots = {'times': times, 'shares': shares, 'window': window, 'value': 1.0, 'lower_bound': 1.0}
-    with pytest.raises(InvalidEntry):
-        typed(slots, RecordedSlots, 'slots')
+    with pytest.raises(InvalidOption):
+        typed(slots, Slots, 'slots')
 
 
 @pytest.mark.parametrize(('spoil', 'words'), [

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from games import least_value
 
-from ambush_planner.recordings.metadata import RecordedSlots
+from ambush_planner.operations.slots import Slots
 
 
 @pytest.mark.parametrize(('slots', 'window'), [(1, 1), (5, 1), (4, 2), (5, 2), (6, 3), (7, 3),
                                                (3, 8)])
 def test_shares_are_the_best_against_any_window(slots, window):
-    found = RecordedSlots.of([f'{hour:02d}:00' for hour in range(slots)], window)
+    found = Slots.of([f'{hour:02d}:00' for hour in range(slots)], window)
     covered = np.arange(slots) - np.arange(1 - window, slots)[:, None]
     covered = ((covered >= 0) & (covered < window)).astype(float)
     assert found.covered == pytest.approx(least_value(covered))

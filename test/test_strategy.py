@@ -9,6 +9,7 @@ import pytest
 from games import (
     METHODS,
     NASTY,
+    alone,
     check_unit_flow,
     connected_flow,
     exact_value,
@@ -43,7 +44,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game.revaluation import revalue
-from ambush_planner.game.strategy import TripStrategy
+from ambush_planner.game.value import highs
 from ambush_planner.game.value.face_flows import FaceFlows
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
@@ -289,10 +290,11 @@ def test_all_shortest_routes_are_drawn_alike_if_the_budget_allows_no_others():
 
 def test_a_solver_that_fails_is_named(monkeypatch, recwarn):
     """The strategy has its true value and bound, and nothing is divided by a bound of 0."""
-    def fails(self, deadline):
+    def fails(*_, **__):
         raise SolverFailed('numerical trouble')
 
     monkeypatch.setattr(FaceFlows, 'solve', fails)
+    monkeypatch.setattr(highs, 'run', fails)
     strategy = solve(terrain_network(4, cells=14), GameOptions(ambush_radius=2.0))
     assert strategy.reason == 'solver' and 0.0 <= strategy.lower_bound < strategy.value
     assert not [str(each.message) for each in recwarn]
@@ -313,7 +315,7 @@ def test_revalue_gives_the_value_on_the_new_losses(reach):
     network = terrain_network(4, cells=14)
     game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
     strategy = solve(network, game, free)
-    trip = TripStrategy((strategy,), strategy.certificate)
+    trip = alone(strategy)
     same = revalue(trip, network.alpha)
     assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
     changed = replace(network, alpha=network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))

@@ -16,7 +16,6 @@ from games import (
     hit_once,
     least_weight,
     neighbours,
-    plain_options,
     reached,
     routes_of,
     trip_value,
@@ -234,9 +233,8 @@ def test_on_a_map_of_two_pairs_of_gates_routes_remember_by_which_they_came():
         obstacles[:, column] = True
         obstacles[gates, column] = False
         alpha[gates, column] = 4.0 if len(gates) > 1 else 0.05
-    options = PlanningOptions(
-        network=plain_options(), game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
-        strategy=StrategyOptions(max_detour=1.5))
+    options = PlanningOptions(game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
+                              strategy=StrategyOptions(max_detour=1.5))
     plan = plan_trip(RiskMap(alpha, obstacles, 1.0), (5.0, 20.0), (55.0, 20.0), options)
     assert plan.lower_bound == pytest.approx(2.0, rel=0.01) and plan.value <= 2.02 * 1.001
     mixture = plan.strategy.mixture
@@ -357,29 +355,31 @@ def test_options_of_the_game_alone_are_refused(risk_map):
 
 
 class Clock:
-    """Time that passes by operations: each look at it takes a millisecond."""
+    """Time that passes by operations: each look at it takes a second.
+
+    So no solver that has a clock of its own ends early.
+    """
 
     def __init__(self):
         self.now = 0.0
 
     def __call__(self):
-        self.now += 1e-3
+        self.now += 1.0
         return self.now
 
 
 @pytest.mark.filterwarnings('ignore::ambush_planner.AmbushPlannerWarning')
-@pytest.mark.parametrize('stops', [(), STOPS[:1]])
 def test_a_plan_is_never_worse_than_that_of_the_plain_network_in_the_same_time(
-        risk_map, monkeypatch, stops):
+        risk_map, monkeypatch):
     """However short the time is: what is returned is the best plan that is finished."""
     values, refined = [], 0
-    for limit in (0.01, 0.03, 0.1, 0.3, 1.0, 3.0):
+    for limit in (10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0):
         for refine in (0, 2):
             monkeypatch.setattr(time, 'monotonic', Clock())
             options = PlanningOptions(
                 network=NetworkOptions(spacing=30.0, refine=refine), max_gap=math.inf,
                 game=GameOptions(ambush_radius=25.0), strategy=StrategyOptions(time_limit=limit))
-            plan = plan_trip(risk_map, START, GOAL, options, stops=stops)
+            plan = plan_trip(risk_map, START, GOAL, options)
             values.append(plan.value)
         refined += plan.network.refined is not None
         assert values[-1] <= values[-2]

@@ -20,12 +20,12 @@ from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_tr
 from ambush_planner.commands import audit, card, draw, export, report, verify
 from ambush_planner.game.strategy import with_certificate
 from ambush_planner.maps.road_file import RoadGraph
+from ambush_planner.operations.path_mixtures import PathMixtures
+from ambush_planner.operations.slots import Slots
 from ambush_planner.planning.concerns import concerns, plan_numbers
 from ambush_planner.planning.evaluation import evaluate
-from ambush_planner.planning.path_mixtures import PathMixtures
 from ambush_planner.recordings import read_departure, read_departures
 from ambush_planner.recordings.encoding import encode
-from ambush_planner.recordings.metadata import RecordedSlots
 from ambush_planner.recordings.plan_departures import departure_bytes, draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
 from ambush_planner.recordings.recording_file import read_recording
@@ -35,7 +35,7 @@ from ambush_planner.route_files import Drawn
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=3.0), game=GameOptions(ambush_radius=2.5))
-SLOTS = RecordedSlots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1)
+SLOTS = Slots(('08:00', '09:30', '11:00'), (0.5, 0.3, 0.2), 1)
 
 
 def roads():

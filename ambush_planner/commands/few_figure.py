@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from .. import figures, map_figures
 from ..colours import AMBUSHER
-from ..planning.few_routes import FewRoutes
+from ..planning.few import FewRoutes
 from .few_files import FewDrawn
 
 # Maximum number of routes with a panel each.

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from ..planning.few_routes import FewRoutes
+from ..operations.random_draws import RandomDraw, random_draws
+from ..planning.few import FewRoutes
 from ..planning.plan import Plan, path_lengths
-from ..planning.random_draws import RandomDraw, random_draws
 from ..planning.route_layers import strategy_tables
 from ..route_files import Drawn
 from ..words import percent, travel

@@ -20,7 +20,7 @@ from .positions import places_on
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..planning.frontier import FrontierRow
+    from ..operations.frontier import FrontierRow
 
 EPILOG = """\
 The table (.csv) has value, length, exposure and entropy for each budget, the picture (.png) the
@@ -53,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..maps.risk_map_file import read_risk_map
-    from ..planning.frontier import DETOURS, SLACKS, trip_frontier
+    from ..operations.frontier import DETOURS, SLACKS, trip_frontier
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
@@ -77,7 +77,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detour: float,
                    risk_slack: float, sources: Sequence[str] = ()) -> None:
     """Write tables (.csv) and pictures (.png) with mode 0600."""
-    from ..planning.frontier import FrontierRow
+    from ..operations.frontier import FrontierRow
 
     write_table(paths, [each.name for each in fields(FrontierRow)], [asdict(row) for row in rows],
                 lambda: frontier_figure(rows, max_detour, risk_slack), sources)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ..maps.risk_map import RiskMap
-    from ..planning.holding import Held, Holding
+    from ..operations.hold import Held, Holding
 
 EPILOG = """\
 PLACES has points with a name: a CSV file with name, and x, y or lat, lon, or a vector file.
@@ -51,7 +51,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..game.strategy import within_slack
     from ..maps.risk_map_file import read_risk_map
-    from ..planning.holding import places_to_hold
+    from ..operations.hold import places_to_hold
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)

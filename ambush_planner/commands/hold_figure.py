@@ -15,7 +15,7 @@ from .. import figures, map_figures
 from ..colours import AMBUSHER
 from ..labels import Labels
 from ..maps.risk_map import RiskMap
-from ..planning.holding import Holding
+from ..operations.hold import Holding
 from ..words import count
 
 HELD = '#35c48c'  # a green that is none of the routes'

@@ -21,8 +21,8 @@ from .positions import places_on
 if TYPE_CHECKING:
     from ..maps.risk_map import RiskMap
     from ..maps.track_file import Track
-    from ..planning.habits import Habits
-    from ..planning.path_mixtures import PathMixture
+    from ..operations.judge import Habits
+    from ..operations.path_mixtures import PathMixture
 
 EPILOG = """\
 TRACKS are GPX or CSV files (x and y, or lat and lon), lines of a vector file, recordings, or
@@ -59,8 +59,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..game.strategy import StrategyOptions
     from ..map_figures import as_png
     from ..maps.risk_map_file import read_risk_map
+    from ..operations.judge import NEAR, find_trips, judge
     from ..planning.concerns import concerns, is_sound
-    from ..planning.habits import NEAR, find_trips, judge
     from ..planning.options import solved_game
     from ..recordings.durable_files import write_all_durably
     from .inputs import options_from

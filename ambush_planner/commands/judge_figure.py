@@ -15,7 +15,7 @@ from .. import figures, map_figures
 from ..arrays import BoolArray, FloatArray
 from ..colours import AMBUSHER
 from ..maps.risk_map import RiskMap
-from ..planning.habits import Habits
+from ..operations.judge import Habits
 from ..words import distance
 
 # Minimum share of trips and edges that are shown.

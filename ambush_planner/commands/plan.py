@@ -21,8 +21,8 @@ from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
 if TYPE_CHECKING:
+    from ..operations.slots import Slots
     from ..planning.plan import Plan
-    from ..recordings.metadata import RecordedSlots
     from ..route_files import Drawn
 
 DESCRIPTION = """\
@@ -86,12 +86,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     import numpy as np
 
     from ..maps.risk_map_file import read_risk_map
+    from ..operations.few_routes import MAX_ROUTES
+    from ..operations.slots import Slots
     from ..planning.concerns import concerns
-    from ..planning.few_routes import MAX_ROUTES
     from ..planning.one_place import find_one_place
     from ..planning.options import PlanningOptions
     from ..planning.trip import plan_trip
-    from ..recordings.metadata import RecordedSlots
     from ..recordings.plan_file import saved_plan
     from ..recordings.sources import sources_of
     from ..route_files import draw, write_routes
@@ -125,7 +125,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     refused = plan.gap_is_wide and not arguments.accept_gap
     day = None
     if slots:
-        day = RecordedSlots.of(slots, arguments.window)
+        day = Slots.of(slots, arguments.window)
         if arguments.window >= len(slots):
             console.warn('an ambush lasts as long as all slots together, so drawing the time of '
                          'departure does not lower the value')
@@ -194,7 +194,7 @@ def _quoted(word: str) -> str:
     return word if re.fullmatch('[-+.e0-9]+ [-+.e0-9]+', word) else shlex.quote(word)
 
 
-def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
+def _tell(plan: Plan, day: Slots | None, arguments: argparse.Namespace,
           console: cli.Console) -> None:
     from ..planning.ambush_costs import best_ambush
     from ..planning.concerns import assumptions
@@ -247,7 +247,7 @@ def _tell(plan: Plan, day: RecordedSlots | None, arguments: argparse.Namespace,
     }
 
 
-def _tell_slots(plan: Plan, day: RecordedSlots, drawn: Drawn, console: cli.Console) -> None:
+def _tell_slots(plan: Plan, day: Slots, drawn: Drawn, console: cli.Console) -> None:
     shares = dict(zip(day.times, day.shares, strict=True))
     console.fact('slots', ', '.join(f'{slot} {percent(share)}' for slot, share in shares.items()))
     if drawn.slots:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import plan_methods
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck
@@ -26,12 +26,12 @@ from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, driven_path, driven_paths
 from ..words import distance
+from .few import FewRoutes
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
 from .solving import WarmStart
 
 if TYPE_CHECKING:
-    from .few_routes import FewRoutes
-    from .frontier import FrontierRow
+    from ..operations.frontier import FrontierRow
     from .refinement import Round
 
 # A departure's route: the nodes (K,) of each leg.
@@ -183,9 +183,7 @@ class Plan(Shown):
         Positions are world positions, as in ``routes`` unless the map is in a robot's frame.
         Returns the axes.
         """
-        from ..figures import draw_strategy
-
-        return draw_strategy(axes, self.drawn_from, self.risk_map)
+        return plan_methods.plot(self.drawn_from, self.risk_map, axes)
 
     def paths(self, n: int,
               rng: np.random.Generator | int | None = None) -> list[FloatArray]:
@@ -211,39 +209,26 @@ class Plan(Shown):
         Raises InvalidOption for any other suffix, or if the plan has no ``risk_map``, and
         InvalidCoordinates if a format needs a coordinate system and the map has none.
         """
-        from ..route_files import draw, write_routes
-
-        drawn = draw(self, n, rng)
-        write_routes([Path(file) for file in files], drawn, self)
-        return list(drawn.paths)
+        return plan_methods.save(self, files, n, rng)
 
     def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
         """Draw ``n`` routes and return their paths as a GeoDataFrame, as files have them.
 
         ``rng`` as in ``paths``.
         """
-        from .route_layers import line_table, route_columns
-
-        paths, times = self.paths(n, rng), [datetime.now(timezone.utc)] * n
-        return line_table(route_columns(paths, times), paths,
-                          self.risk_map.crs if self.risk_map else None)
+        return plan_methods.routes(self, n, rng)
 
     def edges(self) -> Any:
         """The edges that the convoy uses, with their ``probability``: a GeoDataFrame of lines."""
-        return self._tables()['edges']
+        return plan_methods.tables(self)['edges']
 
     def sites(self) -> Any:
         """Where the best ambusher waits: a GeoDataFrame of points, ``probability`` and ``loss``.
 
         Empty if no ambush causes a loss.
         """
-        tables = self._tables()
+        tables = plan_methods.tables(self)
         return tables.get('sites', tables['places'].iloc[:0])
-
-    def _tables(self) -> Any:
-        from .route_layers import strategy_tables
-
-        return strategy_tables(self.drawn_from, self.own_map)
 
     def to_networkx(self) -> Any:
         """The network as a directed graph of networkx.
@@ -278,13 +263,7 @@ class Plan(Shown):
 
         By default, those of ``frontier``.
         """
-        from .frontier import DETOURS, SLACKS, trip_frontier
-
-        start = self.network.points[self.network.source]
-        return trip_frontier(self.own_map, start, self.goal_xy, self.options,
-                             DETOURS if detours is None else detours,
-                             SLACKS if slacks is None else slacks,
-                             stops=self.stops_xy, refined=self.network.refined)
+        return plan_methods.frontier(self, detours, slacks)
 
     @cached_property
     def driven_length(self) -> float:

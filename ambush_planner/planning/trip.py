@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from .. import plan_methods
 from ..arrays import FloatArray, single_thread
 from ..errors import AmbushPlannerError, InvalidOption, InvalidRiskMap, TimeLimit, warn
 from ..game.revaluation import open_gap
@@ -25,9 +26,7 @@ from ..maps.risk_map import RiskMap
 from ..network.construction import build_trip_graph
 from ..network.network import Network
 from .concerns import concerns
-from .few_routes import few_routes
 from .options import PlanningOptions, grading, is_graded
-from .path_mixtures import check_judged
 from .plan import Plan, PlanRequest, make_plan
 from .refinement import Round, refine
 from .solving import Ground, WarmStart
@@ -122,14 +121,15 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     if not isinstance(options, PlanningOptions):
         raise InvalidOption(f'options must be PlanningOptions, got {type(options).__name__}; write '
                             'PlanningOptions(game=GameOptions(...))')
+    stops = list(stops)
     if routes is not None:
-        check_judged(options.game)
+        plan_methods.check_few_routes(options, stops)
     end = time.monotonic() + options.strategy.time_limit
     share = PLANNED if routes is not None else 1.0
-    made = plan_quietly(risk_map, start_xy, goal_xy, options, list(stops), warm, progress, share)
+    made = plan_quietly(risk_map, start_xy, goal_xy, options, stops, warm, progress, share)
     if routes is not None:
         progress('choosing a few routes', made.value)
-        made = replace(made, few=few_routes(made, routes, np.random.default_rng(rng), end))
+        made = replace(made, few=plan_methods.few_routes(made, routes, rng, end))
     for text in concerns(made):
         warn(text)
     return made

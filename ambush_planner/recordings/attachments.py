@@ -31,7 +31,8 @@ from ..game.strategy import TripStrategy, make_strategies
 from ..game.tolerance import Reason
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
-from ..planning.few_routes import FewRoutes, mixed
+from ..operations.few_routes import mixed
+from ..planning.few import FewRoutes
 from ..planning.plan import Plan
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'

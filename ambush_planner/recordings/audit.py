@@ -34,7 +34,7 @@ from ..arrays import ROUNDING, FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
 from ..game.route_sampler import route_edges
 from ..game.strategy import Strategy
-from .metadata import RecordedSlots
+from ..operations.slots import Slots
 
 # Minimum number of departures; with fewer the test finds little but one route driven every time.
 MIN_DEPARTURES = 5
@@ -109,7 +109,7 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     """Test departures against their strategies, and follow an observer who learns from them.
 
     ``departures`` are in order of time, each with the attributes ``drawn_from`` (TripStrategy),
-    ``route`` (the nodes of each leg), ``drawn_slot`` (its time and the RecordedSlots that it was
+    ``route`` (the nodes of each leg), ``drawn_slot`` (its time and the Slots that it was
     drawn from, or None), ``covered`` and ``value`` of RecordedDeparture; those of one strategy
     share it. A finding needs 999 ``resamples`` or more. Raises NotAuditable if fewer than
     ``MIN_DEPARTURES`` are from strategies without cycles.
@@ -253,7 +253,7 @@ def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatAr
     return mean, variance
 
 
-def _slot_counts(drawn: Sequence[tuple[str, RecordedSlots]], resamples: int,
+def _slot_counts(drawn: Sequence[tuple[str, Slots]], resamples: int,
                  rng: np.random.Generator) -> list[_Counts]:
     """How often each time of departure was drawn; empty if none was."""
     times = sorted({time for _, slots in drawn for time in slots.times})

@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from datetime import datetime
 from itertools import chain
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 from ..errors import AmbushPlannerError
+from ..operations.slots import Slots
 from .sources import Source
 
 Position = tuple[float, float]
@@ -67,45 +66,6 @@ class Diversion:
 
 
 @dataclass(frozen=True)
-class RecordedSlots:
-    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts."""
-
-    times: tuple[str, ...]
-    shares: tuple[float, ...]
-    window: int
-
-    def __post_init__(self) -> None:
-        _check_form('%H:%M', *self.times)
-        if not (len(self.times) == len(self.shares) and min(self.shares, default=-1.0) >= 0.0
-                and math.isclose(sum(self.shares), 1.0) and self.window > 0):
-            raise InvalidEntry('times and shares of slots do not fit together')
-
-    @classmethod
-    def of(cls, times: Sequence[str], window: int) -> RecordedSlots:
-        """The best shares (docs/theory.md, section 14).
-
-        An ambush of ``window`` slots covers one of a set of slots that are as far apart: of the
-        sets that cannot have more slots, one is drawn, then one of its slots.
-        """
-        size = math.ceil(len(times) / window)
-        drawn = np.arange(len(times)) % window < len(times) - (size - 1) * window
-        return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window)
-
-    @property
-    def covered(self) -> float:
-        """The largest share of departures that one ambush covers.
-
-        A plan's value for an ambusher who knows the time, times this share, is that for one who
-        must choose it, too.
-        """
-        return max(sum(self.shares[k:k + self.window]) for k in range(len(self.shares)))
-
-    def drawn(self, rng: np.random.Generator) -> str:
-        """Draw the time of a departure."""
-        return self.times[int(rng.choice(len(self.shares), p=self.shares))]
-
-
-@dataclass(frozen=True)
 class RecordedPlan:
     """What a plan file says of its plan; times as ``Plan`` has them, ``made_ns`` when it was made.
 
@@ -115,7 +75,7 @@ class RecordedPlan:
     id: str
     made_ns: int
     seconds: float
-    slots: RecordedSlots | None
+    slots: Slots | None
     sources: tuple[Source, ...] = ()
 
 

@@ -17,6 +17,7 @@ from uuid import uuid4
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
+from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.plan import Plan, make_plan
@@ -35,7 +36,7 @@ from .attachments import (
     strategy_from_file,
 )
 from .encoding import encode
-from .metadata import PlanMetadata, RecordedPlan, RecordedSlots, RecordedTrip, typed
+from .metadata import PlanMetadata, RecordedPlan, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
@@ -56,7 +57,7 @@ class SavedPlan:
 
     plan: Plan
     parameters: NodeParameters
-    slots: RecordedSlots | None = None
+    slots: Slots | None = None
     sources: tuple[Source, ...] = ()
     frame: str = 'map'
     names: tuple[str, str] = ('', '')
@@ -70,7 +71,7 @@ class SavedPlan:
 
 
 def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
-               slots: RecordedSlots | None = None, sources: tuple[Source, ...] = (),
+               slots: Slots | None = None, sources: tuple[Source, ...] = (),
                names: tuple[str, str] = ('', '')) -> SavedPlan:
     """A new plan to save, with the files that it was made from, and names of start and goal.
 

@@ -20,10 +20,11 @@ from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import map_from_bytes
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
+from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
-from ..planning.few_routes import FewRoutes
+from ..planning.few import FewRoutes
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.options import PlanningOptions
 from ..planning.plan import Route, make_plan
@@ -39,7 +40,7 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
-from .metadata import InvalidEntry, Metadata, RecordedDay, RecordedSlots, typed
+from .metadata import InvalidEntry, Metadata, RecordedDay, typed
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
 
@@ -111,7 +112,7 @@ class RecordedDeparture:
         return self.parts[0].drawn_from
 
     @property
-    def drawn_slot(self) -> tuple[str, RecordedSlots] | None:
+    def drawn_slot(self) -> tuple[str, Slots] | None:
         """The time of departure and what it was drawn from; None if none was drawn."""
         day, plan = self.metadata.day, self.metadata.plan
         slots = plan.slots if plan and day and day.slot_drawn else None

@@ -19,11 +19,11 @@ from ..colours import ROUTES
 from ..game.strategy import TripStrategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
+from ..operations.slots import Slots
 from ..planning.ambush_costs import BestAmbush, best_ambush, cost_raster
 from ..planning.evaluation import Measures, compared
 from ..routes.legs import main_corners
 from ..routes.shared_roads import stripes
-from .metadata import RecordedSlots
 from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
@@ -57,7 +57,7 @@ class Section:
         return self.departures[-1].departed_on
 
     @property
-    def slots(self) -> RecordedSlots | None:
+    def slots(self) -> Slots | None:
         """The times that the latest departure's was drawn from, if any."""
         return (self.departures[-1].drawn_slot or ('', None))[1]
 

@@ -26,9 +26,9 @@ from ..game.strategy import TripStrategy, make_strategies
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network
+from ..planning.cell_losses import CellLosses, CellSearch
+from ..planning.plan import Plan
 from .best_shares import SharesLP
-from .cell_losses import CellLosses, CellSearch
-from .plan import Plan
 
 # Maximum relative gap between the best shares' value and that of the linear program.
 MAX_GAP = 1e-3

@@ -14,7 +14,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -23,12 +22,14 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
+from ..game.game import GameOptions
 from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy
+from ..planning.few import FewRoutes
+from ..planning.plan import Plan, path_lengths
 from ..routes.driven_path import driven_paths
 from .best_shares import BestShares, SharesLP
-from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan, Route, path_lengths
+from .path_mixtures import PathMixture, PathMixtures, check_judged
 
 # Maximum number of routes; with more, draw from the plan itself.
 MAX_ROUTES = 100
@@ -55,68 +56,12 @@ SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 1e3
 _Valued = TypeVar('_Valued', PathMixture, BestShares)
 
 
-@dataclass(frozen=True, eq=False)
-class FewRoutes:
-    """A mixture of few routes.
-
-    Attributes
-    ----------
-    paths : K arrays (L, 3)
-        The driven paths, as ``Plan.paths`` has them.
-    shares : (K,)
-        How likely each is driven; the largest first.
-    trip : TripStrategy
-        The mixture, on a network of the paths side by side. Its ambusher waits at the worst place
-        anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``: paths as
-        they are driven, from which these were chosen. The plan's own bound is that of another game,
-        in which convoys may stray from their routes by the tube.
-    candidates : int
-        Their number.
-    costs : (K,)
-        Lengths [m], or driving times [s] if the network has them.
-    curve : ((K, value), ...)
-        The value of the best mixture found with at most K routes.
-    routes : K arrays
-        The nodes of each route in the plan's network.
-    """
-
-    paths: tuple[FloatArray, ...]
-    shares: FloatArray
-    trip: TripStrategy
-    candidates: int
-    costs: FloatArray
-    curve: tuple[tuple[int, float], ...]
-    routes: tuple[Route, ...]
-
-    @property
-    def value(self) -> float:
-        """Mean loss by the worst ambusher who knows all of this."""
-        return self.trip.value
-
-    @property
-    def lower_bound(self) -> float:
-        """No mixture of the candidates has a smaller value."""
-        return self.trip.lower_bound
-
-    @property
-    def worst_xy(self) -> FloatArray:
-        """The worst place (2,) [m]."""
-        network, q = self.trip.game.network, self.trip.ambusher.q
-        return np.asarray(network.points[q.argmax()])
-
-    def nodes(self, k: int) -> Route:
-        """The nodes of a route in the network of ``trip``."""
-        network = self.trip.game.network
-        first = np.flatnonzero(network.tails == network.source)
-        return (np.append(network.source, np.split(network.heads, first[1:])[k]),)
-
-    def draw(self, rng: np.random.Generator) -> int:
-        """Draw the index of a departure's route."""
-        return int(rng.choice(len(self.paths), p=self.shares))
-
-    def drawn(self, n: int, rng: np.random.Generator) -> list[FloatArray]:
-        """Draw the paths of ``n`` departures."""
-        return [self.paths[k] for k in rng.choice(len(self.paths), n, p=self.shares)]
+def check_few(game: GameOptions, stops: int) -> None:
+    """Raise InvalidOption if trips with so many stops cannot have few routes in a game."""
+    check_judged(game)
+    if stops:
+        raise InvalidOption('few routes (--routes) are for trips without stops: plan each leg as a '
+                            'trip of its own, or leave routes out and draw each leg afresh')
 
 
 def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
@@ -127,12 +72,10 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     ``deadline`` (``time.monotonic``) it is the best mixture so far, and the curve has no smaller
     numbers of routes that were not tried.
 
-    Raises InvalidOption if there are fewer different routes, and as PathMixtures; TimeLimit, with
+    Raises InvalidOption if there are fewer different routes, and as ``check_few``; TimeLimit, with
     the plan's strategy, if there is no mixture at the deadline.
     """
-    if plan.stops_xy:
-        raise InvalidOption('few routes are those of a plan without stops; plan each leg, from '
-                            'stop to stop, on its own')
+    check_few(plan.options.game, len(plan.stops_xy))
     if not plan.strategy.value > 0.0:
         raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
                             'several')

@@ -12,10 +12,10 @@ from typing import Any
 
 from ..errors import InvalidOption, warn
 from ..maps.risk_map import RiskMap
-from .concerns import concerns
-from .options import PlanningOptions
-from .plan import Plan
-from .trip import plan_quietly
+from ..planning.concerns import concerns
+from ..planning.options import PlanningOptions
+from ..planning.plan import Plan
+from ..planning.trip import plan_quietly
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,9 @@ from ..game.strategy import StrategyOptions, TripStrategy
 from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
-from .options import PlanningOptions, is_graded
-from .solving import Ground, WarmStart
-from .trip import Trip, plan_trip
+from ..planning.options import PlanningOptions, is_graded
+from ..planning.solving import Ground, WarmStart
+from ..planning.trip import Trip, plan_trip
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)

@@ -20,10 +20,10 @@ from ..errors import InvalidOption
 from ..game.budget import shortest_length
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track
-from .options import PlanningOptions
+from ..planning.options import PlanningOptions
+from ..planning.plan import Plan
+from ..planning.trip import PLANNED, Trip, plan_quietly
 from .path_mixtures import PathMixture, PathMixtures
-from .plan import Plan
-from .trip import PLANNED, Trip, plan_quietly
 
 # A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array
+from ..planning.plan import Plan
 from .path_mixtures import PathMixtures
-from .plan import Plan
 
 _FACES = '123456'
 # What can be drawn, all alike: a die; a first and a second die; a deck, suit after suit.

@@ -27,10 +27,10 @@ from ..game.strategy import TripStrategy
 from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
-from .cell_losses import thinned
-from .options import PlanningOptions
-from .solving import Ground, WarmStart
-from .trip import Position, Trip, plan_trip
+from ..planning.cell_losses import thinned
+from ..planning.options import PlanningOptions
+from ..planning.solving import Ground, WarmStart
+from ..planning.trip import Position, Trip, plan_trip
 
 # Candidates of one step if none are given, and their least distance, as a share of the radius.
 MAX_CANDIDATES, APART = 16, 0.7

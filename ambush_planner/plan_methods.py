@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Methods of plans that reach up: to figures, files, tables, and the room ``operations``.
+
+This is the one place where rooms above planning are imported late, when a method is used. So no
+room needs those above it, nor the optional packages of figures and tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .arrays import FloatArray
+
+if TYPE_CHECKING:
+    from .game.strategy import TripStrategy
+    from .maps.risk_map import RiskMap
+    from .operations.frontier import FrontierRow
+    from .planning.few import FewRoutes
+    from .planning.plan import Plan
+
+Random = np.random.Generator | int | None
+
+
+def plot(trip: TripStrategy, risk_map: RiskMap | None, axes: Any) -> Any:
+    """Draw map, strategies and ambush sites on matplotlib axes; return the axes."""
+    from .figures import draw_strategy
+
+    return draw_strategy(axes, trip, risk_map)
+
+
+def save(plan: Plan, files: Sequence[Path | str], n: int, rng: Random) -> list[FloatArray]:
+    """Draw ``n`` routes, write them to files and return their paths."""
+    from .route_files import draw, write_routes
+
+    drawn = draw(plan, n, rng)
+    write_routes([Path(file) for file in files], drawn, plan)
+    return list(drawn.paths)
+
+
+def routes(plan: Plan, n: int, rng: Random) -> Any:
+    """Draw ``n`` routes and return their paths as a GeoDataFrame."""
+    from .planning.route_layers import line_table, route_columns
+
+    paths, times = plan.paths(n, rng), [datetime.now(timezone.utc)] * n
+    return line_table(route_columns(paths, times), paths,
+                      plan.risk_map.crs if plan.risk_map else None)
+
+
+def tables(plan: Plan) -> Mapping[str, Any]:
+    """The strategies and the ground as GeoDataFrames."""
+    from .planning.route_layers import strategy_tables
+
+    return strategy_tables(plan.drawn_from, plan.own_map)
+
+
+def frontier(plan: Plan, detours: Sequence[float] | None,
+             slacks: Sequence[float] | None) -> tuple[FrontierRow, ...]:
+    """The rows of ``frontier`` for a plan's trip."""
+    from .operations.frontier import DETOURS, SLACKS, trip_frontier
+
+    return trip_frontier(plan.own_map, plan.start_xy, plan.goal_xy, plan.options,
+                         DETOURS if detours is None else detours,
+                         SLACKS if slacks is None else slacks,
+                         stops=plan.stops_xy, refined=plan.network.refined)
+
+
+def few_routes(plan: Plan, most: int, rng: Random, end: float) -> FewRoutes:
+    """The best mixture found of a plan's routes by ``end`` (``time.monotonic``)."""
+    from .operations.few_routes import few_routes as found
+
+    return found(plan, most, np.random.default_rng(rng), end)
+
+
+def check_few_routes(plan_options: Any, stops: Sequence[Any]) -> None:
+    """Raise InvalidOption if departures with these options cannot draw from a few routes."""
+    from .operations.few_routes import check_few
+
+    check_few(plan_options.game, len(stops))
