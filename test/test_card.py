@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_report_browser import BINARY
 
-from ambush_planner import GameOptions, Network, PlanningOptions, plan_trip, solve
+from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card, card_page, draw
 from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
@@ -93,8 +93,8 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     assert (tmp_path / 'card.html').stat().st_mode & 0o777 == 0o600
     places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(routes[1] - place).T).min() < 0.1 for place in places)
-    others = {f'{x:.1f}, {y:.1f}' for k in (0, 2) for x, y in routes[k]}
-    assert others - {f'{x:.1f}, {y:.1f}' for x, y in routes[1]}
+    others = {f'{x:.1f} {y:.1f}' for k in (0, 2) for x, y in routes[k]}
+    assert others - {f'{x:.1f} {y:.1f}' for x, y in routes[1]}
     text = re.sub('base64,[^"]*', '', page)
     assert not any(place in text for place in others - {row[1] for row in rows})
     assert not re.search(r'probab|ambush|\bvalue|loss|run_|strategy', text, re.IGNORECASE)
@@ -232,13 +232,15 @@ def test_a_card_fits_one_page_of_a4_and_of_letter(turns, tables, tmp_path):
                       np.r_[np.arange(turns + 1), np.arange(turns)])
     ground = RiskMap(np.ones((130, 130)), np.zeros((130, 130), bool), 50.0,
                      (500_000.0, 4_000_000.0, 0.0), 'EPSG:32631')
-    route = np.arange(turns + 2)
-    network = Network(points[route], np.r_[0.0, np.ones(turns), 0.0], list(pairwise(route)), 0,
-                      turns + 1)
-    trip = solve(network).alone
-    made = card_page.card_of(network.points, ground, trip, (trip, (route,)), roads,
-                             ('Depot', 'Camp'), 30.0, '06:00', 'Departure 7', '2030-07-01', 'UTC')
-    page = card_page.card_page(made, Console('card', as_json=False, quiet=True))
+    made = plan_trip(ground, points[0], points[turns + 1], PlanningOptions(
+        network=plain_options(method='graph', graph=roads, spacing=300.0),
+        game=GameOptions(ambush_radius=50.0)))
+    plan = tmp_path / 'stairs.plan'
+    plan.write_bytes(plan_bytes(saved_plan(made, names=('Depot', 'Camp'))))
+    done = run_here(draw, plan, '--date', '2030-07-01', '--slot', '6:00', '--speed', 30, '-o',
+                    tmp_path / 'card.html')
+    assert done.code == 0, done.err
+    page = (tmp_path / 'card.html').read_text()
     assert page.count('<table>') == tables and len(rows_of(page)) == turns + 2
     for size in ('A4', 'Letter'):
         file = tmp_path / f'{size}.html'

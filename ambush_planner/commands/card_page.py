@@ -34,7 +34,7 @@ _KILOMETRES = 2000.0
 # row and of a further line in it, and of the map at least and at most.
 _TO_DO = 'what to do'
 # Columns of positions, of which two tables next to each other have the first one only.
-_PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x, y [m]')
+_PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x y [m]')
 # Rows of one table at most; characters in a line of its texts, and in those of one of two tables.
 _MOST_ROWS, _WIDE, _NARROW = 20, 28, 26
 _FREE, _ROW, _LINE, _LOWEST, _HIGHEST = 172.0, 4.95, 3.75, 60.0, 120.0
@@ -219,7 +219,7 @@ def _columns(card: Card, console: Console) -> dict[str, list[str]]:
         columns['latitude, longitude'] = [f'{lat:.5f}, {lon:.5f}' for lat, lon in lat_lon]
     else:
         turns = bearings(points)
-        columns['x, y [m]'] = [f'{x:.1f}, {y:.1f}' for x, y in points]
+        columns['x y [m]'] = [f'{x:.1f} {y:.1f}' for x, y in points]
     if not on_roads:
         columns['bearing to next'] = [*(f'{round(turn) % 360:03d}°' for turn in turns), '']
     return columns | {

@@ -172,7 +172,7 @@ class Potential:
             if keeps_budgets and len(self._legs) == 1:
                 self._use_last()  # a mixture with others costs more
             else:
-                self._mix()
+                self._mix(deadline)
             self._z = z
             if within(self.value, self.bound, self._precision):
                 return
@@ -380,7 +380,7 @@ class Potential:
         self._blend = np.eye(1, len(self._points), len(self._points) - 1)
         self.value = float((self._loss * self._points[-1].hits[0]).max(initial=0.0))
 
-    def _mix(self) -> None:
+    def _mix(self, deadline: float) -> None:
         """Find the mixture of potentials of least value within the budgets, and the next weights.
 
         A linear program with a row for each site and each budget.
@@ -400,7 +400,7 @@ class Potential:
         lp = highs.LP(np.append(np.zeros(size), 1.0), csr_matrix(np.vstack((sites, budgets))),
                       np.append(np.zeros(len(rows)), np.ones(count)), one, np.ones(count))
         try:
-            result = highs.run(lp, 'simplex', np.inf)
+            result = highs.run(lp, 'simplex', deadline)
         except SolverFailed:
             return
         shares = np.maximum(result.x[:-1], 0.0).reshape(count, -1)
