@@ -44,9 +44,9 @@ from ambush_planner.recordings import (
 from ambush_planner.recordings.bag_folder import listed_in
 from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.metadata import typed
-from ambush_planner.recordings.plan_file import digest_of
 from ambush_planner.recordings.recorded_departure import ground_of
 from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode
+from ambush_planner.recordings.sources import digest_of
 
 VERIFY = NO_ROS + """
 from ambush_planner.commands import cli

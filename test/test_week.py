@@ -61,8 +61,6 @@ PLANS = {
     'few': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1),
     'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS,
                                stops=[(12.0, 4.0), (28.0, 16.0)]),
-    'few stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1,
-                                   stops=[(12.0, 4.0)]),
     'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=plain_options(
         method='graph', graph=roads(), spacing=3.0))),
     'held': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, game=GameOptions(
@@ -166,7 +164,7 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
         before = {key: archive[key] for key in archive if key not in ('legs', 'leg_bounds')}
     stream = BytesIO()
     np.savez_compressed(stream, **before, leg=np.zeros(9), places=np.arange(9))
-    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '10')
+    monkeypatch.setattr('ambush_planner.recordings.encoding.FORMAT', '10')
     path.write_bytes(encode(now.messages, entries, {
         **now.attachments, 'strategy.npz': stream.getvalue()}, 'zstd'))
     monkeypatch.undo()

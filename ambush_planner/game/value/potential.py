@@ -16,6 +16,7 @@ and faces at which a disc exceeds its share, are new columns of the same model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -143,7 +144,7 @@ class Potential:
             self._circulations = ()
             self.q = np.zeros(len(certain))
             self.q[certain.argmax()] = 1.0
-        self._mix()
+        self._mix(math.inf)
 
     def tighten(self, gap: float) -> None:
         """Let the next ``solve`` find z to another relative gap."""
