@@ -20,8 +20,7 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix, hstack, vstack
 from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
-from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, Strategy, build_network
-from ambush_planner.game.strategy import TripStrategy
+from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
            'gradient_delaunay')
@@ -100,11 +99,6 @@ def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple
 def plain_options(**options) -> NetworkOptions:
     """Options of networks that plans do not refine: tests of something else are quick on them."""
     return NetworkOptions(refine=0, **options)
-
-
-def alone(strategy: Strategy) -> TripStrategy:
-    """A trip of one leg."""
-    return TripStrategy((strategy,), strategy.certificate)
 
 
 terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS),

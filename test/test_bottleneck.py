@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from games import alone
 
 from ambush_planner import Network, StrategyOptions, solve
 from ambush_planner.game.bottleneck import find_bottleneck
@@ -23,7 +22,7 @@ def detour_network() -> Network:
 
 def test_the_decisive_site_and_its_place_are_reported():
     strategy = solve(detour_network(), options=StrategyOptions(max_detour=np.inf))
-    report = find_bottleneck(alone(strategy))
+    report = find_bottleneck(strategy.alone)
     assert report.sites.tolist() == [1]
     assert report.near_ends == 1
     assert strategy.value == pytest.approx(2.0, rel=1e-6)
@@ -33,6 +32,6 @@ def test_a_game_of_value_zero_has_no_decisive_sites():
     points = np.array([[0, 0], [1, 0], [2, 0.0]])
     network = Network(points, np.zeros(3), np.array([[0, 1], [1, 2]]), 0, 2)
     strategy = solve(network)
-    report = find_bottleneck(alone(strategy))
+    report = find_bottleneck(strategy.alone)
     assert len(report.sites) == 0 and report.near_ends == 0
     assert strategy.value == 0.0

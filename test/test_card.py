@@ -91,7 +91,7 @@ def test_a_card_tells_of_its_departure_only(runs, tmp_path):
     page, rows = written(folder / 'plain/run_1.mcap', tmp_path, '--speed', 3.6, '--start-time',
                          '23:59')
     assert (tmp_path / 'card.html').stat().st_mode & 0o777 == 0o600
-    places = np.array([row[1].split() for row in rows], float)
+    places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(routes[1] - place).T).min() < 0.1 for place in places)
     others = {f'{x:.1f}, {y:.1f}' for k in (0, 2) for x, y in routes[k]}
     assert others - {f'{x:.1f}, {y:.1f}' for x, y in routes[1]}
@@ -196,7 +196,7 @@ def test_one_of_few_routes(tmp_path):
     plan = plan_trip(ground, start, goal, options, routes=3, rng=1)
     plan.save(tmp_path / 'few.plan', n=0)
     page, rows = written(tmp_path / 'few.plan', tmp_path, '--route', 1)
-    places = np.array([row[1].split() for row in rows], float)
+    places = np.array([row[1].split(', ') for row in rows], float)
     assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
     assert 'No area on the way is secured' in page and len(rows[0]) == 5 and 'km/h' not in page
     count = len(plan.few.paths)

@@ -32,7 +32,7 @@ from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.tables import InvalidFeatures
-from ambush_planner.planning import holding
+from ambush_planner.operations import hold as operation
 from ambush_planner.planning.solving import Ground
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
@@ -81,23 +81,23 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour):
     before = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5), options)
     strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5,
                                           held_places=places), options)
-    ends = [(*network.points[end], 0.5) for end in network.ends]
+    ends = [(*network.points[end], 0.5) for end in (network.source, network.target)]
     near = exposed_hits(network, reach, [*ends, *places])
     limits = [(network.lengths, strategy.length_budget)]
     once = value_by_routes(network.alpha, near, routes, limits)
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1.0 - 2e-6) - 1e-9
-    assert bound_if_held(before, places) <= once * (1.0 + 1e-6) + 1e-9
-    assert bound_if_held(before, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
+    assert bound_if_held(before.alone, places) <= once * (1.0 + 1e-6) + 1e-9
+    assert bound_if_held(before.alone, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
 
 
 def test_the_ambusher_of_a_trip_bounds_it_with_more_secured_area(yard):
-    strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).strategy
+    strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).trip
     assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
     for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none
         held = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=(place,))
         planned = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=held),
-                            stops=[(22.0, 16.0)]).strategy
+                            stops=[(22.0, 16.0)]).trip
         assert bound_if_held(strategy, (place,)) <= planned.value * (1.0 + 1e-9)
 
 
@@ -125,7 +125,7 @@ def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, ste
             limits.append(end - time.monotonic())
             return super().solve(networks, end, warm)
 
-    monkeypatch.setattr(holding, 'Ground', UntilThen)
+    monkeypatch.setattr(operation, 'Ground', UntilThen)
     options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))
     found = places_to_hold(yard, START, GOAL, RADIUS, 2, options)
     assert not found.complete and len(found.steps) == steps

@@ -29,7 +29,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, metadata_entries, recorded, small_departure
 
-from ambush_planner import PlanningOptions, StrategyOptions, plan_trip
+from ambush_planner import InvalidOption, PlanningOptions, StrategyOptions, plan_trip
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.operations.slots import Slots
@@ -43,7 +43,7 @@ from ambush_planner.recordings import (
 )
 from ambush_planner.recordings.bag_folder import listed_in
 from ambush_planner.recordings.encoding import encode
-from ambush_planner.recordings.metadata import InvalidEntry, typed
+from ambush_planner.recordings.metadata import typed
 from ambush_planner.recordings.plan_file import digest_of
 from ambush_planner.recordings.recorded_departure import ground_of
 from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode

@@ -118,5 +118,5 @@ def test_rejects_values_out_of_range(value):
 def test_a_file_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(arrays, 'MAX_BYTES', 10**4)
     np.savez_compressed(tmp_path / 'm.npz', alpha=np.ones((99, 99)), obstacles=0, resolution=1.0)
-    with pytest.raises(InvalidRiskMap, match='m.npz: alpha would take 7.8.* bytes'):
+    with pytest.raises(InvalidRiskMap, match='m.npz: its arrays would take 7.8.* bytes'):
         read_risk_map(tmp_path / 'm.npz')

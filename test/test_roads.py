@@ -140,7 +140,7 @@ def test_nodes_and_edges_are_those_of_the_file(streets):
     # The bridge leads over 20 streets and meets none of them.
     bridge = [np.argmin(np.hypot(*(points - each).T)) for each in lines[-1].coords]
     assert np.isin(network.tails, bridge[1]).sum() == 2
-    inner = np.delete(np.arange(len(points)), network.ends)
+    inner = np.delete(np.arange(len(points)), [network.source, network.target])
     assert np.array_equal(network.alpha[inner], ground().alpha[ground().cells(points[inner])])
 
 

@@ -9,7 +9,6 @@ import pytest
 from games import (
     METHODS,
     NASTY,
-    alone,
     check_unit_flow,
     connected_flow,
     exact_value,
@@ -315,7 +314,7 @@ def test_revalue_gives_the_value_on_the_new_losses(reach):
     network = terrain_network(4, cells=14)
     game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
     strategy = solve(network, game, free)
-    trip = alone(strategy)
+    trip = strategy.alone
     same = revalue(trip, network.alpha)
     assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
     changed = replace(network, alpha=network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))

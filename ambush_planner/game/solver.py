@@ -423,6 +423,8 @@ def certify(search: Search, best: Incumbent) -> TripStrategy:
     kept = own.copy()
     for each in ambushes:
         kept[np.flatnonzero(each.q)] = True
+        for circulation in each.circulations:
+            kept[circulation.site] = True
     if best.worst >= 0:
         kept[best.worst] = True
     added = np.flatnonzero(kept & ~own)

@@ -31,7 +31,6 @@ from .options import PlanningOptions, automatic_tube, node_spacing, start_tolera
 from .solving import WarmStart
 
 if TYPE_CHECKING:
-    from ..operations.frontier import FrontierRow
     from .refinement import Round
 
 # A departure's route: the nodes (K,) of each leg.
@@ -258,10 +257,10 @@ class Plan(Shown):
         return graph
 
     def frontier(self, detours: Sequence[float] | None = None,
-                 slacks: Sequence[float] | None = None) -> tuple[FrontierRow, ...]:
+                 slacks: Sequence[float] | None = None) -> tuple[Any, ...]:
         """What other length budgets and slacks would buy for the same trip, a row for each.
 
-        By default, those of ``frontier``.
+        By default, those of ``frontier``. Returns FrontierRows.
         """
         return plan_methods.frontier(self, detours, slacks)
 

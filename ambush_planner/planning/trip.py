@@ -39,6 +39,8 @@ REFINED_BY, ROUND = 0.4, 0.6
 RESERVE, RESERVED, MIN_RESERVE = 0.1, 2.0, 0.1
 # Share of the time limit for a plan whose routes then become a mixture of a few.
 PLANNED = 0.7
+# Stands for a time limit without an end [s], of which shares are taken.
+LONGEST = 1e9
 
 Position = tuple[float, float]
 # Is called with a plan when it is finished.
@@ -155,7 +157,7 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
     trip = Trip(risk_map, start_xy, goal_xy, stops, options)
     with single_thread():
         return _plan_in_time(trip, warm, progress, begin,
-                             begin + share * options.strategy.time_limit, finished)
+                             begin + share * min(options.strategy.time_limit, LONGEST), finished)
 
 
 def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin: float, end: float,

@@ -362,7 +362,8 @@ class Potential:
     def _scaled_circulations(self, x: FloatArray, total: float) -> tuple[Circulation, ...]:
         """The flows of a solution, divided by what adds up to 1 at the sites."""
         flow = np.maximum(x[self._columns], 0.0) * np.where(self._up, 1.0, -1.0) / total
-        part, used = self._part[self._joined], np.flatnonzero(flow)
+        part = self._part[self._joined]
+        used = np.flatnonzero(flow * self.q[self._part_site[part]])  # elsewhere it is rounding
         found = []
         for number, (leg, weight) in enumerate(zip(self._legs, self._weights, strict=True)):
             own = used[self._part_leg[part[used]] == number]
