@@ -40,7 +40,7 @@ class OnePlace:
 
 def find_one_place(plan: Plan) -> OnePlace | None:
     """Return the place of the ambusher that hits every route of a leg, None if there is none."""
-    if not within_slack(plan.drawn_from, plan.options.strategy):
+    if not within_slack(plan.trip, plan.options.strategy):
         return None
     for k, leg in enumerate(plan.drawn_from.legs):
         if len(nodes := certain_sites(leg)):
