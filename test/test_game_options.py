@@ -8,25 +8,28 @@ import pytest
 from nav_msgs.srv import GetPlan
 from ros_harness import GOAL, START, risk_grid, stage
 
-from ambush_planner import GameOptions, PlanningOptions, StrategyOptions, TimeLimit
-from ambush_planner.game.solver import solve_game
-from ambush_planner.planning import solving as planner
+from ambush_planner import GameOptions, PlanningOptions
+from ambush_planner.planning import trip
 from ambush_planner.planning.options import tube as default_tube
+from ambush_planner.planning.solving import Ground
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker.process import WorkerProcess
 
 
-def short_of_time(game, options, ground, *_):
-    """The result of a solve at the time limit: a strategy that is 4 % over the best."""
-    rough = StrategyOptions(max_detour=options.max_detour, risk_slack=0.05)
-    raise TimeLimit('time is up', replace(solve_game(game, rough, ground), reason='time'))
+class ShortOfTime(Ground):
+    """Its solves end at the time limit, with a strategy that is up to 5 % over the best."""
+
+    def solve(self, networks, end, warm=None):
+        rough = replace(self.options.strategy, risk_slack=0.05)
+        found = Ground(self.risk_map, replace(self.options, strategy=rough), self.cells)
+        return replace(found.solve(networks, end, warm), reason='time')
 
 
 @pytest.mark.parametrize('max_gap', [0.1, 0.01])
 def test_what_was_reached_in_time_departs_with_a_warning_or_not_at_all(monkeypatch, max_gap):
     monkeypatch.setattr(WorkerProcess, 'solve',
                         lambda _, request, low_priority: plan_from_request(request))
-    monkeypatch.setattr(planner, 'solve_game', short_of_time)
+    monkeypatch.setattr(trip, 'Ground', ShortOfTime)
     with stage(parameters={'strategy.max_gap': max_gap}) as running:
         client = running.give()
         path = client.call('get_plan', GetPlan.Request(start=START, goal=GOAL)).plan

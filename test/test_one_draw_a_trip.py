@@ -282,7 +282,7 @@ def test_a_wall_across_all_routes_of_the_plan_makes_a_new_one(drive):
     drive.departures(2)
 
 
-def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, submitted):
+def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path):
     values = np.zeros((40, 40), np.int8)
     values[:, :8] = 99  # its own cell, too: 0.5 m from the free ones
     values[20:22, 20:22] = 100
@@ -303,10 +303,9 @@ def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path, sub
         drive.robot.is_at(1.5, 5.0)  # off its path, within the plan's tolerance
         wanted = pose(8.5, 5.5, 1.0)
         client.publish('goal_pose', wanted)
-        inputs, solves = running.planner._dispatcher.inputs, len(submitted)
+        inputs = running.planner._dispatcher.inputs
         wait_until(lambda: inputs.goal == wanted, 'the goal')
-        client.get_plan(HERE, GOAL)
-        assert len(submitted) == solves, 'a plan for it is kept'
+        assert client.get_plan(HERE, GOAL).poses
         drive.robot.is_at(0.5, 5.5)
         assert not client.get_plan(HERE, GOAL).poses, 'more than a metre from free ground'
         client.diagnostics(code='START_OCCUPIED', value_is='probability of being hit')

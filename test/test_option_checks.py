@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of a wrong type or out of range: an error of ours that names them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -30,11 +32,13 @@ def test_every_number_of_every_record_is_checked(record, value):
             record(**{name: value})
         assert str(value) in str(caught.value)
 
+YARD = str(Path(__file__).parents[1] / 'docs' / 'yard.yaml')
+
 
 def test_an_option_that_went_is_refused_with_the_remedy(capsys):
     for flag in '--equal', '--load', '--order':
         with pytest.raises(SystemExit) as ended:
-            plan.main(['map.yaml', '--start', '1', '1', '--goal', '2', '2', '-o', 'r.csv', flag])
+            plan.main([YARD, '--start', '1', '1', '--goal', '2', '2', '-o', 'r.csv', flag])
         assert ended.value.code == 2 and f'{flag} went: ' in capsys.readouterr().err
     for name, without in (('game.ambushers', 1), ('game.loads', ()), ('trip.order', 'given'),
                           ('strategy.max_exposure', np.inf)):

@@ -39,6 +39,7 @@ from ambush_planner.game.strategy import make_strategies
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map_file import npz_bytes
+from ambush_planner.planning import trip
 from ambush_planner.recordings.plan_file import read_plan
 from ambush_planner.words import of_departures
 
@@ -237,11 +238,11 @@ def test_a_wide_gap_saves_no_plan_unless_it_is_accepted(plain, tmp_path, monkeyp
         (leg,), legs = made.legs, made.trip.joint
         shares = np.ones(len(leg.game.sites))
         anywhere = Ambusher(at_nodes(leg.game, shares), (0.0,))
-        trip = make_strategies(legs, leg.edge_probability, [leg.mixture], anywhere,
+        weak = make_strategies(legs, leg.edge_probability, [leg.mixture], anywhere,
                                lower_bounds(legs, anywhere))
-        return replace(made, trip=replace(trip, reason='time'))
+        return replace(made, trip=replace(weak, reason='time'))
 
-    monkeypatch.setattr(plan, 'plan_trip', late)
+    monkeypatch.setattr(trip, 'plan_trip', late)
     file, asked = tmp_path / 'r.plan', ('--set', 'network.refine=0', 'network.target_nodes=200')
     done = run_here(plan, plain, *ENDS, *asked, '-o', file, tmp_path / 'r.png')
     assert done.code == 1 and 'no plan was saved' in done.err

@@ -146,9 +146,9 @@ def test_a_departure_starts_where_the_robot_is_now():
 def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):
     """On the plan or within its region, after one solve; further away it takes another one."""
     solves, solve = [], WorkerProcess.solve
-    places = [(1.6, 5.5), (3.2, 2.9), (1.5, 0.6), (1.5, 0.6)]
+    places = [(1.6, 5.5), (2.5, 2.7), (1.5, 0.6), (1.5, 0.6)]
     asked_at = [(1.5, 5.5), (1.5, 2.5), (8.5, 8.5)]
-    with stage(tmp_path, parameters=ROBOT) as running:
+    with stage(tmp_path, parameters={**ROBOT, 'strategy.max_gap': 1.0}) as running:
         client, robot = running.client, Robot(running)
 
         def drive(worker, request, *rest):

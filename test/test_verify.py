@@ -220,7 +220,7 @@ def test_a_start_from_initialpose_and_remapped_names(tmp_path, capsys):
     (path,) = recordings_in(tmp_path)
     topics = read_recording(path).entries['topics']
     assert [topics[role] for role in ('start', 'path', 'goal')] == [
-        '/convoy/initialpose', '/convoy/way', '/there']
+        '/convoy/start_pose', '/convoy/way', '/there']
     holds(path, capsys)
 
 

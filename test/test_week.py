@@ -160,8 +160,11 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
     now, entries = read_recording(path), {**read_recording(path).entries}
     entries['route'] = [node for nodes in entries['route'] for node in nodes]
     del entries['value'], entries['format']
+    entries['parameters'] = {name: value for name, value in entries['parameters'].items()
+                             if name not in ('network.two_way', 'trip.max_idle')}
     with np.load(BytesIO(now.attachments['strategy.npz'])) as archive:
         before = {key: archive[key] for key in archive if key not in ('legs', 'leg_bounds')}
+    before['edges'] = before['edges'].cumsum(axis=0)
     stream = BytesIO()
     np.savez_compressed(stream, **before, leg=np.zeros(9), places=np.arange(9))
     monkeypatch.setattr('ambush_planner.recordings.encoding.FORMAT', '10')
@@ -169,7 +172,7 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
         **now.attachments, 'strategy.npz': stream.getvalue()}, 'zstd'))
     monkeypatch.undo()
     found = Verifier().verify(path)
-    assert found.problems == [] if not words else words in found.problems[0]
+    assert (found.problems == [] if not words else words in found.problems[0]), found.problems
     if not words:
         assert read_departure(path).value == pytest.approx(plans[name][0].value)
 

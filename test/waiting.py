@@ -27,10 +27,10 @@ def held(owner, name):
     """Hold each call of a function up; yield events: one is called, and the calls may go on."""
     called, go_on, function = Event(), Event(), getattr(owner, name)
 
-    def waits(*given):
+    def waits(*given, **named):
         called.set()
         assert go_on.wait(10.0 * TIMEOUT)
-        return function(*given)
+        return function(*given, **named)
 
     with mock.patch.object(owner, name, waits):
         try:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile, is_zipfile
 
+from ..parameters.table import PARAMETERS
 from .encoding import FORMAT, MAGIC, METADATA_RECORD
 from .messages import RecordedMessage
 from .metadata import Metadata, typed
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 # The format before, in which a trip was one network, and a route one list of its nodes.
 _BEFORE = '10'
+# Parameters that it did not have; the defaults are what it did.
+_ADDED = ('network.all_lines_are_roads', 'network.road_column', 'network.two_way', 'trip.max_idle')
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,8 @@ def _by_leg(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
             path, 'it was made by an earlier version, whose trips with stops were drawn as a whole '
             'instead of leg by leg; plan again'
         )
+    added = {name: PARAMETERS[name].default for name in _ADDED}
+    entries['parameters'] = {**added, **entries['parameters']}
     if 'route' in entries:
         entries['route'] = [entries['route']]
     if entries.get('diversion'):

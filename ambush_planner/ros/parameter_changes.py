@@ -117,7 +117,8 @@ class NodeSettings:
         roads, fault = None, ''
         try:
             with telling_warnings(self._warning):
-                roads = read_roads(*named)
+                file, *how = named
+                roads = read_roads(file, **dict(zip(ROAD_OPTIONS, how, strict=True)))
         except Exception as error:
             fault = f'network.{known(error)}'
         with self._lock:
