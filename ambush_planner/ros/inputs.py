@@ -134,11 +134,16 @@ class Inputs:
         return self.map
 
     def missing(self) -> tuple[str, ...]:
-        """Return the full names of the topics of the inputs that have not arrived."""
+        """Return the full names of the topics of the inputs that have not arrived.
+
+        A risk map that no costmap joins has arrived once it is in use.
+        """
         robot = self._settings.current.values['robot_base_frame']
         poses = {'start_pose': self.start or robot, 'goal_pose': self.goal}
         inputs: dict[str, Any] = {**self._arrived, **({} if self.asked_directly else poses)}
-        return tuple(self._full_name(name) for name, given in inputs.items() if not given)
+        unused = self.map is None and 'costmap' not in self._arrived
+        return tuple(self._full_name(name) for name, given in inputs.items()
+                     if not given or (unused and name == 'alpha_map'))
 
     def latest(self) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
