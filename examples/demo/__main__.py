@@ -169,7 +169,7 @@ def table(section: Section, paths: Sequence[FloatArray], seconds: Sequence[float
     rows = [
         *words.quantities(section),
         *((words.PLANNERS[name], f'mean loss {row.v_repeated:.2f} once it is known')
-          for name, row in evaluate(section.strategy).items() if name != 'stochastic'),
+          for name, row in evaluate(section.trip.legs[0]).items() if name != 'stochastic'),
         ('different routes', f'{len({path.tobytes() for path in paths})} of {len(paths)}'),
         ('seconds', f'{total:.1f}; {first:.1f} for the first departure{further}'),
     ]
