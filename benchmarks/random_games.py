@@ -144,7 +144,7 @@ def drawn_options(rng: np.random.Generator, network: Network,
                   network_options: NetworkOptions) -> PlanningOptions:
     spacing = float(np.median(network.lengths))
     reach = spacing * float(rng.choice([0.0, 0.0, rng.uniform(0.3, 6.0)]))
-    secured = float(rng.choice([0.0, -1.0, 2.0 * reach, spacing * rng.uniform(0.0, 6.0), 1e9],
+    secured = float(rng.choice([0.0, -1.0, 2.0 * reach, spacing * rng.uniform(0.0, 6.0), 1e6],
                             p=[0.25, 0.25, 0.25, 0.22, 0.03]))
     above = float(np.quantile(network.alpha, rng.uniform(0.7, 0.99)))
     game = GameOptions(ambush_radius=reach, secured_radius=None if secured < 0.0 else secured,

@@ -21,8 +21,7 @@ from waiting import TIMEOUT, answer_of
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures('nav2')]
 SPEED, PERIOD, REACHED = 4.0, 0.02, 0.25  # m/s, s, m: Nav2's goal checker
 FAR = np.full((40, 40), 10, dtype=np.int8)
-QUICK = {'network.spacing': 2.0, 'strategy.solver': 'simplex', 'strategy.max_gap': 1.0,
-         'route.path_spacing': 0.1}
+QUICK = {'network.spacing': 2.0, 'strategy.max_gap': 1.0, 'route.path_spacing': 0.1}
 
 
 class Drive(World):
