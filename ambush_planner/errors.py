@@ -20,7 +20,7 @@ class AmbushPlannerError(Exception):
 
 
 class AmbushPlannerWarning(UserWarning):
-    """What was left out or converted on reading a file, or what limits a plan's value."""
+    """Something was left out or converted on reading a file, or limits a plan's value."""
 
 
 def warn(sentence: str) -> None:

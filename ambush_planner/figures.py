@@ -247,7 +247,7 @@ def sites_of(trip: TripStrategy) -> tuple[FloatArray, FloatArray]:
 
 
 def marks_of(trip: TripStrategy) -> FloatArray:
-    """What numbers must not cover (K, 2): start, stops, goal, and the likelier ambush sites."""
+    """Places without numbers (K, 2): start, stops, goal, and the likelier ambush sites."""
     sites, shares = sites_of(trip)
     return np.concatenate((places_of(trip), sites[shares > 0.1]))
 

@@ -11,7 +11,7 @@ from .errors import InvalidOption
 
 
 class _Gone(NamedTuple):
-    """What to do instead of an option, and its value ``without`` effect."""
+    """The remedy for an option that went, and its value ``without`` effect."""
 
     remedy: str
     without: object = None

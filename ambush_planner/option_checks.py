@@ -17,7 +17,7 @@ MAX_LENGTH = 1e6
 
 @dataclass(frozen=True)
 class Allowed:
-    """What an option may be: a number in a range, true or false, one of ``choices``, or a text.
+    """Values an option allows: a number in a range, true or false, one of ``choices``, or a text.
 
     A number may be 0 or at least ``least``. ``automatic`` stands for None: ROS has no None.
     """

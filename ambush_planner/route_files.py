@@ -63,7 +63,7 @@ class Drawn:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """What files say of each route, by column."""
+        """The columns that files have about each route."""
         from .planning.route_layers import route_columns
 
         slots = {'slot': self.slots} if self.slots else {}

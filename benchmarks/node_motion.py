@@ -150,7 +150,7 @@ class Robot:
 
 @dataclass
 class Trip:
-    """What is known of one trip; ``drawn`` is the length driven plus that of the last new path."""
+    """The record of one trip; ``drawn`` is the length driven plus that of the last new path."""
 
     way: int
     value: float = math.nan

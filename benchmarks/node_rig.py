@@ -68,7 +68,7 @@ class Rig:
 
     @property
     def log(self) -> str:
-        """What the node has printed so far."""
+        """The output of the node so far."""
         return (self.folder / 'node.log').read_text(errors='replace')
 
     @property

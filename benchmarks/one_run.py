@@ -27,7 +27,7 @@ LATE = 'late'
 
 
 def run(task: str, name: str, limit: float, checkout: Path | None = None, **given: Any) -> Answer:
-    """What ``task`` ('script.function') answers for a problem; ``failed`` if it did not end well.
+    """Run ``task`` ('script.function') on a problem; ``failed`` if it did not end well.
 
     Its ``status`` is then the package's error, ``LATE``, or the last line of a crash. ``checkout``
     holds the package that is measured; None: the installed one.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What random routes without a game cost: how others vary their routes, at our mean length.
+"""The cost of random routes without a game: how others vary their routes, at our mean length.
 
 On the same network, against the same ambusher: the largest loss over all free cells outside the
 secured area, each route counted once, over the value of our plan. Amplitudes of noise and numbers

@@ -69,7 +69,7 @@ def at_nodes(name: str) -> Answer:
 
 
 def timed(problem: Problem, make: Callable[[], TripStrategy]) -> Answer:
-    """What strategies cost and are, once all libraries are loaded."""
+    """Measure strategies, once all libraries are loaded."""
     planned_on(draw('plan:hills-coarse:100:0'))
     begin = time.process_time()
     trip = make()

@@ -211,7 +211,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
 
 
 def by_commands(folder: Path, name: str) -> None:
-    """What the commands of the pages draw, in a new folder."""
+    """Run the commands of the pages in a new folder, for their pictures."""
     file, wanted = COMMANDS[name]
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     runs = {'sh': '{}', 'python': "python - <<'END'\n{}END\n"}
@@ -231,7 +231,7 @@ def by_commands(folder: Path, name: str) -> None:
 
 
 def photograph(page: Path, folder: Path, name: str) -> None:
-    """What a browser shows at the top of a page."""
+    """Take a picture of the top of a page in a browser."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         print(f'no {name}.png: install chromium', file=sys.stderr)

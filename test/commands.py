@@ -56,7 +56,7 @@ def run_without(missing, folder, *lines):
 
 
 def heard(act, *arguments, **options):
-    """What a function returns, and the texts of our warnings in one."""
+    """Return the result of a function, and the texts of our warnings in one."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter('always', AmbushPlannerWarning)
         result = act(*arguments, **options)

@@ -20,7 +20,16 @@ from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix, hstack, vstack
 from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
-from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
+from ambush_planner import (
+    GameOptions,
+    Network,
+    NetworkOptions,
+    NoRoute,
+    PlanningOptions,
+    RiskMap,
+    StrategyOptions,
+    build_network,
+)
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
            'gradient_delaunay')
@@ -94,6 +103,19 @@ def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple
     obstacles[:, [0, -1]] = False
     start, goal = (0.5, rng.uniform(5, cells - 5)), (cells - 0.5, rng.uniform(5, cells - 5))
     return RiskMap(alpha, obstacles, 1.0), start, goal
+
+
+def two_pairs_of_gates() -> tuple[RiskMap, tuple, tuple, PlanningOptions]:
+    """A wall with two gates, one with a pass, and another with two gates; start, goal, options."""
+    alpha, obstacles = np.full((40, 60), 0.5), np.zeros((40, 60), bool)
+    alpha[:, 26:34] = 0.05
+    for column, gates in ((25, (8, 31)), (30, (20,)), (35, (8, 31))):
+        obstacles[:, column] = True
+        obstacles[gates, column] = False
+        alpha[gates, column] = 4.0 if len(gates) > 1 else 0.05
+    options = PlanningOptions(game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
+                              strategy=StrategyOptions(max_detour=1.5))
+    return RiskMap(alpha, obstacles, 1.0), (5.0, 20.0), (55.0, 20.0), options
 
 
 def plain_options(**options) -> NetworkOptions:

@@ -113,7 +113,7 @@ def uninstall(package):
 
 
 def _missing():
-    """What an interface cannot be built without, '' if all is there."""
+    """Name the part without which an interface cannot be built, '' if all is there."""
     if not all(map(find_spec, ('rosidl_adapter', C, PYTHON, DISPATCH))):
         return 'no rosidl generators'
     if not all(map(shutil.which, ('gcc', 'g++'))):

@@ -96,7 +96,7 @@ ATTACHMENTS = {'strategy.npz': b'not a strategy, but bytes'}
 
 
 def new_route_call(stamp_ns):
-    """What the metadata of a departure says of the call."""
+    """The entry about the call in the metadata of a departure."""
     return {
         'service': '/planner/new_route', 'type': 'std_srvs/srv/Trigger',
         'request_ns': stamp_ns, 'response_ns': stamp_ns,
@@ -134,7 +134,7 @@ def message_of(recorded):
 
 
 def fields(message):
-    """What of a recorded message comes back from a file."""
+    """The parts of a recorded message that come back from a file."""
     return (message.topic, message.type, message.data, message.channel.qos, message.stamp_ns)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan publishes, against ambushers anywhere in free ground and against all other routes.
+"""Published values, against ambushers anywhere in free ground and against all other routes.
 
 Geometry, hits and LPs share no code with the package (games.py).
 """

@@ -39,7 +39,7 @@ def certify(game, p, ambusher, budget, bound=None):
 
 
 def lower_bound(game, ambusher, budget, deadline=math.inf):
-    """What the ambusher proves about a single leg."""
+    """The bound that the ambusher proves for a single leg."""
     return float(lower_bounds(Legs((game,), (budget,)), ambusher, deadline)[0])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all commands share: one entry, options, exit codes, output for terminals and pipes."""
+"""Common ground of all commands: one entry, options, exit codes, output for terminals and pipes."""
 
 import importlib
 import json

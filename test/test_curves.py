@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What circulations prove, against the best response and against all routes."""
+"""Bounds of circulations, against the best response and against all routes."""
 
 import math
 from dataclasses import replace
@@ -40,7 +40,7 @@ def proof(game, detour):
 
 
 def lower_bound(game, ambusher, budget) -> float:
-    """What the curves of a leg's ambusher prove, at least 0."""
+    """The bound by the curves of a leg's ambusher, at least 0."""
     (curves,), (price,) = ambusher.circulations, ambusher.prices
     return max(curve_bound(make_faces(game), curves, game.loss * ambusher.q, budget, price), 0.0)
 
@@ -69,7 +69,7 @@ class Case:
         return float(costs.min()) - (price * limit if price > 0.0 else 0.0)
 
     def bound_of(self, ambusher: Ambusher) -> float:
-        """What the ambusher proves; 0 if he is refused."""
+        """The bound that the ambusher proves; 0 if he is refused."""
         try:
             return lower_bound(self.game, ambusher, self.budget)
         except SolverFailed:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What layers of risk and tracks leave out is counted, or refused where it matters: tables."""
+"""Lines that layers and tracks leave out are counted, or refused where it matters: tables."""
 
 import numpy as np
 import pytest

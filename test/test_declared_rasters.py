@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rasters and images declare is applied or refused, and what is ignored is named: tables."""
+"""Declarations of rasters and images are applied, refused, or named if ignored: tables."""
 
 import numpy as np
 import pytest

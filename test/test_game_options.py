@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the options of game and route change in what the node answers, held against geometry."""
+"""Options of game and route change the node's answers as geometry says."""
 
 from dataclasses import replace
 

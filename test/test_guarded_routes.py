@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may read routes: the SROS2 policy compared with a running node, and unpublished routes."""
+"""Readers of routes: the SROS2 policy compared with a running node, and unpublished routes."""
 
 import xml.etree.ElementTree as ElementTree
 from fnmatch import fnmatchcase
@@ -41,7 +41,7 @@ class Profile:
         }
 
     def may(self, kind, access, name):
-        """What DDS answers: the first rule that matches, those that deny first; else no."""
+        """The answer of DDS: the first rule that matches, those that deny first; else no."""
         for rule in ('DENY', 'ALLOW'):
             if any(fnmatchcase(name, each) for each in self.listed(kind, access, rule)):
                 return rule == 'ALLOW'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to hold next: held places against all routes, plans and every candidate; the command."""
+"""Places to hold next: held places against all routes, plans and every candidate; the command."""
 
 import csv
 import json

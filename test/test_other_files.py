@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of files that people have: each row of the tables in docs/roads.md and tables.md."""
+"""Sentences about files that people have: each row of the tables in docs/roads.md and tables.md."""
 
 import json
 import re

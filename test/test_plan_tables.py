@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan gives to other Python libraries: tables of geometries, graphs, comparisons."""
+"""A plan for other Python libraries: tables of geometries, graphs, comparisons."""
 
 import numpy as np
 import pytest

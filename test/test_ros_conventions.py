@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ROS users take for granted: frames, simulated time, several nodes."""
+"""Conventions of ROS: frames, simulated time, several nodes."""
 
 import math
 

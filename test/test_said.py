@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said in Python and by commands; suffixes in upper case; files across 180 degrees."""
+"""Messages in Python and of commands; suffixes in upper case; files across 180 degrees."""
 
 import json
 import re

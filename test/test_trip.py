@@ -19,6 +19,7 @@ from games import (
     reached,
     routes_of,
     trip_value,
+    two_pairs_of_gates,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -227,15 +228,7 @@ def test_two_gates_within_the_reach_are_whole_routes_drawn_with_their_shares():
 
 def test_on_a_map_of_two_pairs_of_gates_routes_remember_by_which_they_came():
     """A place between the gates of one side hits both; a chain would cost half as much again."""
-    alpha, obstacles = np.full((40, 60), 0.5), np.zeros((40, 60), bool)
-    alpha[:, 26:34] = 0.05
-    for column, gates in ((25, (8, 31)), (30, (20,)), (35, (8, 31))):
-        obstacles[:, column] = True
-        obstacles[gates, column] = False
-        alpha[gates, column] = 4.0 if len(gates) > 1 else 0.05
-    options = PlanningOptions(game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
-                              strategy=StrategyOptions(max_detour=1.5))
-    plan = plan_trip(RiskMap(alpha, obstacles, 1.0), (5.0, 20.0), (55.0, 20.0), options)
+    plan = plan_trip(*two_pairs_of_gates())
     assert plan.lower_bound == pytest.approx(2.0, rel=0.01) and plan.value <= 2.02 * 1.001
     mixture = plan.strategy.mixture
     assert mixture.shares.sum() == pytest.approx(1.0)

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from forging import GET_PLAN, NEW_ROUTE, SEEDED, Forger
+from games import two_pairs_of_gates
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message
 from ros_harness import header, pose, risk_grid, stage
 from waiting import TIMEOUT
 
-from ambush_planner import GameOptions, PlanningOptions, RiskMap, StrategyOptions, plan_trip
+from ambush_planner import plan_trip
 from ambush_planner.commands import report_words
 from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
@@ -282,16 +283,7 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
 
 def test_networks_of_whole_routes_are_rebuilt_with_the_sites_of_a_warm_start():
     """Two pairs of gates with one pass between them: routes remember by which gate they came."""
-    alpha, obstacles = np.full((40, 60), 0.5), np.zeros((40, 60), bool)
-    alpha[:, 26:34] = 0.05
-    for column, gates in ((25, (8, 31)), (30, (20,)), (35, (8, 31))):
-        obstacles[:, column] = True
-        obstacles[gates, column] = False
-        alpha[gates, column] = 4.0 if len(gates) > 1 else 0.05
-    risk_map, start, goal = RiskMap(alpha, obstacles, 1.0), (5.0, 20.0), (55.0, 20.0)
-    options = PlanningOptions(
-        game=GameOptions(ambush_radius=11.0, secured_radius=0.0),
-        strategy=StrategyOptions(max_detour=1.5))
+    risk_map, start, goal, options = two_pairs_of_gates()
     warm = WarmStart(np.array([(25.3, 31.1)]), np.zeros((0, 3)))
     values: list[float] = []
     plan = plan_trip(risk_map, start, goal, options, warm=warm,

@@ -36,7 +36,7 @@ def roads(*lines, one_way=()):
 
 
 def told(graph, *line, stops=NONE):
-    """What the driver of a route is told: number of metres and text, at each way point."""
+    """The rows of a route's driver: number of metres and text, at each way point."""
     line = np.array(line, float)
     names = ['start', *(f'stop {k + 1}' for k in range(len(stops))), 'goal']
     return [(round(each.distance), each.label)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``ambush plan --routes`` writes and prints: files, a picture, a table for dice and cards."""
+"""Output of ``ambush plan --routes``: files, a picture, a table for dice and cards."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands that read recordings share: arguments, departures, a folder for one file."""
+"""Shared parts of commands that read recordings: arguments, departures, a folder for one file."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ OPTIMAL = 1e-5
 
 
 def certificate(section: Section) -> list[str]:
-    """What the value and its lower bound guarantee, and what that assumes."""
+    """Say what the value and its lower bound guarantee, and what that assumes."""
     return [
         _guarantee(section), _optimality(section),
         ' '.join(filter(None, (_assumptions(section.trip), secured(section)))),

@@ -139,7 +139,7 @@ def _is_blocked(verdict: Verdict) -> bool:
 
 
 def _now(verdict: Verdict) -> list[str]:
-    """What is clear on the new ground, and what it costs there."""
+    """Say what is clear on the new ground, and what it costs there."""
     if (now := verdict.now) is None:
         return []
     costs = (f'value {now.value:.4g}, before {now.before:.4g}' if now.clear_share > 0.0 else

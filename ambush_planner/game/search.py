@@ -107,7 +107,7 @@ class Program(Protocol):
 
     @property
     def value(self) -> float:
-        """What the strategies of ``flow`` cost at the sites so far."""
+        """The cost of the strategies of ``flow`` at the sites so far."""
 
     @property
     def flow(self) -> FloatArray:

@@ -220,7 +220,7 @@ class Solved(NamedTuple):
 
     @property
     def value(self) -> float:
-        """What the strategies cost."""
+        """The cost of the strategies."""
         return self.bound
 
     def solve(self, deadline: float) -> None:
@@ -461,7 +461,7 @@ def _best_proof(search: Search, legs: Legs, best: Incumbent,
 
 
 def _leg_targets(legs: Legs, law: Law, ambusher: Ambusher, target: float) -> FloatArray:
-    """What to prove of each leg (legs,), so that it adds up to ``target`` if that is possible.
+    """The bound to prove of each leg (legs,): they add up to ``target`` if that is possible.
 
     What the leg's own strategy costs against the ambusher, less its share of what need not be
     proved.

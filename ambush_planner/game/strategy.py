@@ -226,7 +226,7 @@ class Strategy(Shown):
 
     @cached_property
     def sampler(self) -> RouteSampler | MixtureSampler:
-        """What draws the routes."""
+        """The sampler of the routes."""
         if self.mixture:
             return MixtureSampler(self.network, self.mixture)
         return RouteSampler(self.network, self.edge_probability)

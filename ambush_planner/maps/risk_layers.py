@@ -79,7 +79,7 @@ class InvalidLayers(AmbushPlannerError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What a line contributed, for pictures.
+    """The contribution of a line, for pictures.
 
     ``values`` (H, W) are losses, changes of them, or numbers of incidents; booleans say which cells
     a layer covers that changes no losses. ``shapes`` are those of a vector layer, for roads with

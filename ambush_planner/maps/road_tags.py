@@ -38,7 +38,7 @@ _Schema = Mapping[str, frozenset[str]]
 
 
 class Road(NamedTuple):
-    """What the tags of a line say.
+    """The meaning of a line's tags.
 
     ``problem``: why it is no road for vehicles; ``way``: 1 along the line only, -1 against it, 0
     both; ``level``: roads cross only on the same one; ``levels``: those of the first, the inner and
@@ -231,7 +231,7 @@ def _warn_of_others(path: str, roads: list[Road]) -> None:
 
 
 def _judged(tags: Mapping[str, str], schema: _Schema) -> Road:
-    """What the tags of a line say."""
+    """Read the tags of a line."""
     if of_osm := 'highway' in schema:
         for key in known.OTHER_WAYS:
             if not tags['highway'] and tags[key] not in _NOT:

@@ -98,7 +98,7 @@ class Network(Shown):
 
     @property
     def travel_costs(self) -> FloatArray:
-        """What each edge (M,) adds to the length budget: time [s] if known, else length [m]."""
+        """The share of each edge (M,) in the length budget: time [s] if known, else length [m]."""
         return self.lengths if self.seconds is None else self.seconds
 
     @property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What plans are used for, beyond departures; no plan depends on it.
+"""Uses of plans beyond departures; no plan depends on them.
 
 ``few_routes`` has the best mixture of a few routes, ``judge`` judges trips that were driven, both
 by ``path_mixtures``; ``slots`` mixes times of departure, ``hold`` finds what to hold. ``many``

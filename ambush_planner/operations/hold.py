@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to hold next: the place that lowers a plan's value most if nobody can wait around it.
+"""The next place to hold: the one that lowers a plan's value most if nobody can wait around it.
 
 Places are added one by one, each given those before it. Any ambusher's mixture bounds from below
 what holding a place can achieve, by what it causes from elsewhere (``bound_if_held``). So only the

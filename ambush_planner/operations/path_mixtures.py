@@ -136,7 +136,7 @@ class PathMixtures:
 
     @property
     def losses(self) -> csr_matrix:
-        """What each path costs (S, K) at each of the sites so far, which include the worst."""
+        """Costs (S, K) of each path at each of the sites so far, which include the worst."""
         return self._hit.multiply(self._loss[:, None]).tocsr()
 
     def _add_sites(self, points: FloatArray, loss: FloatArray) -> None:

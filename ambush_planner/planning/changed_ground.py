@@ -75,7 +75,7 @@ class Assessment:
 
     @property
     def concern(self) -> str:
-        """What to know about the length of the clear routes, in words; '' if nothing."""
+        """A warning about the length of the clear routes, in words; '' if there is none."""
         if not self.is_over_budget:
             return ''
         return (f'the routes that are clear on the current map have a mean length of '

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a convoy can drive on the newest map."""
+"""Ground that a convoy can drive on the newest map."""
 
 from __future__ import annotations
 

@@ -258,7 +258,7 @@ class Plan(Shown):
 
     def frontier(self, detours: Sequence[float] | None = None,
                  slacks: Sequence[float] | None = None) -> tuple[Any, ...]:
-        """What other length budgets and slacks would buy for the same trip, a row for each.
+        """Solve the trip with other length budgets and slacks, a row for each.
 
         By default, those of ``frontier``. Returns FrontierRows.
         """

@@ -24,7 +24,7 @@ from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """What another strategy, or another search, knows: where the ambusher waits between nodes.
+    """The knowledge of another strategy or search: where the ambusher waits between nodes.
 
     ``places`` (K, 2) are sites without edges [m]; ``refined`` (K, 3) is that of the new network;
     ``value`` is what the other network's strategy costs.

@@ -67,7 +67,7 @@ class Diversion:
 
 @dataclass(frozen=True)
 class RecordedPlan:
-    """What a plan file says of its plan; times as ``Plan`` has them, ``made_ns`` when it was made.
+    """The entry about the plan of a file; times as ``Plan`` has them, ``made_ns`` when it was made.
 
     ``sources`` are the files that it was made from.
     """
@@ -81,7 +81,7 @@ class RecordedPlan:
 
 @dataclass(frozen=True)
 class RecordedDay:
-    """What a departure drawn from a plan file is for.
+    """The day of a departure that was drawn from a plan file.
 
     ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said) in a time ``zone``, which was drawn
     after the route if ``slot_drawn``; the index of the route if there are few; the id of an earlier
@@ -116,7 +116,7 @@ class PlanMetadata:
 
 @dataclass(frozen=True)
 class Metadata:
-    """What a departure was, and what it takes to draw it again.
+    """The record of a departure, with all that it takes to draw it again.
 
     Attributes
     ----------

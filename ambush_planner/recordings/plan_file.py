@@ -114,7 +114,7 @@ def plan_bytes(saved: SavedPlan) -> bytes:
 
 
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
-    """What the metadata record of a plan, and of each departure drawn from it, says of the plan."""
+    """Entries about the plan in its metadata record and in those of its departures."""
     plan = saved.plan
     return RecordedPlan(saved.id, saved.made_ns, plan.seconds, saved.slots,
                         saved.sources)

@@ -140,7 +140,7 @@ class RecordedDeparture:
 
     @property
     def parts(self) -> list[RecordedDeparture]:
-        """What was recorded of the departure, from the first to the last."""
+        """The recordings of the departure, from the first to the last."""
         return [*(self.before.parts if self.before else ()), self]
 
     @cached_property
@@ -160,7 +160,7 @@ class RecordedDeparture:
 
 
 class SharedParts:
-    """What departures have in common is made ``once``; the last ``most`` results are kept."""
+    """Parts that departures share are made ``once``; the last ``most`` results are kept."""
 
     def __init__(self, most: int | None = None) -> None:
         self.once: Callable[..., Any] = lru_cache(most)(lambda make, *of: make(*of))

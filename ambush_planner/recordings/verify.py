@@ -51,7 +51,7 @@ _KEPT = 48
 
 @dataclass(eq=False)
 class Verdict:
-    """What was found about one file.
+    """The findings about one file.
 
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
     if the file is ``denied``, the user may not read it. ``notes`` are other remarks. ``route`` and

@@ -27,7 +27,7 @@ _ERRORS = ('request', 'alpha_map', 'costmap', 'join', 'recording')
 
 
 class Problem(NamedTuple):
-    """What is wrong: a code (``error_codes``; '' for a warning), a message, and the level."""
+    """A problem: a code (``error_codes``; '' for a warning), a message, and the level."""
 
     code: str
     message: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What has arrived: the current map, the latest poses, and the trip that they make."""
+"""The inputs that have arrived: the current map, the latest poses, and the trip that they make."""
 
 from __future__ import annotations
 

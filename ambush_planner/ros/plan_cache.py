@@ -36,7 +36,7 @@ _MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 150_000_000, 1100, 1
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What a plan is solved for; equal if the plans are the same.
+    """The task that a plan is solved for; equal if the plans are the same.
 
     The ``first`` plan of a trip has a plain network, which is then to be refined.
     """
@@ -158,7 +158,7 @@ class Fit:
 
     @property
     def assessment(self) -> Assessment:
-        """What a departure is worth on the trip's map."""
+        """The assessment of a departure on the trip's map."""
         return self.joined.assessment if self.joined else self.cached.ground.assess(self.trip.map)
 
     @property

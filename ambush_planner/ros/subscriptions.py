@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node listens to, read and handed to its inputs."""
+"""The node's subscriptions, read and handed to its inputs."""
 
 from __future__ import annotations
 

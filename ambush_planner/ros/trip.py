@@ -80,12 +80,12 @@ class Trip:
 
     @property
     def ground(self) -> ClearGround:
-        """What can be driven on the map."""
+        """The ground that can be driven on the map."""
         return ClearGround(self.map, self.parameters.occupancy, self.parameters.planning.network)
 
     @cached_property
     def conditions(self) -> tuple[object, ...]:
-        """What a plan depends on besides map, start, goal, refinement and planning time."""
+        """All that a plan depends on besides map, start, goal, refinement and planning time."""
         planning = self.parameters.planning
         planning = replace(planning, network=replace(planning.network, refine=0), max_gap=0.0,
                            strategy=replace(planning.strategy, time_limit=math.inf))

@@ -52,7 +52,7 @@ class WayPoint:
 
     @property
     def text(self) -> str:
-        """What to do, such as ``left: B 55``."""
+        """The instruction, such as ``left: B 55``."""
         then = f', then pass {self.passed}' if self.passed else ''
         return ': '.join(filter(None, (self.action, self.road))) + then
 
@@ -235,7 +235,7 @@ def _ordinal(number: int) -> str:
 
 
 def _action(turn: float, others: Sequence[float]) -> str:
-    """What the driver does at a junction, by his turn and those to the other roads [degrees]."""
+    """Name the turn at a junction, by it and those to the other roads [degrees]."""
     side, size = 'left' if turn > 0.0 else 'right', abs(turn)
     if size > BACK:
         return 'turn round'

@@ -72,7 +72,7 @@ class Subnetwork:
                                          for edge in route.tolist()]))
 
     def cost(self, route: IndexArray, base: FloatArray, site_prices: FloatArray) -> float:
-        """What a route costs, each site counted once."""
+        """The cost of a route, each site counted once."""
         return float(base[route].sum() + site_prices[self.met(route)].sum())
 
     def shortest(self, base: FloatArray, site_prices: FloatArray) -> IndexArray:

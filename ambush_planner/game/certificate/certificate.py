@@ -52,7 +52,7 @@ class Certificate:
 
 def lower_bounds(legs: Legs, ambusher: Ambusher, deadline: float = math.inf,
                  targets: FloatArray | None = None) -> FloatArray:
-    """What each leg (legs,) loses at least against the ambusher; their sum bounds the value.
+    """The least loss of each leg (legs,) against the ambusher; their sum bounds the value.
 
     A leg's bound can be below 0, if its budget is worth more than it loses. Proofs take until
     ``deadline`` (``time.monotonic``) at most; that of a leg ends at its target (legs,).
@@ -65,7 +65,7 @@ def lower_bounds(legs: Legs, ambusher: Ambusher, deadline: float = math.inf,
 
 def leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float = math.inf,
               target: float = math.inf) -> float:
-    """What any strategy of a leg within its budget loses at least against its ambusher."""
+    """The least loss of any strategy of a leg within its budget against its ambusher."""
     q, (price,), bound = ambusher.q, ambusher.prices, -math.inf
     if game.no_reentry:
         return entry_bound(game, budget, q, price)
@@ -88,7 +88,7 @@ def entry_bound(game: Game, budget: Budget, q: FloatArray, price: float) -> floa
 
 
 def _paid(game: Game, budget: Budget, price: float) -> tuple[FloatArray, float]:
-    """What each edge (M,) pays for the budget, and what the budget is worth to the convoy."""
+    """The price of each edge (M,) for the budget, and the budget's worth to the convoy."""
     if not price > 0.0:
         return np.zeros(len(game.playable)), 0.0
     return price * budget.reduced_cost, price * budget.margin

@@ -39,7 +39,7 @@ MOST_SETS = 300
 
 def curve_bound(faces: Faces, given: Circulation, site_prices: FloatArray, budget: Budget,
                 price: float, deadline: float = math.inf, target: float = math.inf) -> float:
-    """What a circulation proves about strategies within the budget, for ``site_prices`` (N,).
+    """The bound that a circulation proves within the budget, for ``site_prices`` (N,).
 
     Flow beyond a site price, or beyond a link's share of the price, counts for nothing. How often
     curves count that wind more than once is found until ``target`` is proved, or to ``deadline``
