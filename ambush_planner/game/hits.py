@@ -108,16 +108,6 @@ def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None)
     return np.asarray(own @ p) if game.no_reentry else law_of(game, p).meets(own)
 
 
-def meeting_probability(game: Game, law: Law, q: FloatArray) -> float:
-    """How likely a route meets the ambusher who waits by q (N,) (the paper's equation 8).
-
-    If p has cycles, every entry counts.
-    """
-    at_sites = q[game.sites]
-    rows = np.flatnonzero(at_sites > 0.0)
-    return float(at_sites[rows] @ law.meets(game.entering[rows]))
-
-
 def entry_value(game: Game, p: FloatArray) -> float:
     """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
     return float(game.site_losses(p).max(initial=0.0))

@@ -417,6 +417,8 @@ def certify(search: Search, best: Incumbent) -> TripStrategy:
 
     In games with the sites that matter for it or for its bound.
     """
+    if isinstance(best.law, MarkovChain):
+        best = replace(best, law=best.law.without_rare())
     best = search.at_any_site(best)
     legs, count = search.legs, len(search.loss)
     own, ambushes = np.arange(count) < len(legs.loss), [*search.earlier, search.program.ambush]

@@ -45,7 +45,6 @@ from .sources import Source
 from .versions import software_versions
 
 KIND = 'plan'
-_BLOCK = 2**20  # bytes that are hashed at a time
 
 
 @dataclass(frozen=True, eq=False)
