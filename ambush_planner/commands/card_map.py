@@ -104,7 +104,7 @@ def cropped(risk_map: RiskMap, box: FloatArray) -> RiskMap:
 
 @dataclass(frozen=True)
 class _Writer:
-    """Labels on the map, whose millimetre has so many ``metres``."""
+    """Labels on the map; ``metres`` is what a millimetre of paper is on the ground."""
 
     axes: Axes
     labels: Labels
