@@ -15,7 +15,7 @@ import time
 import traceback
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -69,6 +69,7 @@ NODES = 150, 3000
 METHODS = ('uniform_delaunay',) * 6 + (
     'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay')
 DETOURS = (1.0, 1.0 + 1e-9, 1.000001, 1.01, 1.05, 1.1, 1.2, 1.2, 1.5, 3.0, 1e6, math.inf)
+KINDS = ('nodes',) * 6 + ('trip', 'roads', 'plan', 'plan', 'road trip')
 NO_GAME = NoRoute, StartBlocked, StopBlocked, GoalBlocked, InvalidNetwork
 
 
@@ -100,17 +101,18 @@ class Tally:
     failures: list[str] = field(default_factory=list)
 
 
-def draw_game(seed: int) -> RandomGame | None:
+def draw_game(seed: int, kinds: Sequence[str] = KINDS) -> RandomGame | None:
     """The game of this seed; None if its places are not connected."""
     rng = np.random.default_rng(seed)
-    kind = str(rng.choice(['nodes'] * 6 + ['trip', 'roads', 'plan', 'plan']))
+    kind = str(rng.choice(kinds))
     nodes = int(math.exp(rng.uniform(*np.log(NODES))))
-    if kind == 'roads':
-        network = roads(rng, nodes)
-        options = drawn_options(rng, network, NetworkOptions())
-        return RandomGame(kind, (network,), options, words_of(seed, kind, network, options))
-    if kind == 'trip':
+    if 'trip' in kind:
         nodes //= 3
+    if 'road' in kind:
+        networks = roads(rng, nodes, int(rng.integers(1, 5)) if kind == 'road trip' else 0)
+        options = drawn_options(rng, networks[0], NetworkOptions())
+        return RandomGame(kind, networks, options,
+                          f'{words_of(seed, kind, networks[0], options)}, {len(networks)} legs')
     problem = draw(f'{kind}:{rng.choice(list(FAMILIES))}:{nodes}:{seed}')
     chosen, stops = problem.scenario, problem.stops
     built = replace(problem.options.network, method=str(rng.choice(METHODS)), seed=seed,
@@ -122,22 +124,26 @@ def draw_game(seed: int) -> RandomGame | None:
         return None
     options = drawn_options(rng, networks[0], built)
     planned = kind == 'plan' or len(stops) > 2
-    return RandomGame(kind, networks, options, words_of(seed, kind, networks[0], options),
-                      chosen if planned else None, stops)
+    words = f'{words_of(seed, kind, networks[0], options)}, {len(networks)} legs'
+    return RandomGame(kind, networks, options, words, chosen if planned else None, stops)
 
 
-def roads(rng: np.random.Generator, nodes: int) -> Network:
-    """Streets between random junctions, some of them one way, and a few bridges over others."""
+def roads(rng: np.random.Generator, nodes: int, stops: int) -> tuple[Network, ...]:
+    """Streets between random junctions, some of them one way, and a few bridges over others.
+
+    With a trip from west to east on them through some stops.
+    """
     points = rng.uniform(0.0, math.sqrt(nodes), (nodes, 2))
     pairs = neighbours(points)
     pairs = pairs[rng.random(len(pairs)) < 0.8]
     bridges = np.sort(rng.integers(0, nodes, (nodes // 50, 2)))
     pairs = np.unique(np.vstack((pairs, bridges[bridges[:, 0] < bridges[:, 1]])), axis=0)
     edges = np.vstack((pairs, pairs[rng.random(len(pairs)) < 0.8][:, ::-1]))
-    source, target = int(points[:, 0].argmin()), int(points[:, 0].argmax())
+    order = points[:, 0].argsort()
+    ends = [int(order[0]), *rng.choice(order[1:-1], stops, replace=False).tolist(), int(order[-1])]
     alpha = rng.choice([0.0, 1.0, 1.0, 2.0, 5.0], nodes)
-    alpha[[source, target]] = 0.0
-    return Network(points, alpha, edges, source, target)
+    alpha[ends] = 0.0
+    return tuple(Network(points, alpha, edges, one, other) for one, other in pairwise(ends))
 
 
 def drawn_options(rng: np.random.Generator, network: Network,
@@ -326,11 +332,13 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument('--count', type=int, default=2000, help='number of games')
     parser.add_argument('--first', type=int, default=0, help='seed of the first one')
+    parser.add_argument('--kinds', nargs='+', choices=sorted(set(KINDS)), default=KINDS,
+                        help='kinds of games, each as likely as the others')
     options = parser.parse_args()
     warnings.simplefilter('ignore', UserWarning)
     tally, seed, games = Tally(), options.first, 0
     while games < options.count:
-        game, seed = draw_game(seed), seed + 1
+        game, seed = draw_game(seed, options.kinds), seed + 1
         if game is None:
             continue
         games, shown, begin = games + 1, len(tally.failures), time.process_time()
