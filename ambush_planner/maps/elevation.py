@@ -123,6 +123,9 @@ def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
     """
     shape, resolution = elevation.heights.shape, elevation.resolution
     shift = np.zeros(2)
+    if (least := np.fmin.reduce(raster.values, axis=None)) < 0.0:
+        raise InvalidTerrain(f'the raster of roads has the value {least:g}, and all but 0 are '
+                             'roads; declare the number for no data with gdal_edit.py -a_nodata')
     if raster.corner is not None and elevation.corner is not None:
         if raster.crs != elevation.crs:
             raise InvalidTerrain(f'the roads are in {raster.crs or "an unknown coordinate system"},'

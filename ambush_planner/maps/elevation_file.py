@@ -40,6 +40,9 @@ _METRES = {name: metres for names, metres in (
     ('ft foot feet internationalfoot internationalfeet', 0.3048), ('fathom fathoms', 1.8288),
     ('usft ftus footus ussurveyfoot ussurveyfeet usfoot usfeet surveyfoot', 1200.0 / 3937.0),
 ) for name in names.split()}
+# Tags that name a unit of heights, and the line of a .prj file in the old form of ESRI that does.
+_UNIT_TAG = re.compile(r'(band|data|value|(z|alt|elev|height|vert)[a-z]*)?[_ ]?unit(s|_?type)?')
+_Z_UNITS = re.compile(r'(?im)^\s*zunits\s+(?!no\b)(\w+)')
 _DEPTH = re.compile(r'(?i)depth|bathymetr|sounding')
 _HEIGHTS_BY_NAME = re.compile(
     rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{_DEPTH.pattern[4:]}')
@@ -117,10 +120,7 @@ def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
     _check(path, dataset, name)
     system = known_system(dataset.crs and dataset.crs.to_wkt(), crs)
-    if system is None and any('degree' in value for key, value in _tags(dataset).items()
-                              if key.endswith('#units')):
-        raise InvalidTerrain(f'{path}: its cells are in degrees, but its coordinate system is '
-                             'unknown; add --crs EPSG:4326, if it is that')
+    _check_axes(path, _tags(dataset), system)
     metres = _metres_per_unit(path, dataset) if name == 'elevation' else 1.0
     bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]
     if name == 'elevation':
@@ -163,6 +163,19 @@ def _check(path: Path, dataset: Any, name: str) -> None:
                              'east; convert the raster with gdalwarp')
 
 
+def _check_axes(path: Path, tags: dict[str, str], system: Any) -> None:
+    """Raise InvalidTerrain if the unit of a NetCDF file's coordinates is not its system's."""
+    factor = system.axis_info[0].unit_conversion_factor if system else 1.0
+    for name, unit in ((key[:-6], each) for key, each in tags.items() if key.endswith('#units')):
+        if system is None and 'degree' in unit:
+            raise InvalidTerrain(f'{path}: its cells are in degrees, but its coordinate system is '
+                                 'unknown; add --crs EPSG:4326, if it is that')
+        if tags.get(f'{name}#standard_name', '').startswith('projection_') and not math.isclose(
+                _metres(unit) or 0.0, factor, rel_tol=1e-4):
+            raise InvalidTerrain(f'{path}: its coordinates are in {unit!r}, but the unit of its '
+                                 f'coordinate system is {factor:.4g} m; correct one of them')
+
+
 def _band(dataset: Any, number: int, factor: float) -> HeightArray:
     """The values (H, W) of a band times ``factor``, the north first; NaN if masked or nodata."""
     from rasterio.windows import Window
@@ -187,16 +200,33 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _unit(dataset: Any) -> str:
-    """The unit that a band declares: as such, in a tag, or in brackets in its description."""
-    tags = _tags(dataset)
-    described = re.search(r'[\[(]\s*([^])]+?)\s*[\])]\s*$', dataset.descriptions[0] or '')
-    found = dataset.units[0] or tags.get('units') or tags.get('unit') or tags.get('unittype')
-    return str(found or (described[1] if described and _metres(described[1]) else '')).strip()
+    """The unit of the values by the band, a tag, the old form of a .prj file, or the description.
+
+    A tag names it as ``units``, or as those of heights, such as ``z_units``.
+    """
+    found = dataset.units[0] or next((value for key, value in _tags(dataset).items()
+                                      if _UNIT_TAG.fullmatch(key)), '')
+    for file in map(Path, dataset.files):
+        if file.suffix.lower() == '.prj' and (named := _Z_UNITS.search(file.read_text('latin-1'))):
+            found = found or named[1]
+    return str(found or _unit_among(dataset.descriptions[0] or '')).strip()
+
+
+def _unit_among(text: str) -> str:
+    """The first unit of length in a text, such as "Elevation (US ft)" but not "DEM 10 m"."""
+    words = re.findall('[a-z]+|[0-9]+', text.lower())
+    for begin in range(len(words)):
+        for end in range(begin + 3, begin, -1):
+            unit = ' '.join(words[begin: end])
+            if _metres(unit) and not (begin and words[begin - 1].isdigit()):
+                return unit
+    return ''
 
 
 def _tags(dataset: Any) -> dict[str, str]:
-    """The tags of the file and its band, in small letters."""
-    return {key.lower(): value for key, value in (dataset.tags() | dataset.tags(1)).items()}
+    """The tags of the file and its band, and those of ENVI's header, in small letters."""
+    tags = dataset.tags(ns='ENVI') | dataset.tags() | dataset.tags(1)
+    return {key.lower(): value for key, value in tags.items()}
 
 
 def _metres(unit: str) -> float | None:

@@ -54,13 +54,18 @@ KEYS = tuple(dict.fromkeys((
 DIRECTION_NAMES = re.compile(
     r'(?<!pre)(?<!suf)(?<!post)(?<!fe)dir(?!t)|sens(?!i|ors?$)|richt|rikt|retn|(one|two|both)ways?|'
     r'einbahn|ensret|enkelr|sentid|doble|kierun|jednok|smer|suunt|travel(?!time)|flow|revers|'
-    r'heading|forward|backward|circul|accessres|arah|^(tek|cift)?yon|напр|односторон|اتجاه|طرفه|方向|单行|方通|방')
+    r'heading|forward|backward|circul|accessres|arah|^(tek|cift)?yon|напр|односторон|اتجاه|طرفه|方向|单行|方通|방|'
+    r'ir[aá]ny|suund|virzien|krypt|smjer|chieu|chiều|sentit|maounica|enve[ig]|einstefn|rigting|κατε[υύ]θ|μον[οό]δρ|כיוון')
 DIRECTION_VALUES = re.compile(
     r'.*(one.?way|two.?way|(bi|uni)-?direc|forward|backward|digiti[sz]|einbahn|double sens|'
     r'opposite|sens (direct|inverse|unique)|senso unico|sentido|both direc|heading).*|ft|tf')
 # Codes that say directions if a column has those on the left, and no others than on the right.
 DIRECTION_CODES = (('bf', 'bftn'), ('bt', 'bfthn'), ('+-', '+-='))
 SPEED_NAMES = re.compile(r'maxsp\w*|speed\w*|spd\w*')
+# Plain names of columns that may say which roads are on bridges, in tunnels or on other levels.
+LEVEL_NAMES = re.compile(
+    r'.*(br(i|u)nnel|bridge|tunnel|br[uü]e?c?ke|kunstbau|viadu[ck]t|puente|ponte?s?$|structur|possol|gradesep|'
+    r'(?<!fr)(?<!sea)level|niv(eau|el|å)|hoejde|relative|zlev|elev|medium).*')
 # Plain names of columns that may say a kind, and of those that say nothing.
 KIND_NAMES = re.compile('class|klass|type|typ$|kind|categ|nature|func|feat|layer|road|surface')
 NUMBER_NAMES = ('id', 'fid', 'gid', 'objectid', 'ogcfid', 'length', 'shapelength', 'shapeleng')

@@ -193,13 +193,14 @@ def _kinds(texts: DataFrame) -> str:
 
 
 def _says_directions(texts: DataFrame, name: str, schema: _Schema | None) -> bool:
-    """Whether a column may say directions, by its name or, but for OpenStreetMap, its values."""
+    """Whether a column may say directions, by its name or its values (in OpenStreetMap, all)."""
     words = {*texts[name].str.lower()} - {''}
+    enough = all if schema is known.OPENSTREETMAP else any
     return ':' not in name and bool(
-        known.DIRECTION_NAMES.search(plain(name)) or schema is not known.OPENSTREETMAP and (
-            any(map(known.DIRECTION_VALUES.fullmatch, words))
-            or any(words.issuperset(some) and words <= {*every}
-                   for some, every in known.DIRECTION_CODES)))
+        known.DIRECTION_NAMES.search(plain(name))
+        or enough(map(known.DIRECTION_VALUES.fullmatch, words))
+        or any(words.issuperset(some) and words <= {*every}
+               for some, every in known.DIRECTION_CODES))
 
 
 def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], schema: _Schema,
@@ -211,6 +212,9 @@ def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], s
     for name in others:
         if known.SPEED_NAMES.fullmatch(plain(name)):
             warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
+        if known.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1:
+            warn(f'{path}: its attribute {name!r} is not read; bridges, tunnels and levels must be '
+                 'in bridge, tunnel and layer')
     if not directed and schema not in (known.OPENSTREETMAP, known.GEOFABRIK):
         warn(f'{path}: no column says directions, so that all roads are two-way')
 
