@@ -128,7 +128,6 @@ ROADS = {
         frame=lines(fclass=['track', 'road'], flag=['Two Way', 'One Way'])),
     'bridges by `POS_SOL`, as in BD TOPO': roads(frame=lines(
         **NAMES, oneway=['no', 'no'], POS_SOL=['1', '0'])),
-    'direction by `IRANY`, next to `highway`': roads(frame=lines(**NAMES, IRANY=['1', '3'])),
     'a road that is closed by two values, as osmnx merges them': roads(frame=lines(
         **NAMES, access=['["no", "private"]', None])),
     'tags of OpenStreetMap in JSON, next to columns': roads(frame=lines(
@@ -221,7 +220,6 @@ TABLES = {
     'the year alone': incidents(dated('2025', '2024')),
     'a date in 3025': incidents(dated('2025-03-31', '3025-03-31')),
     '`until: 1/4/2026`': incidents(dated('2025-03-31'), until='1/4/2026'),
-    'dates of ISO 8601 in basic form': incidents(dated('20250301', '20250331', '20250302')),
     'degrees and minutes in `lat`': tracks('lat,lon\n48 50.5,14 23.1\n'),
     'a row with one field less': incidents(dated('2025-03-31') + '455100,5410100\n'),
     'a comma at the end of each row, and of none in the header': incidents(
@@ -229,7 +227,6 @@ TABLES = {
     'fields separated by `;`': tracks(rows('x,y').replace(',', ';')),
     'decimal commas between quotes': incidents('x,y,date\n"455205,5","5410105,5",2025-03-31\n'),
     '`Lat` and `LAT`': tracks('Lat,LAT,lon\n48.8,48.8,14.3\n'),
-    '`time` and `Time`': tracks(rows('x,y,Time,time', ['06:00'] * 20, TIMES)),
     'a blank cell in `trip`': tracks(rows('x,y,trip', ['1'] * 5 + [''] + ['1'] * 14)),
     '`lat` and `lon` swapped': tracks('lon,lat\n' + ''.join(
         f'{lat},{lon}\n' for lat, lon in DEGREES)),

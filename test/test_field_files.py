@@ -12,7 +12,19 @@ pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
 import geopandas
 import pyproj
 from commands import heard, table_under
-from field_samples import CORNER, CRS, GROUND, ROADS, TABLES, lines, roads, save
+from field_samples import (
+    CORNER,
+    CRS,
+    GROUND,
+    ROADS,
+    TABLES,
+    TIMES,
+    lines,
+    roads,
+    rows,
+    save,
+    tracks,
+)
 from rasters import write_geotiff
 from scipy.io import netcdf_file
 from shapely.geometry import Point, Polygon, box
@@ -129,7 +141,6 @@ LATITUDE, LONGITUDE = Coordinates(CRS).to_lat_lon(MIDDLE).tolist()
 MINUTES = [f'{int(each)} {60.0 * (each % 1.0):.4f}' for each in (LATITUDE, LONGITUDE)]
 GIS = {
     'heights of a band called `elev_ft`': heights(factor=0.3048, description='elev_ft'),
-    'heights with the tag `VERTICAL_UNITS=yards`': heights(factor=0.9144, VERTICAL_UNITS='yards'),
     'a grid whose `.prj` says `Zunits FEET`': ascii_grid('FEET', 0.3048),
     'heights in metres by the band, in US survey feet by the vertical system': heights(
         crs=f'{CRS}+6360', unit='m'),
@@ -146,13 +157,10 @@ GIS = {
     'a site grid in feet': heights(crs=SITE),
     '`--crs EPSG:32634` for a file that says EPSG:32633': heights(given='EPSG:32634'),
     'cells of 20 m from a model with a ditch 4 m wide': ditch,
-    'an elevation model in a zip': other_kind('dem.zip', b'PK\3\4' + bytes(50)),
     'a cloud of points': other_kind('a.laz', b'LASF' + bytes(300)),
     'an elevation model as a map': risk(HILLS, unit='ft'),
-    'risks from 0 to 1 as a map': risk((HILLS - 265.0) / 70.0),
     '`--start 36S UG 68 12`': position('36S UG 68 12'),
     '`--start 37,06096 31,32974`': position('37,06096 31,32974'),
-    '`--start 370339N 0311947E`': position('370339N 0311947E'),
     'a northing before the easting, on the map': position('{1} {0}'.format(*MIDDLE)),
     'UTM with the other hemisphere': position('33 S {:.0f} {:.0f}'.format(*MIDDLE)),
 }
@@ -188,8 +196,6 @@ LAYERS = {
     '`loss: severity`, without such an attribute': layer([FIELD], risk=[1], loss='severity'),
     'a file with two layers of polygons': layer([FIELD], other='two'),
     '`crs: EPSG:32634` for a terrain that says EPSG:32633': layer([FIELD], {'crs': 'EPSG:32634'}),
-    '`crs: datum 48.8 14.4 0` with a terrain': layer([FIELD], {'crs': 'datum 48.8 14.4 0'}),
-    '`buffered: 5` instead of `buffer: 5`': layer([FIELD], buffered=5.0),
 }
 SECTION = 'What is said of other files'
 PAGES = {'roads': ROADS, 'tables': TABLES, 'gis': GIS, 'risk_layers': LAYERS}
@@ -251,6 +257,7 @@ RIGHT = {
     'SQLite': copied('a.sqlite'), '.SHP': in_a_folder,
     'NetCDF with scale_factor': netcdf((HILLS * 10.0).astype('i2'), scale_factor=0.1),
     'a grid in metres': ascii_grid('NO', 1.0), 'DEM 10 m': heights(description='DEM 10 m'),
+    '`time` and `Time`': tracks(rows('x,y,Time,time', ['06:00'] * 20, TIMES)),
     'minutes': position(f'N{MINUTES[0]} E{MINUTES[1]}', MIDDLE),
     'east first': position(f'{LONGITUDE:.6f}E {LATITUDE:.6f}N', MIDDLE),
     'signs': position(f'{LATITUDE:.6f}°, {LONGITUDE:.6f}°', MIDDLE),
