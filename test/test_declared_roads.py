@@ -173,7 +173,8 @@ def test_what_the_caller_declares(options, tags, around, drivable):
 @pytest.mark.parametrize('name', [
     'DIR_TRAVEL', 'direction', 'sens_de_circulation', 'one_way_street', 'RIJRICHTNG', 'AJOSUUNTA',
     'SUMMARYDIR', 'sentido', 'TRAFFIC_FLOW', 'reverse_cost', 'Kierunek', 'KJORERETNI', 'twoway',
-    'access_restrictions', 'FAHRTRICHT', 'yon', 'направление'])
+    'access_restrictions', 'FAHRTRICHT', 'yon', 'направление', 'IRANY', 'SUUND', 'virziens',
+    'mot_chieu', 'κατεύθυνση'])
 def test_columns_that_may_say_directions_are_refused(name):
     with pytest.raises(InvalidOption, match=f'may say directions: {name} has .*--two-way'):
         read(table({'highway': 'primary', name: '2'}))

@@ -21,8 +21,8 @@ def from_mgrs(zone_and_square: str, east: str, north: str) -> FloatArray:
     from mgrs.core import MGRSError
 
     if len(east) == len(north) < 3:
-        raise InvalidCoordinates(f'a square of {10 ** (5 - len(east))} m is no position; write 3 to '
-                                 '5 digits of easting and of northing')
+        raise InvalidCoordinates(f'a square of {10 ** (5 - len(east))} m is no position; write 3 '
+                                 'to 5 digits of easting and of northing')
     try:
         if len(east) == len(north):
             return np.array(MGRS().toLatLon(f'{zone_and_square}{east}{north}'.upper()))

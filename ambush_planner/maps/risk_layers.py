@@ -138,7 +138,7 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
             features = features_on(joined.ground, str(path), *_GEOMETRIES[kind], crs=crs, refused=(
                 f'{whole[0]} ground must be whole' if whole else ''))
             if kind == 'roads':
-                roads, _ = roads_among(str(path), features, values['road_column'],
+                roads, *_ = roads_among(str(path), features, values['road_column'],
                                        values['all_lines_are_roads'], two_way=True)
                 if whole and len(roads) < len(features):
                     raise InvalidFeatures(

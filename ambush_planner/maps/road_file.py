@@ -17,7 +17,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
 from .road_joints import noded, segments_of
-from .road_tags import road_names, roads_among
+from .road_tags import roads_among
 from .tables import InvalidFeatures, naming
 from .vector_file import file_and_layer, read_features, single_parts
 
@@ -207,7 +207,7 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
     """
     apart = 'lines that share a vertex at different heights or levels do not meet, at {} places'
     try:
-        lines, tags = roads_among(path, lines, **declared)
+        lines, tags, named = roads_among(path, lines, **declared)
     except InvalidFeatures as error:
         split = segments_of(lines).split
         also = f'; also, {apart.format(split)}' if split else ''
@@ -228,7 +228,7 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
              'them')
     way, line = np.array([road.way for road in tags]), segments.line
     speed = _speeds(np.array([road.speed for road in tags]), f'{path}: speed_kph')
-    names, name = np.unique(road_names(lines), return_inverse=True)
+    names, name = np.unique(named, return_inverse=True)
     return _graph(segments.points / segments.scale, segments.pairs, way[line],
                   None if speed is None else speed[line],
                   lines.crs.to_wkt() if lines.crs is not None else '', names.tolist(), name[line])

@@ -54,8 +54,8 @@ class Road(NamedTuple):
 
 def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
                 all_lines_are_roads: bool = False,
-                two_way: bool = False) -> tuple[GeoDataFrame, list[Road]]:
-    """Return the lines that are roads for vehicles, and what their tags say.
+                two_way: bool = False) -> tuple[GeoDataFrame, list[Road], list[str]]:
+    """Return the lines that are roads for vehicles, what their tags say, and their names.
 
     Columns of no known schema need ``road_column``, COLUMN=VALUE,... of roads, or
     ``all_lines_are_roads``; columns that may say directions and are not known need ``two_way``.
@@ -94,7 +94,8 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
         roads = [judged[k] for k in tags.groupby([*tags], sort=False).ngroup()]
         _warn_of_others(path, roads)
     keep = np.array([not road.problem for road in roads])
-    return lines[keep], [road for road in roads if not road.problem]
+    return (lines[keep], [road for road in roads if not road.problem],
+            [name for name, kept in zip(_names(texts), keep, strict=True) if kept])
 
 
 def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
@@ -108,30 +109,21 @@ def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
         if any(_NESTED.match(word) or plain(name).endswith('tags') and re.search('[=:[{]', word)
                for word in words):
             pairs = texts.pop(name).map({each: _pairs(name, each, of_shapefile) for each in words})
-            for key in {*known.KEYS}.intersection(*[set().union(*pairs)]):
+            for key in {*known.KEYS, *known.NAMES}.intersection(*[set().union(*pairs)]):
                 found = pairs.map(lambda each, key=key: str(each.get(key) or ''))
                 texts[key] = texts[key].where(texts[key] != '', found) if key in texts else found
     return texts
 
 
-def road_names(lines: GeoDataFrame) -> list[str]:
+def _names(texts: DataFrame) -> list[str]:
     """Reference and name of each line, such as ``B 55 Main Street``, or ``ROUNDABOUT``."""
-    ref, name, junction = (_words(lines, key) for key in ('ref', 'name', 'junction'))
-    return [ROUNDABOUT if kind in ('roundabout', 'circular') else ' '.join(filter(None, texts))
-            for kind, *texts in zip(junction, ref, name, strict=True)]
-
-
-def _words(lines: GeoDataFrame, key: str) -> list[str]:
-    """The texts of an attribute, '' if missing; osmnx has lists where it has merged ways."""
-    columns = {str(each).lower(): each for each in lines.columns}
-    if key in columns:
-        values = [' / '.join(each) if isinstance(each, list) else each
-                  for each in lines[columns[key]]]
-    else:
-        values = [(re.search(f'"{key}"=>"([^"]*)"', str(each)) or ('', ''))[1]
-                  for each in lines.get('other_tags', [''] * len(lines))]
-    return ['' if each is None or each != each else ' '.join(str(each).split())
-            for each in values]
+    columns = {name.lower(): texts[name] for name in texts}
+    # osmnx has lists where it has merged ways.
+    kind, *parts = ([' / '.join(_parts(each)) if each.startswith('["') else each
+                     for each in columns.get(key, [''] * len(texts))]
+                    for key in ('junction', *known.NAMES))
+    return [ROUNDABOUT if kind in ('roundabout', 'circular') else ' '.join(' '.join(words).split())
+            for kind, *words in zip(kind, *parts, strict=True)]
 
 
 def _text(value: Any) -> str:
