@@ -65,13 +65,13 @@ def members(count: IndexArray) -> tuple[IndexArray, IndexArray]:
 
 
 def found_in(keys: IndexArray, wanted: IndexArray) -> IndexArray:
-    """Where wanted numbers (K,) are among different keys (N,); -1: nowhere."""
+    """Return the positions of wanted numbers (K,) among different keys (N,); -1: absent."""
     order = np.append(np.argsort(keys, kind='stable'), -1)
     return order[found_in_sorted(keys[order[:-1]], wanted)]
 
 
 def found_in_sorted(keys: IndexArray, wanted: IndexArray) -> IndexArray:
-    """Where wanted numbers (K,) are among different keys (N,) in their order; -1: nowhere."""
+    """Return the positions of wanted numbers (K,) among sorted different keys (N,); -1: absent."""
     if not len(keys):
         return np.full(wanted.shape, -1)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)

@@ -240,7 +240,7 @@ def draw_sites(axes: Axes, trip: TripStrategy, size: float = 1.0) -> None:
 
 
 def sites_of(trip: TripStrategy) -> tuple[FloatArray, FloatArray]:
-    """Where the ambusher waits (K, 2), and how likely (K,) relative to the likeliest place."""
+    """Return the ambush sites (K, 2), and their probabilities (K,) relative to the likeliest."""
     q = trip.ambusher.q
     shown = np.flatnonzero(q > MIN_SITE * q.max())
     return trip.game.network.points[shown], q[shown] / q.max()

@@ -50,7 +50,7 @@ class Labels:
         return self._take(places[best[len(best) // 2]], size)
 
     def _costs(self, centres: FloatArray, size: FloatArray) -> tuple[BoolArray, IndexArray]:
-        """Whether labels at centres (C, 2) cover others or leave the picture, and busy points."""
+        """Return whether labels at centres (C, 2) do not fit, and the busy points they cover."""
         low, high = centres - size / 2.0, centres + size / 2.0
         left, right = self._taken[:, :2], self._taken[:, 2:]
         over = np.all((low[:, None] < right) & (high[:, None] > left), axis=2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What does an ambusher gain who has learnt your tracks, and what does the optimum leave him?"""
+"""Compare the gain of an ambusher who has learnt your tracks with what the optimum leaves."""
 
 from pathlib import Path
 

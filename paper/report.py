@@ -49,7 +49,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """Whether it holds, in a word."""
+        """Return whether it holds, in a word."""
         return 'ok' if self.holds else 'differs' if self.explained else 'NOT ok'
 
 
@@ -190,7 +190,7 @@ def _differences(results: Results) -> Iterable[Comparison]:
 
 
 def _same_order(statement: str, paper: Sequence[float], here: Sequence[float]) -> Comparison:
-    """Whether the first of two numbers is the larger one in both."""
+    """Return whether the first of two numbers is the larger one in both."""
     texts = [f'{a:.2f} {"<" if a < b else ">"} {b:.2f}' for a, b in (paper, here)]
     return Comparison(statement, *texts, (paper[0] < paper[1]) == (here[0] < here[1]),
                       explained=True)

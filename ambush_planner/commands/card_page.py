@@ -73,11 +73,11 @@ class Card:
         return np.array([each.distance for each in self.way_points])
 
     def seconds(self, metres: float) -> float:
-        """When the convoy has gone so far [s]."""
+        """Return the time at which the convoy has gone so far [s]."""
         return float(np.interp(metres, *self.clock)) if self.clock else 0.0
 
     def time(self, metres: float) -> str:
-        """When the convoy has gone so far: time of day, or minutes from departure."""
+        """Return the time for a distance along the path: of day, or minutes from departure."""
         minutes = self.seconds(metres) / 60.0
         return (f'{self.start + timedelta(minutes=round(minutes)):%H:%M}' if self.start
                 else f'{minutes:.1f}')

@@ -129,7 +129,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
                         console: cli.Console) -> bool:
-    """Whether the plan's sources are as they were, or the user says that the ground is."""
+    """Return whether the plan's sources are unchanged, or the user says that the ground is."""
     from ..recordings import sources
 
     files = {sources.MAP: arguments.map, sources.ROADS: arguments.roads}

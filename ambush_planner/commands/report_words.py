@@ -182,7 +182,7 @@ def departures(section: Section) -> list[tuple[str, ...]]:
 
 
 def leaving(departure: RecordedDeparture) -> str:
-    """When the convoy leaves: the day and slot that a plan's departure is for, or the time."""
+    """Return the day and slot that a plan's departure is for, or the time it leaves."""
     day = departure.metadata.day
     return f'{day.date} {day.slot}'.strip() if day else when(departure.stamp_ns)
 

@@ -133,7 +133,7 @@ def _value(verdict: Verdict, said: Metadata) -> str:
 
 
 def _is_blocked(verdict: Verdict) -> bool:
-    """Whether the path is blocked on the new ground; of a plan, whether some routes are."""
+    """Return whether the path, or some route of a plan, is blocked on the new ground."""
     now = verdict.now
     return bool(now and (now.clear_share < CLEAR if verdict.plan else now.blocked))
 

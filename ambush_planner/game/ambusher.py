@@ -47,7 +47,7 @@ class Ambusher:
 
 
 class Ambush(NamedTuple):
-    """How likely an ambusher waits at each known site (S,), and the prices (legs,) of the budgets.
+    """An ambusher's probabilities at the known sites (S,), and prices (legs,) of the budgets.
 
     In ``circulations``, sites are rows.
     """

@@ -66,7 +66,7 @@ class Budget:
 
     @property
     def is_limited(self) -> bool:
-        """Whether there is a limit at all."""
+        """Return whether there is a limit at all."""
         return math.isfinite(self.limit)
 
     @cached_property
@@ -101,7 +101,7 @@ class Budget:
         return float(p @ self.cost)
 
     def keeps(self, p: FloatArray) -> bool:
-        """Whether p (M,) is within the limit, up to a solver's rounding."""
+        """Return whether p (M,) is within the limit, up to a solver's rounding."""
         return self.mean(p) <= self.limit * (1.0 + BUDGET_TOLERANCE)
 
     def overrun(self, p: FloatArray) -> float:

@@ -21,7 +21,7 @@ _CENTRES_AT_ONCE = 500
 
 
 def inside(offset: FloatArray, radius: float) -> BoolArray:
-    """Whether points, given by their offsets (K, 2) from a centre, lie in the closed disc.
+    """Return whether points, by their offsets (K, 2) from a centre, lie in the closed disc.
 
     All code decides this here, so that consecutive edges agree about their common node.
     """
@@ -40,7 +40,7 @@ class SecuredArea(NamedTuple):
         return SecuredArea(self.centres[kept], self.radii[kept] - by)
 
     def covers(self, points: FloatArray) -> BoolArray:
-        """Whether points (K, 2) are in the secured area."""
+        """Return whether points (K, 2) are in the secured area."""
         covered = np.zeros(len(points), dtype=bool)
         for centre, radius in zip(*self, strict=True):
             covered |= inside(points - centre, radius)
@@ -124,7 +124,7 @@ class ExposedEdges:
 
     def _enters(self, part: IndexArray, centre: FloatArray, reach: float,
                 unsure: IndexArray) -> BoolArray:
-        """Which parts (K,) enter the discs around ``centre`` (K, 2).
+        """Return whether parts (K,) enter the discs around ``centre`` (K, 2).
 
         Only those with the indices ``unsure`` may begin in the disc.
         """
@@ -168,7 +168,7 @@ def _exposed_parts(points: FloatArray, edges: IndexArray, used: IndexArray,
 
 def _inside_interval(tail: FloatArray, head: FloatArray,
                      radius: float) -> tuple[FloatArray, FloatArray]:
-    """Where segments (K,) are inside the disc, as shares of their lengths; (1, 1): nowhere."""
+    """Return the shares of segments (K,) where they enter and leave the disc; (1, 1): none."""
     along = head - tail
     squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     middle = -(tail * along).sum(axis=1) / squared
@@ -179,7 +179,7 @@ def _inside_interval(tail: FloatArray, head: FloatArray,
 
 
 def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:
-    """Whether segments (K,) come into the disc between their ends."""
+    """Return whether segments (K,) come into the disc between their ends."""
     along = end - begin
     squared = (along**2).sum(axis=1)
     projection = -(begin * along).sum(axis=1)

@@ -78,7 +78,7 @@ class Faces:
         return Discs(face, disc, offset, part, np.isin(np.arange(rims.shape[0]), disc[around]))
 
     def same_both_ways(self, cost: FloatArray) -> bool:
-        """Whether each link costs the same in both directions, from the costs (M,) of edges."""
+        """Return whether each link costs the same both ways, from the costs (M,) of edges."""
         edge = np.flatnonzero(self.link >= 0)
         of_link = np.zeros(len(self.left))
         of_link[self.link[edge]] = cost[edge]

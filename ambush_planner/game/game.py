@@ -128,7 +128,7 @@ class Game:
 
     @property
     def no_reentry(self) -> bool:
-        """Whether a simple route enters a site's reach at most once, so that entries are hits."""
+        """Return whether simple routes enter a site's reach at most once, so entries are hits."""
         return self.reach == 0.0
 
     @property

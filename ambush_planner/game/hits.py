@@ -22,7 +22,7 @@ from .legs import Legs
 
 
 class Law(Protocol):
-    """How routes are drawn."""
+    """Return the law by which routes are drawn."""
 
     def meets(self, rows: csr_matrix) -> FloatArray:
         """Expected hits (K,) by sites whose discs are entered by the edges of ``rows`` (K, M)."""

@@ -41,7 +41,7 @@ class Legs:
 
     @property
     def no_reentry(self) -> bool:
-        """Whether a simple route enters a site's reach at most once, so that entries are hits."""
+        """Return whether simple routes enter a site's reach at most once, so entries are hits."""
         return self.games[0].no_reentry
 
     @property

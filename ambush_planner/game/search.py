@@ -68,7 +68,7 @@ class SearchProblem:
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the deadline has passed."""
+        """Return whether the deadline has passed."""
         return time.monotonic() > self.deadline
 
 
@@ -90,7 +90,7 @@ class Incumbent:
 
     @property
     def good(self) -> bool:
-        """Whether it is within the tolerance."""
+        """Return whether the value is within the tolerance."""
         return self.rating[0]
 
 
@@ -142,7 +142,7 @@ class Search:
 
     @property
     def deadline(self) -> float:
-        """When the search ends (``time.monotonic``)."""
+        """Return the end of the search (``time.monotonic``)."""
         return self.problem.deadline
 
     def solve_program(self) -> None:

@@ -180,7 +180,7 @@ def make_problem(games: tuple[Game, ...], options: StrategyOptions,
 
 
 def search_ends(end: float, time_limit: float) -> tuple[float, float]:
-    """When a search and its proofs end, so that all is done at ``end``."""
+    """Return the deadline of a search and its proofs that leaves the rest time until ``end``."""
     reserve = min(STAGES.reserve[0] * time_limit, STAGES.reserve[1])
     return end - 2.0 * reserve, end - reserve
 
@@ -279,7 +279,7 @@ def find_sites(search: Search, sweeps: int = STAGES.sweeps) -> None:
 
 
 def program_law(search: Search) -> Law:
-    """How the program's strategies are drawn."""
+    """Return the law by which the program's strategies are drawn."""
     if isinstance(search.program, Routes):
         return search.program.mixture
     return _flow_law(search)

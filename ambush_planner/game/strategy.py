@@ -138,7 +138,7 @@ class Strategy(Shown):
 
     @cached_property
     def law(self) -> Law:
-        """How routes are drawn."""
+        """Return the law by which routes are drawn."""
         return self.mixture or law_of(self.game, self.edge_probability)
 
     @cached_property
@@ -165,7 +165,7 @@ class Strategy(Shown):
 
     @property
     def entropy_gap(self) -> float:
-        """How much more route entropy another strategy on the same acyclic part could have [nats].
+        """Return the most route entropy that is missing on the same acyclic part [nats].
 
         Within the same limits. NaN if that is not known, as with a reach or on trips.
         """
@@ -306,7 +306,7 @@ class TripStrategy:
 
     @cached_property
     def law(self) -> Law:
-        """How the routes of all legs are drawn."""
+        """Return the law by which the routes of all legs are drawn."""
         laws = [leg.law for leg in self.legs]
         return laws[0] if len(laws) == 1 else LegLaws(self.joint, laws)
 
@@ -360,7 +360,7 @@ class TripStrategy:
 
     @property
     def entropy_gap(self) -> float:
-        """How much more route entropy other strategies within the limits could have [nats]."""
+        """Return the most route entropy that is missing within the limits [nats]."""
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
 
@@ -400,7 +400,7 @@ def with_certificate(trip: TripStrategy, certificate: Certificate) -> TripStrate
 
 
 def within_slack(strategy: Strategy | TripStrategy, options: StrategyOptions) -> bool:
-    """Whether value and lower bound are as near to each other as the options ask for."""
+    """Return whether value and lower bound are as near to each other as the options ask for."""
     # With a length weight, the weighted sum is minimal and sets the scale of the gap.
     weighed = sum(price * strategy.expected_length for price in strategy.ambusher.prices
                   ) * (options.length_weight > 0.0)

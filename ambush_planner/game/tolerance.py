@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a value counts as near enough to its lower bound."""
+"""Tolerance within which a value counts as equal to its lower bound."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ def ceiling(bound: float, tolerance: float) -> float:
 
 
 def within(value: float, bound: float, tolerance: float) -> bool:
-    """Whether a value is within the relative ``tolerance`` of a bound, up to rounding."""
+    """Return whether a value is within the relative ``tolerance`` of a bound, up to rounding."""
     return value <= ceiling(bound, tolerance + ROUNDING)

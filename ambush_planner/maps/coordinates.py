@@ -194,7 +194,7 @@ def agree(one: str, other: str) -> bool:
 
 
 def _same_projection(one: Any, other: Any) -> bool:
-    """Whether two systems are the same projection of the same ellipsoid, of whatever datum."""
+    """Return whether two systems project the same ellipsoid alike, of any datum."""
     axes = np.array([(each.ellipsoid.semi_major_metre, each.ellipsoid.semi_minor_metre)
                      for each in (one, other)])
     degrees = np.meshgrid(np.arange(-175.0, 180.0, 10.0), np.arange(-85.0, 90.0, 10.0))
@@ -232,7 +232,7 @@ def _pyproj() -> Any:
 
 
 def in_metres(crs: Any) -> bool:
-    """Whether the axes of a coordinate system (pyproj) are in metres."""
+    """Return whether the axes of a coordinate system (pyproj) are in metres."""
     return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
 
 

@@ -234,7 +234,7 @@ def _metres_per_unit(path: Path, dataset: Any) -> float:
 
 
 def _is_depth(path: Path, dataset: Any, axis: Any) -> bool:
-    """Whether values grow downwards, by the vertical system, the tag ``positive`` or the name.
+    """Return whether values grow downwards, by vertical system, tag ``positive`` or name.
 
     Raises InvalidTerrain if these differ, or if only a name that can mean both says so.
     """

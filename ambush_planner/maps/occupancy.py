@@ -63,7 +63,7 @@ def agreed_crs(known: str | None, given: str | None) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class OccupancyOptions:
-    """How values of an occupancy grid are converted to losses.
+    """Conversion of the values of an occupancy grid to losses.
 
     A value v in 0..100 gives alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
     least ``obstacle_threshold`` are obstacles. Unknown cells (-1) have the loss ``unknown_alpha``;

@@ -301,7 +301,7 @@ class _Joined:
             transform=self._transform(0, 0), merge_alg=MergeAlg.add, dtype='float64'))
 
     def _cover(self, features: GeoDataFrame, touched: bool) -> BoolArray:
-        """Which cells (H, W) shapes cover: their centres, or any part of them if ``touched``."""
+        """Return the cells (H, W) whose centres, or any part if ``touched``, the shapes cover."""
         cells = np.zeros(self.loss.shape, bool)
         part, covered = self._covered(features.geometry, touched)
         cells[part] = covered

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which lines of a file are roads for vehicles, in which direction and how fast, by their columns.
+"""Roads for vehicles among the lines of a file: direction and speed, by their columns.
 
 ``road_schemas`` has the data that are known; tags of OpenStreetMap are read as OSRM and osmnx do.
 Columns of other data are refused unless the caller says what they mean.
@@ -193,7 +193,7 @@ def _kinds(texts: DataFrame) -> str:
 
 
 def _says_directions(texts: DataFrame, name: str, schema: _Schema | None) -> bool:
-    """Whether a column may say directions, by its name or, but for OpenStreetMap, its values."""
+    """Return whether a column may say directions, by name or, except in OpenStreetMap, values."""
     words = {*texts[name].str.lower()} - {''}
     return ':' not in name and bool(
         known.DIRECTION_NAMES.search(plain(name)) or schema is not known.OPENSTREETMAP and (

@@ -35,7 +35,7 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
     roads
         A raster of roads: its cells other than 0.
     options
-        How terrain is converted to risk.
+        Conversion of terrain to risk.
     occupancy
         How risk 0..99 is converted to losses.
 

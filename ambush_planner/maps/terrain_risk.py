@@ -38,7 +38,7 @@ FULL_DEPTH = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainOptions:
-    """How terrain is converted to risk.
+    """Conversion of terrain to risk.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
 
 
 def _tells(times: FloatArray) -> bool:
-    """Whether times say when a track was driven."""
+    """Return whether times say when a track was driven."""
     return bool(np.isfinite(times).all() and np.ptp(times) > 0.0 and times.min() >= FIRST_DATE
                 and times.min() // 86400.0 not in _FIRST_DAYS)
 

@@ -32,7 +32,7 @@ METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_dela
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkOptions:
-    """How the network is built.
+    """Sampling, spacing and connection of the network.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far apart the nodes of a graded network are, place by place.
+"""Distances between the nodes of a graded network, place by place.
 
 A disc of radius R covers 2 R + h of the width of routes that run through nodes h apart, so nodes
 belong where few discs cover all routes: around the rim of the secured area, where routes fan out,

@@ -16,7 +16,7 @@ def edge_matrix(edges: IndexArray, weights: FloatArray, count: int) -> csr_matri
 
 
 def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
-    """Which nodes (count,) can be reached from ``node``."""
+    """Return the nodes (count,) that can be reached from ``node``."""
     found = breadth_first_order(edge_matrix(edges, np.ones(len(edges)), count), node,
                                 return_predecessors=False)
     reached = np.zeros(count, dtype=bool)
@@ -25,7 +25,7 @@ def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
 
 
 def on_some_route(edges: IndexArray, count: int, source: int, target: int) -> BoolArray:
-    """Which nodes (count,) lie on some path from ``source`` to ``target``."""
+    """Return the nodes (count,) on some path from ``source`` to ``target``."""
     return reachable_from(edges, count, source) & reachable_from(edges[:, ::-1], count, target)
 
 

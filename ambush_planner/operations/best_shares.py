@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often to drive each of given paths: the LP over their shares."""
+"""Best shares of given paths: the LP over them."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ _Valued = TypeVar('_Valued', PathMixture, BestShares)
 
 
 def check_few(game: GameOptions, stops: int) -> None:
-    """Raise InvalidOption if trips with so many stops cannot have few routes in a game."""
+    """Raise InvalidOption if trips with this number of stops cannot have few routes in a game."""
     check_judged(game)
     if stops:
         raise InvalidOption('few routes (--routes) are for trips without stops: plan each leg as a '

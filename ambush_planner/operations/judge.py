@@ -200,7 +200,7 @@ def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
 
 
 def _is_one(one: Track, other: Track, reach: float) -> bool:
-    """Whether two trips were driven side by side, or without times, whether they are copies."""
+    """Return whether two trips were driven side by side or, without times, are copies."""
     if one.times is None or other.times is None:
         return np.array_equal(one.xy, other.xy)
     (a, b), (c, d) = one.times[[0, -1]], other.times[[0, -1]]

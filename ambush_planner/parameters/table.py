@@ -38,7 +38,7 @@ class Declaration:
 
 
 def is_planned(name: str) -> bool:
-    """Whether a parameter is an option of a plan."""
+    """Return whether a parameter is an option of a plan."""
     group, _, option = name.partition('.')
     return group in PLANNED and option in {each.name for each in fields(PLANNED[group])}
 

@@ -39,7 +39,7 @@ _MAX_ROADS = 100_000_000
 _SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 @dataclass(frozen=True)
 class RecordingOptions:
-    """Whether, where and how departures are recorded.
+    """Directory, compression and obligation of the recordings of departures.
 
     With ``required`` a departure is refused unless it has been recorded. Raises InvalidOption if
     that contradicts ``enabled``, the directory is empty, or its home directory is unknown.

@@ -43,7 +43,7 @@ class CostRaster(NamedTuple):
 
 
 def holds_at_cells(trip: TripStrategy) -> bool:
-    """Whether the ambusher may wait anywhere, not only at the network's nodes."""
+    """Return whether the ambusher may wait anywhere, not only at the network's nodes."""
     return trip.game.options.widened > 0.0
 
 

@@ -65,12 +65,12 @@ class Assessment:
 
     @property
     def is_blocked(self) -> bool:
-        """Whether too many routes are blocked; most strategies use all ground a little."""
+        """Return whether too many routes are blocked; most strategies use all ground a little."""
         return self.clear_share < 1.0 - _MAX_BLOCKED
 
     @property
     def is_over_budget(self) -> bool:
-        """Whether the clear routes are longer on average than the length budget allows."""
+        """Return whether the clear routes are longer on average than the length budget allows."""
         return self.length_budget * (1.0 + BUDGET_TOLERANCE) < self.expected_length < math.inf
 
     @property
@@ -84,11 +84,11 @@ class Assessment:
                 f'{self.length_budget:.4g} {self.travel_unit} (strategy.max_detour)')
 
     def is_stale(self, original_value: float, tolerance: float) -> bool:
-        """Whether to solve again; ``original_value`` is that on the strategy's own map."""
+        """Return whether to solve again; ``original_value`` is that on the strategy's own map."""
         return self.is_blocked or self.value > original_value * (1.0 + tolerance) + 1e-12
 
     def allows_departure(self, max_gap: float, original_gap: float) -> bool:
-        """Whether a convoy may depart on the strategy before the next solve.
+        """Return whether a convoy may depart on the strategy before the next solve.
 
         ``max_gap`` bounds, as a share of the value, how much the gap may exceed ``original_gap``,
         the gap on the strategy's own map; both include the risk slack.
@@ -156,14 +156,14 @@ class ChangedGround:
         return with_certificate(replace(trip, legs=drawn), certificate)
 
     def is_clear(self, route: Route, newest: OccupancyMap) -> bool:
-        """Whether a route is clear on the newest map."""
+        """Return whether a route is clear on the newest map."""
         lost = self.compare(newest).lost
         return not lost.any() or not any(
             own[route_edges(leg.network, nodes)].any()
             for leg, nodes, own in zip(self.plan.legs, route, self.by_leg(lost), strict=True))
 
     def connects(self, newest: OccupancyMap, ends: Ends) -> bool:
-        """Whether all first and last edges in use can be driven from the start and to the goal.
+        """Return whether all first and last edges in use can be driven from start and to goal.
 
         All of them: whether the plan suits must not depend on the route that is drawn.
         """
@@ -228,7 +228,7 @@ class ChangedGround:
         return tuple(ConditionedStrategy(leg) for leg in self.plan.legs)
 
     def clear(self, a: FloatArray, b: FloatArray, newest: OccupancyMap) -> BoolArray:
-        """Which segments a -> b, both (K, 2), stay clear of the newest map's obstacles: (K,).
+        """Return whether segments a -> b, both (K, 2), clear the newest map's obstacles: (K,).
 
         Those of one call should lie together: the map is read around all of them.
         """
@@ -288,7 +288,7 @@ class ChangedGround:
         return np.split(lost, self.plan.trip.joint.first[1:-1])
 
     def _is_unchanged(self, look: ChangedNetwork) -> bool:
-        """Whether no edge in use is lost, and no node's loss has changed."""
+        """Return whether no edge in use is lost, and no node's loss has changed."""
         p = np.concatenate([leg.edge_probability for leg in self.plan.legs])
         return not look.lost[p > 0.0].any() and np.array_equal(look.alpha, self.plan.network.alpha)
 

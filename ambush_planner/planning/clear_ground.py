@@ -34,7 +34,7 @@ class ClearGround:
     network: NetworkOptions
 
     def segments(self, a: FloatArray, b: FloatArray, clearance: float | None = None) -> BoolArray:
-        """Which segments a -> b, both (K, 2) [m], are clear (K,); ``clearance``: another one."""
+        """Return the clear ones of segments a -> b, both (K, 2) [m]; ``clearance``: another one."""
         if not len(a):
             return np.zeros(0, dtype=bool)
         reach = self.network.clearance if clearance is None else clearance
@@ -44,7 +44,7 @@ class ClearGround:
         return ObstacleField(part, self.network.clear_of_edge).clear_segments(tails, heads, reach)
 
     def steps(self, points: FloatArray, clearance: float | None = None) -> BoolArray:
-        """Which steps (L - 1,) of a path with ``points`` (L, 2) [m] are clear."""
+        """Return whether the steps (L - 1,) of a path with ``points`` (L, 2) [m] are clear."""
         along = np.cumsum(np.hypot(*np.diff(points, axis=0).T))
         cuts = np.diff(along // (_PIECE * self.newest.resolution)).nonzero()[0] + 1
         pieces = np.split(np.arange(len(along)), cuts)
@@ -52,7 +52,7 @@ class ClearGround:
                                for piece in pieces])
 
     def drivable_steps(self, points: FloatArray) -> BoolArray:
-        """Which steps (L - 1,) a convoy at the first of the ``points`` (L, 2) [m] can drive.
+        """Return the steps (L - 1,) that a convoy at the first of ``points`` (L, 2) [m] can drive.
 
         They are clear, except that the first ``WAY_OUT`` needs no clearance: the convoy may have
         strayed from its path. If it stands in an obstacle, it may leave that.
@@ -65,7 +65,7 @@ class ClearGround:
         return np.append(near, self.steps(points[later:]))
 
     def has_arrived(self, start: tuple[float, float], goal: tuple[float, float]) -> bool:
-        """Whether a start is within a cell of the goal, which is clear."""
+        """Return whether a start is within a cell of the goal, which is clear."""
         at = np.array([goal])
         return math.dist(start, goal) <= self.newest.resolution and bool(self.segments(at, at)[0])
 

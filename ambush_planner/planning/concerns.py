@@ -120,7 +120,7 @@ def _coarse(plan: Plan) -> list[str]:
 
 
 def is_sound(plan: Plan) -> bool:
-    """Whether the gap is within the slack, and an ambush costs anything at all."""
+    """Return whether the gap is within the slack, and an ambush costs anything at all."""
     return within_slack(plan.trip, plan.options.strategy) and plan.value > 0.0
 
 
@@ -142,7 +142,7 @@ def wide_gap(plan: Plan) -> str:
 
 
 def _long_routes(plan: Plan) -> str:
-    """Whether the length budget seems to be a percentage."""
+    """Say that the length budget seems to be a percentage; empty if it does not."""
     detour = plan.options.strategy.max_detour
     if not MAX_DETOUR < detour < math.inf:
         return ''
@@ -151,7 +151,7 @@ def _long_routes(plan: Plan) -> str:
 
 
 def _secured_area(plan: Plan, where: Where) -> str:
-    """Whether the secured area decides too much: the value, or whether there is one."""
+    """Say that the secured area, or one place just outside it, decides the value; else empty."""
     bottleneck, game = plan.bottleneck, plan.drawn_from.game
     secured = game.options.secured_distance
     if not len(game.sites):
@@ -198,7 +198,7 @@ def _of_one_place(plan: Plan, place: OnePlace, enough: float, where: Where) -> s
 
 
 def _is_chance(game: Game) -> bool:
-    """Whether the value is a probability: an ambush costs 1 wherever it is."""
+    """Return whether the value is a probability: an ambush costs 1 wherever it is."""
     return not np.any((game.loss != 0.0) & (game.loss != 1.0))
 
 

@@ -81,7 +81,7 @@ class ConditionedStrategy:
         return self._nodes[nodes]
 
     def _chances(self, lost: BoolArray) -> FloatArray:
-        """How likely each of the chain's edges is at its tail (m,), on the way to the target."""
+        """Return the probability of each chain edge at its tail (m,), on the way to the target."""
         if self._chain is None:
             return np.zeros(0)
         network = self._chain.network

@@ -35,7 +35,7 @@ _ALONG = 0.7
 
 
 class Blocked(NamedTuple):
-    """Where a path is blocked first (x, y) [m], how far along it [m], and in how many places."""
+    """First blocked place of a path (x, y) [m], its distance along it [m], and their number."""
 
     xy: tuple[float, float]
     along: float
@@ -92,7 +92,7 @@ class NewGround:
 
     def _clear(self, a: FloatArray, b: FloatArray, before: NewGround,
                options: NetworkOptions) -> BoolArray:
-        """Which segments a -> b, both (K, 2) [m], can be driven here (K,)."""
+        """Return whether segments a -> b, both (K, 2) [m], can be driven here (K,)."""
         field = ObstacleField(self.risk_map, options.clear_of_edge)
         begin, end = (self.risk_map.to_map_axes(each) for each in (a, b))
         clear = field.clear_segments(begin, end, options.clearance)
@@ -102,7 +102,7 @@ class NewGround:
 
 
 def _on_roads(a: FloatArray, b: FloatArray, roads: RoadGraph) -> BoolArray:
-    """Which segments a -> b, both (K, 2) [m], lead along roads in a direction that is allowed."""
+    """Return whether segments a -> b, both (K, 2) [m], follow roads in an allowed direction."""
     if not len(roads.pairs):
         return np.zeros(len(a), dtype=bool)
     begin, end = roads.points[roads.pairs].swapaxes(0, 1)

@@ -103,7 +103,7 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
 
 
 def is_graded(options: PlanningOptions) -> bool:
-    """Whether the network is finer in some places than in others, and refined."""
+    """Return whether the network is finer in some places than in others, and refined."""
     network = options.network
     return (options.game.ambush_radius > 0.0 and network.method == 'uniform_delaunay'
             and network.refine != 0
@@ -112,7 +112,7 @@ def is_graded(options: PlanningOptions) -> bool:
 
 def grading(risk_map: RiskMap, options: PlanningOptions,
             refined: FloatArray | None) -> Grading | None:
-    """How fine the network is at each place, with ``Network.refined`` (K, 3); None: plain."""
+    """Return the grading of the network, with ``Network.refined`` (K, 3); None: plain."""
     network, reach = options.network, options.game.ambush_radius
     if refined is None or not is_graded(options):
         return None
@@ -126,7 +126,7 @@ def finest_spacing(risk_map: RiskMap, wanted: float) -> float:
 
 
 def holds_anywhere(options: PlanningOptions) -> bool:
-    """Whether a plan's value holds wherever on the ground the ambusher waits, not only at nodes.
+    """Return whether a plan's value holds for ambushers anywhere on the ground, not only at nodes.
 
     Cyclic strategies have no hit probabilities.
     """
@@ -146,7 +146,7 @@ def parts_of_cells(resolution: float, game: GameOptions) -> int:
 
 
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:
-    """How far start and goal of a departure may be from the plan's [m].
+    """Return the greatest distance of a departure's start and goal from the plan's [m].
 
     On roads they may not move: a straight way to the next node could leave the road.
     """
@@ -173,7 +173,7 @@ def tube(options: PlanningOptions, spacing: float) -> float | None:
 
 
 def strays(options: PlanningOptions, spacing: float) -> float:
-    """How far paths may leave the drawn route, also in the plain game [m]."""
+    """Return the greatest distance of paths from the drawn route, also in the plain game [m]."""
     most = tube(options, spacing)
     return automatic_tube(options, spacing) if most is None else most
 

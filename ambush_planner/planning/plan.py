@@ -160,7 +160,7 @@ class Plan(Shown):
 
     @property
     def gap_is_wide(self) -> bool:
-        """Whether the strategies' gap is over ``max_gap``: better ones may exist."""
+        """Return whether the strategies' gap is over ``max_gap``: better ones may exist."""
         trip, options = self.trip, self.options
         return (trip.gap > options.max_gap * trip.value
                 and not within_slack(trip, options.strategy))
@@ -222,7 +222,7 @@ class Plan(Shown):
         return plan_methods.tables(self)['edges']
 
     def sites(self) -> Any:
-        """Where the best ambusher waits: a GeoDataFrame of points, ``probability`` and ``loss``.
+        """Return the best ambusher's sites: a GeoDataFrame with ``probability`` and ``loss``.
 
         Empty if no ambush causes a loss.
         """
@@ -303,7 +303,7 @@ class Plan(Shown):
 
     @property
     def start_tolerance(self) -> float:
-        """How far start and goal of a departure may be from the plan's [m]."""
+        """Return the greatest distance of a departure's start and goal from the plan's [m]."""
         return start_tolerance(self.options, self.spacing)
 
     def _place(self, node: int) -> tuple[float, float]:

@@ -35,7 +35,7 @@ from .solving import Ground, WarmStart
 # a round may take.
 REFINED_BY, ROUND = 0.4, 0.6
 # Share of the time limit that is left for the corridors of the first plan; those of another one are
-# given so many times as long as these, and at least the second time [s].
+# given this multiple of their time, and at least the second time [s].
 RESERVE, RESERVED, MIN_RESERVE = 0.1, 2.0, 0.1
 # Share of the time limit for a plan whose routes then become a mixture of a few.
 PLANNED = 0.7
@@ -76,8 +76,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     warm
         A similar strategy to start the search from.
     routes, rng
-        Departures draw from the best mixture found of at most so many routes: ``Plan.few``. ``rng``
-        draws the candidates, or is a seed. The strategy then gets ``PLANNED`` of the time limit.
+        Departures draw from the best mixture found of at most that number of routes: ``Plan.few``.
+        ``rng`` draws the candidates, or is a seed. The strategy then gets ``PLANNED`` of the time.
     progress
         Is called with the phase in words, and the value of the plan that is finished, ``inf`` if
         none is.
@@ -207,7 +207,7 @@ def _within_max_gap(plan: Plan) -> Plan:
 
 
 def _gap_is_open(trip: TripStrategy, options: PlanningOptions) -> bool:
-    """Whether the time limit left a gap over ``max_gap`` beyond the risk slack."""
+    """Return whether the time limit left a gap over ``max_gap`` beyond the risk slack."""
     return trip.reason == 'time' and (
         open_gap(trip, options.strategy) > options.max_gap * trip.value)
 

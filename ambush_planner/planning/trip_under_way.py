@@ -47,7 +47,7 @@ _LONGEST_END = 10
 
 @dataclass(frozen=True)
 class Destination:
-    """Where a trip of one robot leads, in the map's frame: the goal, and the stops on the way [m].
+    """Goal of a robot's trip and the stops on the way, in the map's frame [m].
 
     ``frames`` are those of the map and of the robot; ``cell`` is the map's resolution [m].
     """
@@ -59,7 +59,7 @@ class Destination:
 
 
 class Sighting(NamedTuple):
-    """Where a robot is [m, m, rad], and the time of its transform [s]."""
+    """Pose of a robot [m, m, rad], and the time of its transform [s]."""
 
     x: float
     y: float
@@ -67,7 +67,7 @@ class Sighting(NamedTuple):
     seconds: float
 
     def is_near(self, other: Sighting) -> bool:
-        """Whether a robot that was seen twice stands."""
+        """Return whether a robot that was seen twice stands."""
         turned = abs(math.remainder(self.yaw - other.yaw, math.tau))
         return max(math.dist(self[:2], other[:2]), turned) <= _STANDS
 
@@ -107,7 +107,7 @@ class TripUnderWay:
     _at_end: int = field(default=0, init=False)  # how often in a row the robot was seen there
 
     def continues(self, request: Destination, place: Position, goal_tolerance: float) -> bool:
-        """Whether a request from ``place`` continues the trip; notes the progress."""
+        """Return whether a request from ``place`` continues the trip; notes the progress."""
         return (request.frames == self.destination.frames
                 and self.follow(place) is not None
                 and self._same_trip(request, place, max(request.cell, goal_tolerance))
@@ -177,7 +177,7 @@ class TripUnderWay:
         return leg, self.nodes[steps]
 
     def _same_trip(self, request: Destination, place: Position, tolerance: float) -> bool:
-        """Whether a request is for the goal and the stops that remain at ``place``."""
+        """Return whether a request is for the goal and the stops that remain at ``place``."""
         wanted, own = list(request.stops), self.destination
         if math.dist(request.goal, own.goal) > tolerance:
             return False
@@ -189,7 +189,7 @@ class TripUnderWay:
         return not wanted
 
     def _names_passed_stops(self, request: Destination) -> bool:
-        """Whether a request for this trip names stops that have been passed."""
+        """Return whether a request for this trip names stops that have been passed."""
         return len(request.stops) > len(self.destination.stops) - len(self.passed)
 
     @property
@@ -200,7 +200,7 @@ class TripUnderWay:
 
     @property
     def _left(self) -> float:
-        """How much of the path lies ahead [m]."""
+        """Return the length of the path that lies ahead [m]."""
         return float(self._line.along[-1]) - self.progress
 
     @property
@@ -213,7 +213,7 @@ class TripUnderWay:
 
     @cached_property
     def _nodes_along(self) -> FloatArray:
-        """How far along the path (K,) each node of the route is passed [m]."""
+        """Return the distance along the path (K,) at which each node of the route is passed [m]."""
         steps = np.hypot(*np.diff(self.places, axis=0).T)
         found = [0.0]
         for place, step in zip(self.places[1:].tolist(), steps.tolist(), strict=True):

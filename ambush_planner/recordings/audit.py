@@ -95,7 +95,7 @@ class Audit:
 
     @property
     def finding(self) -> bool:
-        """Whether the departures do not follow their strategies."""
+        """Return whether the departures do not follow their strategies."""
         return self.p_value <= LEVEL
 
     @property
@@ -255,7 +255,7 @@ def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatAr
 
 def _slot_counts(drawn: Sequence[tuple[str, Slots]], resamples: int,
                  rng: np.random.Generator) -> list[_Counts]:
-    """How often each time of departure was drawn; empty if none was."""
+    """Count the draws of each time of departure; empty if none was drawn."""
     times = sorted({time for _, slots in drawn for time in slots.times})
     passages = np.zeros((1 + resamples, len(times)), np.uint16)
     expected, variance = np.zeros(len(times)), np.zeros(len(times))

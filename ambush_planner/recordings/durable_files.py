@@ -61,7 +61,7 @@ def make_private_folder(path: Path, exist_ok: bool = False) -> None:
 
 
 def is_shared(folder: Path) -> bool:
-    """Whether a folder has the setgid bit: a group shares it."""
+    """Return whether a folder has the setgid bit: a group shares it."""
     return bool(folder.stat().st_mode & stat.S_ISGID)
 
 

@@ -53,7 +53,7 @@ class RecordedCall:
 
 @dataclass(frozen=True)
 class Diversion:
-    """How a departure was diverted, for the ``number``-th time.
+    """Diversion of a departure, its ``number``-th.
 
     ``left`` are the nodes of the whole route that the convoy was on, leg by leg; ``ahead`` those
     from which its rest could change, in the first leg of the departure's ``route``, the first one

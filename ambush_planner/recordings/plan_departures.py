@@ -162,7 +162,7 @@ def earlier_departures(saved: SavedPlan, folder: Path,
 
 
 def _is_same(one: RecordedTrip, other: RecordedTrip) -> bool:
-    """Whether two trips lead from the same start to the same goal."""
+    """Return whether two trips lead from the same start to the same goal."""
     return (math.dist(one.start, other.start) <= SAME_PLACE
             and math.dist(one.goal, other.goal) <= SAME_PLACE)
 

@@ -135,7 +135,7 @@ class RecordedDeparture:
 
     @property
     def stamp_ns(self) -> int:
-        """When the convoy departed [ns]."""
+        """Return the time of the convoy's departure [ns]."""
         return self.before.stamp_ns if self.before else self.recorded_ns
 
     @property

@@ -79,7 +79,7 @@ def bytes_in(path: Path) -> bytes:
 
 
 def check_size(path: Path, size: int) -> None:
-    """Raise UnreadableRecording if so many bytes of a file are too many to read."""
+    """Raise UnreadableRecording if a file of this size [bytes] is too large to read."""
     if size > MAX_BYTES:
         raise UnreadableRecording(path, f'it would take {size:.3g} bytes of memory, the limit is '
                                   f'{MAX_BYTES:.3g}')

@@ -87,7 +87,7 @@ class Section:
         return best_ambush(self.trip, self.risk_map)
 
     def includes(self, other: RecordedDeparture) -> bool:
-        """Whether a departure is on this trip."""
+        """Return whether a departure is on this trip."""
         first = self.departures[0]
         one, two = first.metadata.trip, other.metadata.trip
         far = math.dist(one.start, one.goal) * SAME_TRIP

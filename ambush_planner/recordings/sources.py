@@ -133,7 +133,7 @@ def _name(path: Path, folder: Path) -> str:
 
 
 def _is_near(path: Path, folder: Path) -> bool:
-    """Whether a file is below a folder, or below the one above it in the user's home or elsewhere.
+    """Return whether a file is below a folder, or below that folder's parent.
 
     So names tell nothing of the folders of users.
     """

@@ -76,7 +76,7 @@ class Verdict:
 
     @property
     def holds(self) -> bool:
-        """Whether everything that was checked holds."""
+        """Return whether everything that was checked holds."""
         return not self.problems
 
     @property

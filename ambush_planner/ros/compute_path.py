@@ -37,7 +37,7 @@ class ComputePath:
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
     last. As in Nav2, a new goal replaces a robot's waiting one that leads elsewhere; goals from
-    fixed places, whoever sends them, replace none. Waiting goals are accepted but not executing,
+    fixed places, of any sender, replace none. Waiting goals are accepted but not executing,
     because rclpy polls coroutines that await. Cancelling a goal leaves the solves of other requests
     alone. Destroy ``server`` before the node.
     """

@@ -38,13 +38,13 @@ class CurrentMap(OccupancyMap):
     message: bytearray = field(repr=False)
 
     def same_ground(self, other: CurrentMap) -> bool:
-        """Whether each cell covers the same ground on both maps."""
+        """Return whether each cell covers the same ground on both maps."""
         return (self.values.shape == other.values.shape
                 and (self.frame, self.resolution, self.origin)
                 == (other.frame, other.resolution, other.origin))
 
     def same_map(self, other: CurrentMap) -> bool:
-        """Whether two maps differ at most in their time stamps."""
+        """Return whether two maps differ at most in their time stamps."""
         return self.same_ground(other) and np.array_equal(self.values, other.values)
 
     def with_costmap(self, costmap: OccupancyMap, unknown: bool) -> CurrentMap:

@@ -51,7 +51,7 @@ class Pending:
     since: float | None = None
 
     def is_wanted(self) -> bool:
-        """Whether an answer is still wanted; from then on it cannot be cancelled."""
+        """Return whether an answer is still wanted; from then on it cannot be cancelled."""
         return self.answer.running() or self.answer.set_running_or_notify_cancel()
 
 

@@ -69,7 +69,7 @@ class Dispatcher:
 
     @property
     def activity(self) -> tuple[bool, bool]:
-        """Whether a solve runs or waits, and whether a plan is being refined."""
+        """Return whether a solve runs or waits, and whether a plan is being refined."""
         return self._plans.queue.activity
 
     def stop(self) -> None:

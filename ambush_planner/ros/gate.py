@@ -32,7 +32,7 @@ class Gate:
 
     @property
     def is_open(self) -> bool:
-        """Whether requests are answered."""
+        """Return whether requests are answered."""
         return self.state == ACTIVE
 
     @property

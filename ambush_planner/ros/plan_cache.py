@@ -71,7 +71,7 @@ class Task:
                            parameters.planning, trip.stops_xy, warm)
 
     def will_suit(self, trip: Trip) -> bool:
-        """Whether the plan will probably suit a trip."""
+        """Return whether the plan will probably suit a trip."""
         planning, limit = trip.parameters.planning, self.parameters.planning.strategy.time_limit
         # The planner chooses a spacing that is at least the map's resolution.
         spacing = planning.network.spacing or max(trip.map.resolution, _LEAST_SPACING)
@@ -99,7 +99,7 @@ class CachedPlan:
 
     @property
     def goal_was_moved(self) -> bool:
-        """Whether the goal was blocked and has been moved."""
+        """Return whether the goal was blocked and has been moved."""
         return self.plan.goal_xy != self.trip.goal_xy
 
     def ends(self, trip: Trip) -> Ends:
@@ -138,7 +138,7 @@ class CachedPlan:
         return Fit(self, trip, joined) if good else None
 
     def _allows(self, trip: Trip) -> bool:
-        """Whether one may depart on this plan on a trip's map and with its parameters."""
+        """Return whether one may depart on this plan on a trip's map and with its parameters."""
         return self.ground.assess(trip.map).allows_departure(
             trip.parameters.planning.max_gap, self.plan.trip.gap)
 
@@ -163,7 +163,7 @@ class Fit:
 
     @property
     def ends(self) -> Ends:
-        """Where routes begin and end [m]."""
+        """Return the places where routes begin and end [m]."""
         return self.cached.ends(self.trip)
 
     def draw(self, source: list[int]) -> DrawnRoute | None:

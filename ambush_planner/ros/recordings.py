@@ -74,7 +74,7 @@ class Recordings:
         return waits if self._unwritten and waits > _MAX_WAIT else 0.0
 
     def has_room(self, waited: float) -> bool:
-        """Whether a departure may be drawn now that has ``waited`` for room [s].
+        """Return whether a departure may be drawn now that has ``waited`` for room [s].
 
         So that there is no wait between a draw and the departure, ask before. A hung disk has
         room: it makes no difference to wait longer.
@@ -132,7 +132,7 @@ class Recordings:
 
     @property
     def alive(self) -> bool:
-        """Whether departures may still be written."""
+        """Return whether departures may still be written."""
         return self._thread.is_alive()
 
     def _work(self) -> None:
@@ -181,7 +181,7 @@ class Recordings:
         self._previous = metadata.recording_id
 
     def _settle(self, queued: _Queued) -> bool:
-        """Whether this is the first to decide if a departure leaves."""
+        """Return whether this is the first to decide if a departure leaves."""
         with self._condition:
             first, queued.settled = not queued.settled, True
             return first

@@ -45,7 +45,7 @@ class RobotTrip:
     _progress: float = field(default=0.0, init=False)
 
     def is_continued_by(self, trip: Trip) -> bool:
-        """Whether a request for a trip continues this one."""
+        """Return whether a request for a trip continues this one."""
         if trip.destination.frames != self.track.destination.frames:
             return False
         if not self._has_path:  # the robot may have driven on until it had the path
@@ -54,7 +54,7 @@ class RobotTrip:
         return self.track.continues(trip.destination, trip.start_xy, trip.request.goal_tolerance)
 
     def is_over(self, moment: tuple[float, float]) -> bool:
-        """Whether the robot has made no progress for too long."""
+        """Return whether the robot has made no progress for too long."""
         if self.track.progress > self._progress + self.track.tolerance:
             self._progress, self.moment = self.track.progress, moment
         idle = max(now - then for now, then in zip(moment, self.moment, strict=True))

@@ -53,7 +53,7 @@ class FrameTransforms:
         self._jumps.unregister()
 
     def moves(self, frame: str, other: str) -> bool:
-        """Whether a frame moves in another one: what is given in it is no fixed place."""
+        """Return whether a frame moves in another one: what is given in it is no fixed place."""
         try:
             return self._buffer.lookup(other, frame).newest_ns is not None
         except TransformUnknown:

@@ -37,7 +37,7 @@ class TripRequest:
     via: PoseArray | None = None
 
     def leads_to(self, other: TripRequest) -> bool:
-        """Whether two requests have the same goal and stops."""
+        """Return whether two requests have the same goal and stops."""
         one, two = self.goal, other.goal
         stops = [(each.via.header.frame_id, each.via.poses) if each.via else None
                  for each in (self, other)]
@@ -74,7 +74,7 @@ class Trip:
 
     @property
     def destination(self) -> Destination:
-        """Where the trip leads, to be compared with later requests."""
+        """Return the destination of the trip, to be compared with later requests."""
         return Destination((self.map.frame, self.robot), self.goal_xy, self.map.resolution,
                            self.stops_xy)
 
@@ -93,7 +93,7 @@ class Trip:
 
     @property
     def stamp(self) -> float:
-        """When the robot was at the start, by its transform [s]; 0 for a fixed place."""
+        """Return the time of the transform that gave the robot's place [s]; 0: a fixed place."""
         return seconds(self.start_pose.header.stamp) if self.robot else 0.0
 
     def distance(self, other: Trip) -> float:
@@ -125,7 +125,7 @@ def seconds(stamp: Any) -> float:
 
 
 class Suits(IntEnum):
-    """How a plan for one trip suits another: as it is, by moved ends, by being joined, or not."""
+    """Fit of a plan for another trip: as it is, by moved ends, by being joined, or not."""
 
     EXACTLY, NEARLY, JOINED, NOT = range(4)
 

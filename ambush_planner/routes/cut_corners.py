@@ -133,7 +133,7 @@ def _skipping(corridors: Corridors, route: IndexArray) -> IndexArray:
 
 
 def skipping_tube(corridors: Corridors, length: FloatArray) -> FloatArray:
-    """How far from lines of a length (K,) that skip nodes paths may be [m]."""
+    """Return the greatest distance of paths from lines of a length (K,) that skip nodes [m]."""
     most = corridors.reach - corridors.tube
     half = np.minimum(length / 2, corridors.reach)
     tubes: FloatArray = np.maximum(np.sqrt(corridors.reach**2 - half**2) - most, 0.0)
@@ -153,7 +153,7 @@ def _side(widths: FloatArray, left: BoolArray) -> FloatArray:
 
 
 def _cuts(corners: _Corners, reach: FloatArray, secured: SecuredArea) -> FloatArray:
-    """How far from each corner (C,) a chord between its edges may begin and end [m]."""
+    """Return the greatest distance of chords from each corner (C,), along its edges [m]."""
     sine, cosine = corners.sine, corners.cosine
     depth = free_depth(corners.nodes, corners.edge.min(axis=1), sine, cosine, reach, secured)
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -164,7 +164,7 @@ def _cuts(corners: _Corners, reach: FloatArray, secured: SecuredArea) -> FloatAr
 
 def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine: FloatArray,
                reach: FloatArray | float, secured: SecuredArea) -> FloatArray:
-    """How far from corners (C, 2) a shorter line may pass without being hit more [m].
+    """Return the most by which lines may cut corners (C, 2) without being hit more [m].
 
     Where an ambush hits a cut line but not the edges first is on the corner's axis: it must be
     within the reach of inner points of the edges, or, if the ``short`` one ends before, of its end.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where several paths follow one road: pictures draw them there as stripes of one line."""
+"""Roads that several paths follow: pictures draw them there as stripes of one line."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def _taut_string(steps: list[tuple[int, float, float]], first: int,
 
 
 def _left_first(left: FloatArray, right: FloatArray) -> BoolArray:
-    """Whether the left end may advance to the next portal before the right end does.
+    """Return whether the left end may advance to the next portal before the right end does.
 
     It may if the diagonal from the old right to the new left end lies between the portals.
     """

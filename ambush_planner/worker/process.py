@@ -103,7 +103,7 @@ class WorkerProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process is starting or running, and has not been killed."""
+        """Return whether the process is starting or running, and has not been killed."""
         ends = poll()
         ends.register(self._socket, POLLHUP)
         return not ends.poll(0)

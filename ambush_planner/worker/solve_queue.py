@@ -63,7 +63,7 @@ class SolveQueue(Generic[_Key, _Result]):
 
     @property
     def activity(self) -> tuple[bool, bool]:
-        """Whether solves run or wait: of normal, and of low priority."""
+        """Return whether solves run or wait: of normal, and of low priority."""
         with self._condition:
             low = {each.low_priority for each in self._unfinished}
             return False in low, True in low

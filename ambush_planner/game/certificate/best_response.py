@@ -172,7 +172,7 @@ class _Labels:
         return np.inf, None
 
     def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:
-        """Whether another label costs no more even if it pays for the sites that it lacks."""
+        """Return whether another label, paying for the sites that it lacks, costs no more."""
         for least, theirs in others:
             if least <= cost and self._with_prices(least, met & ~theirs, cost) <= cost:
                 return True

@@ -139,7 +139,7 @@ class _RoutesAcross:
         self._link, self._order, self._entering = faces.link[order], order, faces.game.entering
 
     def least_met(self, links: IndexArray, rows: IndexArray, winds: int) -> int:
-        """How many of a curve's links and sites each route meets at least, up to ``winds``.
+        """Return the least number of a curve's links and sites that a route meets, up to ``winds``.
 
         A site counts once, a link each time. A route that meets no site crosses ``winds`` links.
         """

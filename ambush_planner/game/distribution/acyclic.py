@@ -145,7 +145,7 @@ def simple_cycles(tail: IndexArray, head: IndexArray,
 
 
 def is_acyclic(network: Network, p: FloatArray) -> bool:
-    """Whether the edges with p > 0 form no cycle."""
+    """Return whether the edges with p > 0 form no cycle."""
     return order_along(network, p) is not None
 
 

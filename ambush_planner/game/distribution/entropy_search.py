@@ -44,7 +44,7 @@ ENTROPY = EntropySearch()
 
 
 class Accuracy(NamedTuple):
-    """When a search ends: the share by which limits may be exceeded, and the missing entropy.
+    """Stopping rule: the share by which limits may be exceeded, and the missing entropy.
 
     The latter as a share of 1 + value [nats].
     """

@@ -95,7 +95,7 @@ class RouteDistribution:
 
     @property
     def good(self) -> bool:
-        """Whether the value is within the tolerance of the cap."""
+        """Return whether the value is within the tolerance of the cap."""
         return within(self.value, self.cap, self.tolerance)
 
     def round(self) -> bool:

@@ -47,7 +47,7 @@ class Recursion:
 
 
 def _goes_by_rows() -> bool:
-    """Whether scipy's product solves a small system, with one right side and with two."""
+    """Return whether scipy's product solves a small system, with one right side and with two."""
     system = Recursion(np.array([1, 2, 2]), np.array([0, 0, 1]), 3)
     entries, solution = np.array([2.0, 3.0, 5.0]), np.array([1.0, 3.0, 19.0])
     try:

@@ -135,7 +135,7 @@ def _loss_unit(game: Game) -> float:
 
 
 def _leaves_no_margin(budget: Budget) -> bool:
-    """Whether only the best routes fit: then no interior point is feasible."""
+    """Return whether only the best routes fit: then no interior point is feasible."""
     return budget.margin <= ROUNDING * budget.limit
 
 

@@ -248,13 +248,13 @@ class Potential:
         return np.asarray(potential[self._face[first:]] + self._offset[first:])
 
     def _spreads(self, height: FloatArray, begins: IndexArray) -> FloatArray:
-        """How much the potential varies on each part of a rim; parts begin at pairs ``begins``."""
+        """Return the potential's range on each part of a rim; parts begin at pairs ``begins``."""
         if not len(begins):
             return np.zeros(0)
         return np.asarray(np.maximum.reduceat(height, begins) - np.minimum.reduceat(height, begins))
 
     def _hits(self, potential: FloatArray, first_site: int = 0) -> FloatArray:
-        """How often each site (legs, K), from ``first_site`` on, hits the level lines."""
+        """Return the hits of the level lines by each site (legs, K), from ``first_site`` on."""
         hits = np.zeros((len(self._legs), len(self._loss) - first_site))
         parts = np.flatnonzero(self._part_site >= first_site)
         if len(parts):
@@ -439,7 +439,7 @@ class _LegLinks:
         self.bridges = float(bridges[faces.left == faces.right].sum())
 
     def full_links(self) -> IndexArray:
-        """Which real links (K,) are full at the start: 1 or -1 on the shortest paths, else 0."""
+        """Return the real links (K,) to begin with: 1 or -1 on shortest paths, else 0."""
         game, faces = self.faces.game, self.faces
         edge, ends = np.flatnonzero(game.playable), np.zeros((2, len(faces.left)), dtype=np.int64)
         ends[:, faces.link[edge]] = np.sort(game.network.edges[edge], axis=1).T
