@@ -30,9 +30,9 @@ from ambush_planner import (
     StrategyOptions,
     build_network,
 )
+from ambush_planner.network import construction
 
-METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
-           'gradient_delaunay')
+METHODS = tuple(each for each in construction.METHODS if each != 'graph')
 PLAIN = (0.5, 1.0, 2.0, 3.0, 7.0)
 WITH_ZERO = (0.0, *PLAIN)
 NASTY = (0.0, 1e-9, 1e-6, 1e-3, 1.0, 1.0 / 3.0, 1e3, 1e6, 1e9)

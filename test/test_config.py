@@ -27,11 +27,13 @@ def exact(values):
 def documented_table():
     """Each parameter of the documented table with the text of its default."""
     found = {}
-    for names, defaults, _ in table_under('docs/ros_interface.md', 'Parameters'):
+    for names, defaults, text in table_under('docs/ros_interface.md', 'Parameters'):
         pairs = zip(names.split(', '), defaults.split(', '), strict=True)
         for name, default in pairs:
             assert name.strip('`') not in found, f'{name} has two rows'
             found[name.strip('`')] = default.strip('`')
+            choices = (PARAMETERS[name.strip('`')].choices if ',' not in names else ())
+            assert all(f'`{each}`' in defaults + text for each in choices), name
     return found
 
 

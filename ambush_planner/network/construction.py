@@ -21,13 +21,13 @@ from ..option_checks import allowed, check_options, length
 from .grading import Grading
 from .layout import FreeSpace, connect_nodes
 from .network import Network
+from .node_sampling import SAMPLES
 from .passages import MAX_NODE_DISTANCE, pass_nodes, passage_nodes, widest_cell_path
 from .road_network import road_length, road_trip_graph, roads_on_map
 from .shortest_way import GroundLengths
 from .trip_graph import Position, TripGraph, named, position_errors
 
-METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
-           'gradient_delaunay', 'graph')
+METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', *SAMPLES, 'graph')
 
 
 @dataclass(frozen=True, kw_only=True)

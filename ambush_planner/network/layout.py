@@ -16,13 +16,12 @@ from ..maps.risk_map import RiskMap
 from .connectivity import delaunay_pairs, grid8_pairs, without_slivers
 from .grading import Grading
 from .node_sampling import (
+    SAMPLES,
     all_cells,
     graded_points,
-    gradient_points,
     lattice_points,
     lattice_shape,
     mirrored_points,
-    random_points,
 )
 from .shortest_paths import reachable_from
 
@@ -96,8 +95,7 @@ def _points(space: FreeSpace) -> FloatArray:
     options, risk_map, spacing = space.options, space.risk_map, space.spacing
     if space.grading:
         return graded_points(risk_map, spacing, space.wanted)
-    if options.method in ('random_delaunay', 'gradient_delaunay'):
-        sample = random_points if options.method == 'random_delaunay' else gradient_points
+    if sample := SAMPLES.get(options.method):
         uv = sample(risk_map, spacing, options.seed)
         return uv[space.field.clear_points(uv, options.clearance)]
     return lattice_points(all_cells(lattice_shape(risk_map, spacing)), spacing, options.method)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -130,3 +131,8 @@ def _gradient_weights(risk_map: RiskMap) -> FloatArray:
     slope = np.hypot(alpha[1:-1, 2:] - alpha[1:-1, :-2], alpha[2:, 1:-1] - alpha[:-2, 1:-1])
     mean = slope.mean()
     return np.ones_like(slope) if mean == 0.0 else 1.0 + slope / mean
+
+
+# Random samples, joined by Delaunay's triangulation, by the network's method.
+SAMPLES: Mapping[str, Callable[[RiskMap, float, int], FloatArray]] = MappingProxyType(
+    {'random_delaunay': random_points, 'gradient_delaunay': gradient_points})
