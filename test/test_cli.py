@@ -42,13 +42,11 @@ def test_help_fits_a_screen(name, monkeypatch, capsys):
 
 def test_broken_pipe_is_silent(tmp_path):
     np.savez(tmp_path / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
-    process = subprocess.Popen(
-        [*ENTRY, 'risk', 'dem.npz', '-o', 'made.yaml'], cwd=tmp_path,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )
-    process.stdout.close()
-    assert process.stderr.read() == ''
-    assert process.wait(60) == 141
+    with subprocess.Popen([*ENTRY, 'risk', 'dem.npz', '-o', 'made.yaml'], cwd=tmp_path, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == ''
+        assert process.wait(60) == 141
 
 
 def test_solvers_print_nothing_between_our_lines(tmp_path):
