@@ -199,11 +199,11 @@ def meets(network: Network, centres: np.ndarray, radius: float, secured: float,
     if not len(edge):
         return hit
     squared, middles = (along**2).sum(axis=1), cKDTree((begin + end) / 2)
-    longest = np.sqrt(squared.max())
+    within = (radius + np.sqrt(squared.max()) / 2) * (1.0 + 1e-9)
     for first in range(0, len(centres), 500):
-        near = middles.query_ball_point(centres[first : first + 500], radius + longest)
-        row = np.repeat(np.arange(len(near)), [len(each) for each in near]) + first
-        part = np.concatenate([*near, []]).astype(int)
+        near = cKDTree(centres[first : first + 500]).sparse_distance_matrix(
+            middles, within, output_type='ndarray')
+        row, part = near['i'] + first, near['j']
         off = centres[row] - begin[part]
         share = np.clip((off * along[part]).sum(axis=1) / squared[part], 0.0, 1.0)
         met = np.hypot(*(off - share[:, None] * along[part]).T) <= radius

@@ -10,7 +10,7 @@ from commands import ROOT
 
 POSE = (ROOT / 'config/ambush_tree.xml').read_text()
 POSES = (ROOT / 'config/ambush_tree_through_poses.xml').read_text()
-TICK, SPEED = 2.0**-7, 2.0  # s, m/s
+TICK, SPEED = 2.0**-6, 2.0  # s, m/s
 OCCUPIED, NO_PATH, STUCK = 206, 208, 105
 
 

@@ -85,6 +85,8 @@ def test_heights_in_other_units_are_converted(metres, declared, words, tmp_path)
     assert words in said and bool(words) == bool(said)
 
 
+# The writer of the raster without a georeference is warned, too.
+@pytest.mark.filterwarnings('ignore::rasterio.errors.NotGeoreferencedWarning')
 @pytest.mark.parametrize(('declared', 'words'), [
     ({'unit': 'furlong'}, "'furlong', is not known"), ({'unit': 'DN'}, "'DN', is not known"),
     ({'crs': 'EPSG:32616+6360', 'unit': 'm'}, "'m' by the band, in 'US survey foot' by the vert"),

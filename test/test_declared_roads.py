@@ -216,12 +216,8 @@ OSM = """<?xml version="1.0"?><osm version="0.6">
 
 
 @pytest.mark.parametrize(('tags', 'drivable'), [
-    ({'waterway': 'river'}, NONE), ({'power': 'line'}, NONE), ({'railway': 'rail'}, NONE),
-    ({'highway': 'footway'}, NONE), ({'highway': 'primary', 'motor_vehicle': 'no'}, NONE),
-    ({'boundary': 'administrative'}, NONE), ({'route': 'ferry'}, NONE),
-    ({'highway': 'primary', 'oneway': '-1'}, BACK), ({'highway': 'motorway'}, AHEAD),
-    ({'highway': 'primary', 'oneway': 'reversible'}, NONE), ({'highway': 'track'}, BOTH),
-])
+    ({'waterway': 'river'}, NONE), ({'highway': 'primary', 'motor_vehicle': 'no'}, NONE),
+    ({'highway': 'primary', 'oneway': '-1'}, BACK), ({'highway': 'track'}, BOTH)])
 def test_openstreetmap_files(tags, drivable, tmp_path):
     text = ''.join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
     (tmp_path / 'A.OSM').write_text(OSM.replace('TAGS', text))
@@ -284,8 +280,9 @@ def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, c
     meets = count > 0 or {(400.0, 0.0), (0.0, 0.0), (800.0, 0.0)}.intersection(second)
     assert networkx.number_connected_components(graph) == (1 if meets else 2)
     assert networkx.cycle_basis(graph) == [] or count == 2
-    length = np.hypot(*np.diff(roads.points[roads.pairs], axis=1)[:, 0].T).sum()
-    assert length == pytest.approx(lines.length.sum(), rel=1e-3 if crs == CRS else np.inf)
+    if crs == CRS:  # else in degrees
+        length = np.hypot(*np.diff(roads.points[roads.pairs], axis=1)[:, 0].T).sum()
+        assert length == pytest.approx(lines.length.sum(), rel=1e-3)
     assert read(lines, node_crossings=True)[2] == ''
 
 
