@@ -86,7 +86,8 @@ def strategy_file(trip: TripStrategy) -> bytes:
                **{name: getattr(leg, name) for name in (_P, *_BUDGET)}}
         # As differences from row to row, numbers of nodes take a tenth.
         own[_EDGES] = np.diff(leg.network.edges, axis=0, prepend=0).astype(np.int32)
-        for circulation in leg.ambusher.circulations:
+        # Without a reach, a shortest path proves the bound (section 5 of docs/theory.md).
+        for circulation in () if leg.game.no_reentry else leg.ambusher.circulations:
             own |= {name: getattr(circulation, name) for name in _CIRCULATION}
         if leg.mixture:
             routes = leg.mixture.routes

@@ -121,8 +121,8 @@ class _File:
             'uncompressed_size': len(content) + len(last.data),
             'compression': compression.replace('none', '')}
         packed = _packed(bytes(content), last, compression)
-        crc = zlib.crc32(last.data, zlib.crc32(content))
-        chunk = self.add(records.Chunk(data=packed, uncompressed_crc=crc, **said))
+        # A chunk has no CRC of its own (0): that of the data section covers the packed bytes.
+        chunk = self.add(records.Chunk(data=packed, uncompressed_crc=0, **said))
         offsets, begin = {}, len(self._data)
         for number, found in places.items():
             place = self.add(records.MessageIndex(channel_id=number, records=found))

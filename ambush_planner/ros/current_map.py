@@ -7,6 +7,7 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from ..maps.occupancy import OccupancyMap, check_occupancy
 from ..maps.overlay import with_obstacles_of
 from ..maps.ros_messages import occupancy_from_ros, update_fault
 from ..parameters.values import COSTMAP_OBSTACLE
+from ..recordings import RecordedMessage, type_name
+from .topics import LATCHED
 
 # Where the bytes of a message have the time of its header.
 _STAMP = 4
@@ -35,7 +38,12 @@ class CurrentMap(OccupancyMap):
     topic: str
     frame: str
     sent_ns: int
-    message: bytearray = field(repr=False)
+    message: bytes = field(repr=False)
+
+    @cached_property
+    def recorded(self) -> RecordedMessage:
+        """The message as recordings keep it, compressed once for all of them."""
+        return RecordedMessage(self.topic, type_name(OccupancyGrid), self.message, LATCHED, 0)
 
     def same_ground(self, other: CurrentMap) -> bool:
         """Return whether each cell covers the same ground on both maps."""
@@ -49,9 +57,7 @@ class CurrentMap(OccupancyMap):
 
     def with_costmap(self, costmap: OccupancyMap, unknown: bool) -> CurrentMap:
         """Return the map with the obstacles of a costmap in the same frame."""
-        result, cells = self._copy()
-        cells[:] = with_obstacles_of(self, costmap, COSTMAP_OBSTACLE, unknown).values
-        return result
+        return self._with(with_obstacles_of(self, costmap, COSTMAP_OBSTACLE, unknown).values)
 
     def check_update(self, update: Any) -> None:
         """Raise InvalidRiskMap if a map_msgs/OccupancyGridUpdate is malformed or does not fit."""
@@ -64,18 +70,18 @@ class CurrentMap(OccupancyMap):
 
     def updated(self, updates: Iterable[Any]) -> CurrentMap:
         """Return the map with the cells of updates that fit, as if it had been sent with them."""
-        result, cells = self._copy()
+        cells, stamp = self.values.copy(), b''
         for each in updates:
             cells[each.y:each.y + each.height, each.x:each.x + each.width] = _cells_of(each)
-            stamp = each.header.stamp
-            struct.pack_into('<iI', result.message, _STAMP, stamp.sec, stamp.nanosec)
-        return result
+            stamp = struct.pack('<iI', each.header.stamp.sec, each.header.stamp.nanosec)
+        return self._with(cells, stamp)
 
-    def _copy(self) -> tuple[CurrentMap, npt.NDArray[np.int8]]:
-        """Return a copy, and its cells (H, W), which may be changed."""
-        message = bytearray(self.message)
-        cells = _last_cells(message, self.values.shape)
-        return replace(self, message=message, values=_frozen_view(cells)), cells
+    def _with(self, cells: npt.NDArray[np.int8], stamp: bytes = b'') -> CurrentMap:
+        """Return the map with other cells (H, W), and with another time unless it is empty."""
+        head = bytearray(self.message[:-cells.size])
+        head[_STAMP:_STAMP + len(stamp)] = stamp
+        message = b''.join((head, cells.data))
+        return replace(self, message=message, values=_last_cells(message, cells.shape))
 
 
 def map_from(message: OccupancyGrid, topic: str, sent_ns: int = 0) -> CurrentMap:
@@ -83,21 +89,15 @@ def map_from(message: OccupancyGrid, topic: str, sent_ns: int = 0) -> CurrentMap
     cells, resolution, origin = occupancy_from_ros(message)
     head = serialize_message(OccupancyGrid(header=message.header, info=message.info))
     # The cells come last: their number, which is 0 here, and then they.
-    data = bytearray(head[:-4] + struct.pack('<I', cells.size) + cells.tobytes())
-    return CurrentMap(_frozen_view(_last_cells(data, cells.shape)), resolution, origin,
-                      topic=topic, frame=message.header.frame_id, sent_ns=sent_ns, message=data)
+    data = b''.join((head[:-4], struct.pack('<I', cells.size), cells.data))
+    return CurrentMap(_last_cells(data, cells.shape), resolution, origin, topic=topic,
+                      frame=message.header.frame_id, sent_ns=sent_ns, message=data)
 
 
-def _last_cells(message: bytearray, shape: tuple[int, ...]) -> npt.NDArray[np.int8]:
+def _last_cells(message: bytes, shape: tuple[int, ...]) -> npt.NDArray[np.int8]:
     """Return the cells (H, W) of a serialised grid, a part of its memory."""
     return np.frombuffer(message, np.int8)[-math.prod(shape):].reshape(shape)
 
 
 def _cells_of(update: Any) -> npt.NDArray[np.int8]:
     return np.frombuffer(update.data, np.int8).reshape(update.height, update.width)
-
-
-def _frozen_view(cells: npt.NDArray[np.int8]) -> npt.NDArray[np.int8]:
-    view = cells.view()
-    view.setflags(write=False)
-    return view

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import serialize_message
 
 from ..parameters.values import OF_PLAIN_NETWORK
@@ -20,7 +19,7 @@ from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
 from .conversions import SentPath
 from .plan_cache import CachedPlan
-from .topics import LATCHED, LATEST
+from .topics import LATEST
 from .trip import Trip
 
 
@@ -75,9 +74,8 @@ def recorded_messages(departure: Departure,
     Inputs get the time of the request, as if they had come on their topics then. All others get one
     between request and answer: markers may be older, and the clock may have been set back since.
     """
-    call, planned_on = departure.call, departure.held.trip.map
-    inputs = [RecordedMessage(planned_on.topic, type_name(OccupancyGrid),
-                              bytes(planned_on.message), LATCHED, call.request_ns)]
+    call = departure.call
+    inputs = [replace(departure.held.trip.map.recorded, stamp_ns=call.request_ns)]
     inputs += [RecordedMessage(full_name(topic), type_name(each), bytes(serialize_message(each)),
                                LATEST, call.request_ns)
                for _, topic, each in _inputs_of(departure.trip)]
