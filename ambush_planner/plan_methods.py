@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Methods of plans that reach up: to figures, files, tables, and the room ``operations``.
+"""Methods of plans and strategies that reach up: to figures, files, tables, and ``operations``.
 
-This is the one place where rooms above planning are imported late, when a method is used. So no
-room needs those above it, nor the optional packages of figures and tables.
+This is the one place where rooms above are imported late, when a method is used. So no room needs
+those above it, nor the optional packages of figures and tables.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def few_routes(plan: Plan, most: int, rng: Random, end: float) -> FewRoutes:
     return found(plan, most, np.random.default_rng(rng), end)
 
 
-def check_few_routes(plan_options: Any, stops: Sequence[Any]) -> None:
+def check_few_routes(plan_options: Any) -> None:
     """Raise InvalidOption if departures with these options cannot draw from a few routes."""
-    from .operations.few_routes import check_few
+    from .operations.path_mixtures import check_judged
 
-    check_few(plan_options.game, len(stops))
+    check_judged(plan_options.game)

@@ -26,13 +26,18 @@ def ground(seed=0, walls=True):
     return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
 
 
+def mixtures_of(risk_map, plan, paths):
+    """Mixtures of paths of a plan without stops."""
+    return PathMixtures(risk_map, plan, paths, np.zeros(len(paths), np.int64))
+
+
 @given(st.integers(0, 10**6))
 @examples(4)
 def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
     rng, risk_map = np.random.default_rng(seed), ground(seed)
     plan = plan_trip(risk_map, START, GOAL, OPTIONS)
     paths, shares = plan.paths(5, rng), rng.dirichlet(np.ones(5))
-    found = PathMixtures(risk_map, plan, paths).judged(shares)
+    found = mixtures_of(risk_map, plan, paths).judged(shares)
     # Dense places outside the secured area; nobody is hit whose whole path near them is in it.
     game = plan.strategy.game.options
     cells = rng.uniform(0.0, 1.0, (3000, 2)) * (40.0, 20.0)
@@ -53,8 +58,8 @@ def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
 def test_best_shares_are_those_of_a_linear_program_on_all_sites():
     risk_map, rng = ground(), np.random.default_rng(1)
     plan = plan_trip(risk_map, START, GOAL, OPTIONS)
-    mixtures = PathMixtures(risk_map, plan, plan.paths(60, rng))
-    best = mixtures.best(np.zeros((0, 60)))
+    mixtures = mixtures_of(risk_map, plan, plan.paths(60, rng))
+    best = mixtures.best(np.zeros(60))
     assert best.shares.sum() == pytest.approx(1.0)
     for _ in range(5):
         assert best.value <= mixtures.judged(rng.dirichlet(np.ones(60))).value * 1.001
@@ -69,7 +74,7 @@ def test_two_ways_round_a_wall_are_driven_alike():
     secured = GameOptions(ambush_radius=2.0, secured_radius=4.0)  # where the ways part
     plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=secured))
     paths = [np.array([START, (8.0, y), (32.0, y), GOAL]) for y in (4.0, 16.0, 3.5)]
-    best = PathMixtures(risk_map, plan, paths).best(np.zeros((0, 3)))
+    best = mixtures_of(risk_map, plan, paths).best(np.zeros(3))
     assert best.value == pytest.approx(0.5, rel=1e-3)
     assert best.shares[1] == pytest.approx(0.5, abs=1e-3)
 
@@ -79,19 +84,11 @@ def test_a_length_budget_limits_the_shares():
     plan = plan_trip(risk_map, START, GOAL, OPTIONS)
     paths = plan.paths(30, np.random.default_rng(2))
     costs = np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
-    mixtures, budget = PathMixtures(risk_map, plan, paths), float(costs.min()) * 1.02
-    best = mixtures.best(costs[None] / budget)
+    mixtures, budget = mixtures_of(risk_map, plan, paths), float(costs.min()) * 1.02
+    best = mixtures.best(costs / budget)
     assert best.shares @ costs <= budget * (1.0 + 1e-6)
-    assert best.value >= mixtures.best(costs[None] / np.inf).value * 0.999
+    assert best.value >= mixtures.best(costs / np.inf).value * 0.999
     with pytest.raises(BudgetInfeasible, match='max_detour'):
-        mixtures.best(costs[None])
+        mixtures.best(costs)
     with pytest.raises(TimeLimit):
-        mixtures.best(costs[None] / budget, time.monotonic())
-
-
-def test_paths_of_a_trip_with_a_stop_are_judged():
-    risk_map = ground(walls=False)
-    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, network=plain_options(spacing=3.0)),
-                     stops=[(20.0, 4.0)])
-    paths = plan.paths(3, np.random.default_rng(3))
-    assert PathMixtures(risk_map, plan, paths).best(np.zeros((0, 3))).value > 0.0
+        mixtures.best(costs / budget, time.monotonic())

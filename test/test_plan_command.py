@@ -32,7 +32,7 @@ from ambush_planner import (
     read_risk_map,
     risk_from_terrain,
 )
-from ambush_planner.commands import audit, draw, export, plan, risk, verify
+from ambush_planner.commands import audit, card, draw, export, plan, risk, verify
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.strategy import make_strategies
@@ -194,6 +194,21 @@ def test_few_routes_have_a_layer_each_and_one_is_drawn(plain, tmp_path):
     saved = read_plan(tmp_path / 'r.plan')
     assert saved.plan.few.shares.tolist() == few['shares']
     assert saved.plan.risk_map.crs == 'EPSG:32616'
+
+
+def test_few_routes_of_each_leg_are_numbered_through(plain, tmp_path):
+    files = [tmp_path / name for name in ('r.png', 'r.gpkg', 'r.plan')]
+    done = run_here(plan, plain, *ENDS, '--via', -50, 95, *FEW, 2, '--json', '-o', *files)
+    assert done.code == 0, done.err
+    few = json.loads(done.out)['few']
+    layers = [name for name, _ in pyogrio.list_layers(tmp_path / 'r.gpkg') if 'route' in name]
+    legs = [geopandas.read_file(tmp_path / 'r.gpkg', layer=name)['leg'][0] for name in layers]
+    assert legs == few['legs'] == sorted(legs) and 2 <= len(legs) <= 4
+    assert set(legs) == {1, 2} and sum(few['shares']) == pytest.approx(2.0)
+    last = ('--route', len(legs), '-o', tmp_path / 'last.html')
+    assert run_here(card, tmp_path / 'r.plan', *last).code == 0
+    (drawn,) = json.loads(run_here(draw, tmp_path / 'r.plan', '--json').out)['departures']
+    assert [legs[k - 1] for k in drawn['route']] == [1, 2]
 
 
 SLOTS = ('--slots', '8:00', '09:30', '11:00', '--window', 2)

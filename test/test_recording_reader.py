@@ -249,7 +249,7 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
 
 
 def a_day(**changes):
-    return {'date': '2026-12-01', 'slot': '', 'slot_drawn': False, 'few_route': None, **changes}
+    return {'date': '2026-12-01', 'slot': '', 'slot_drawn': False, **changes}
 
 
 @pytest.mark.parametrize(('times', 'shares', 'window'), [

@@ -14,13 +14,12 @@ import pytest
 from commands import NO_ROS, documented_keys, run_here, run_python
 from games import plain_options
 from recording_samples import read_with_mcap_ros2, read_with_rosbags
-from test_path_mixtures import GOAL, START, ground
+from test_path_mixtures import GOAL, START, ground, mixtures_of
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
 from ambush_planner.game.strategy import with_certificate
 from ambush_planner.maps.road_file import RoadGraph
-from ambush_planner.operations.path_mixtures import PathMixtures
 from ambush_planner.operations.slots import Slots
 from ambush_planner.planning.concerns import concerns, plan_numbers
 from ambush_planner.planning.evaluation import evaluate
@@ -59,6 +58,8 @@ PLANS = {
     'refined': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=NetworkOptions(
         spacing=3.0, refine=None))),
     'few': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1),
+    'few a leg': lambda: plan_trip(ground(), START, GOAL, OPTIONS, stops=[(28.0, 16.0)], routes=3,
+                                   rng=1),
     'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS,
                                stops=[(12.0, 4.0), (28.0, 16.0)]),
     'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=plain_options(
@@ -180,13 +181,14 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
 def test_few_routes_are_a_strategy_with_their_shares(plans):
     plan, _ = plans['few']
     (mixture,), few = plan.few.trip.legs, plan.few
-    judged = PathMixtures(plan.own_map, plan, few.paths).judged(few.shares)
+    judged = mixtures_of(plan.own_map, plan, few.paths).judged(few.shares)
     assert (mixture.value, *few.worst_xy) == pytest.approx((judged.value, *judged.worst_xy))
     drawn = mixture.sample_routes(4000, np.random.default_rng(1))
     for k, (path, share) in enumerate(zip(few.paths, few.shares, strict=True)):
-        count = sum(np.array_equal(each, *few.nodes(k)) for each in drawn)
+        nodes, = few.nodes(np.array([k]))
+        count = sum(np.array_equal(each, nodes) for each in drawn)
         assert abs(count / 4000 - share) < 0.04
-        assert np.isin(mixture.network.points[few.nodes(k)[0]], path[:, :2]).all()
+        assert np.isin(mixture.network.points[nodes], path[:, :2]).all()
 
 
 def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
@@ -290,8 +292,9 @@ def test_slots_and_routes_follow_the_strategy(plans):
     drawn = [draw_departure(saved) for _ in range(3000)]
     for slot, share in zip(SLOTS.times, SLOTS.shares, strict=True):
         assert abs(np.mean([each.slot == slot for each in drawn]) - share) < 0.05
+    numbers = [saved.plan.few.numbers(each.route) for each in drawn]
     for k, share in enumerate(saved.plan.few.shares):
-        assert abs(np.mean([each.few_route == k for each in drawn]) - share) < 0.05
+        assert abs(np.mean([own[0] == k for own in numbers]) - share) < 0.05
 
 
 def test_a_full_disk_leaves_nothing_and_nothing_has_been_drawn(plans, tmp_path):

@@ -116,10 +116,14 @@ def _chosen(arguments: argparse.Namespace) -> Card:
                              'draw a departure')
     if not 1 <= arguments.route <= (count := len(plan.few.paths)):
         raise cli.UsageError(f'{file} has routes 1 to {count}, not {arguments.route}')
-    k = arguments.route - 1
-    return card_of(plan.few.paths[k], plan.own_map, plan.trip, (plan.trip, plan.few.routes[k]),
-                   plan.options.network.roads, saved.names, arguments.speed, arguments.start_time,
-                   f'Route {arguments.route}', zone=_zone(arguments.start_time))
+    k, few = arguments.route - 1, plan.few
+    leg = int(few.leg[k])
+    trip, (start, goal) = plan.of_leg(leg).trip, saved.names
+    return card_of(few.paths[k], plan.own_map, trip, (trip, (few.routes[k],)),
+                   plan.options.network.roads,
+                   (start * (leg == 0), goal * (leg == len(plan.legs) - 1)), arguments.speed,
+                   arguments.start_time, f'Route {arguments.route}',
+                   zone=_zone(arguments.start_time))
 
 
 main = cli.command(parser, _work)

@@ -55,6 +55,17 @@ EXIT_CODES = (
     'Exit codes: 0 success; 1 a finding; 2 wrong usage; 3 a file cannot be read or written;\n'
     '4 not enough data to decide. A finding takes precedence.'
 )
+# Words for the options that every user sets.
+WORDS = {
+    'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
+              '(default: 0, only the network nodes that he waits at)'),
+    'held': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
+             'start, stops and goal: nobody can wait there (default: the reach and the tube)'),
+    'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
+               "route's (default: 1.2)"),
+    'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '
+              'routes (default: 0.01)'),
+}
 # The extras of setup.py that bring the libraries which commands import; ``jazzy`` has all others.
 _EXTRAS = {
     'figures': ('matplotlib',),
@@ -180,11 +191,8 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     except OSError as error:  # of ``existing``
         parser.exit(Exit.UNREADABLE, f'{parser.prog}: {_words(error)}\n')
     console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
-    if 'reach' in options:  # messages name what can be typed
-        from .inputs import as_typed
-        from .positions import as_typed_places
-
-        console.words = lambda text: as_typed(as_typed_places(options, text))
+    if 'wording' in options:
+        console.words = partial(options.wording, options)
     try:
         with telling_warnings(console.warn):
             code = work(options, console)

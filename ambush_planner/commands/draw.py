@@ -45,6 +45,7 @@ If a file cannot be written, nothing is, and nothing has been drawn.
 DETAILS = """\
 --json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
 "recording"}]}
+Of a plan with few routes, route is the number of the one drawn, a list on trips with stops.
 """
 
 
@@ -197,8 +198,10 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     rows, last = [], plan_departures.last_id(folder) if names else ''
     for k, day in enumerate(dates, start=1):
         drawn = plan_departures.draw_departure(saved, arguments.slot or '')
+        few = saved.plan.few
+        numbers = (few.numbers(drawn.route) + 1).tolist() if few else []
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
-               'route': None if drawn.few_route is None else drawn.few_route + 1,
+               'route': numbers[0] if len(numbers) == 1 else numbers or None,
                'length': drawn.length, 'recording': None}
         for path, data in _outputs(arguments, console, saved, drawn, number + k, day):
             files[path] = data
@@ -216,8 +219,8 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         raise
     if arguments.days is None:
         when_leaving = ', '.join(filter(None, (dates[0], drawn.slot)))
-        route = f'route {rows[0]["route"]}, ' if rows[0]['route'] else ''
-        console.line(f'{when_leaving}: {route}{distance(drawn.length)}')
+        routes = ''.join(f'route {k}, ' for k in numbers)
+        console.line(f'{when_leaving}: {routes}{distance(drawn.length)}')
     if files:
         console.secret(files)
     if arguments.dry_run:

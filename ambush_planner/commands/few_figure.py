@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,9 @@ from matplotlib.ticker import MaxNLocator
 from .. import figures, map_figures
 from ..colours import AMBUSHER
 from ..planning.few import FewRoutes
-from .few_files import FewDrawn
+
+if TYPE_CHECKING:
+    from .few_files import FewDrawn
 
 # Maximum number of routes with a panel each.
 MAX_PANELS = 6
@@ -79,5 +81,6 @@ def _curve(axes: Axes, few: FewRoutes, covered: float) -> None:
                   textcoords='offset points', va='bottom' if low else 'top', color='0.35',
                   fontsize='small', path_effects=map_figures.HALO)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel='number of routes', ylabel='mean loss', ylim=(0.0, None))
+    axes.set(xlabel='number of routes' + ' a leg' * bool(few.leg[-1]), ylabel='mean loss',
+             ylim=(0.0, None))
     axes.grid(color='0.92')

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..operations.random_draws import RandomDraw, random_draws
 from ..planning.few import FewRoutes
 from ..planning.plan import Plan, path_lengths
@@ -25,20 +27,23 @@ _ALSO = ('places', 'secured_area', 'forbidden')
 
 @dataclass(frozen=True, eq=False)
 class FewDrawn(Drawn):
-    """The few routes of a plan: files have a layer for each, with its number and share."""
+    """The few routes of a plan: files have a layer for each, with its number, leg and share."""
 
     few: FewRoutes
 
     @property
     def columns(self) -> dict[str, Any]:
-        """Number, share and length [m] of each route."""
-        return {'route': range(1, len(self.paths) + 1), 'share': self.few.shares,
+        """Number, leg, share and length [m] of each route."""
+        legs = {'leg': self.few.leg + 1} if len(self.trip.legs) > 1 else {}
+        return {'route': range(1, len(self.paths) + 1), **legs, 'share': self.few.shares,
                 'length': path_lengths(self.paths)}
 
     @property
     def names(self) -> Sequence[str]:
-        """Numbers and shares."""
-        return [f'Route {k}, {percent(share)}' for k, share in enumerate(self.few.shares, start=1)]
+        """Numbers, legs and shares."""
+        of_leg = ' of leg {}' if len(self.trip.legs) > 1 else ''
+        return [f'Route {k}{of_leg.format(leg + 1)}, {percent(share)}' for k, (leg, share)
+                in enumerate(zip(self.few.leg, self.few.shares, strict=True), start=1)]
 
     @cached_property
     def tables(self) -> Mapping[str, Any]:
@@ -59,16 +64,18 @@ def tell_few(plan: Plan, few: FewRoutes, asked: int, covered: float, console: Co
 
     ``covered`` is the share of departures that an ambush at one of the times covers.
     """
-    draws, count = random_draws(plan), len(few.paths)
+    draws, count = random_draws(plan), int(np.bincount(few.leg).max())
+    a_leg = ' a leg' if len(plan.legs) > 1 else ''
     if count < asked:
-        console.say(f'{count} routes suffice: more do not lower the value.')
+        console.say(f'{count} routes{a_leg} suffice: more do not lower the value.')
     curve = [(k, covered * value) for k, value in few.curve]
-    console.line('value by routes ' + ', '.join(f'{k}: {value:.4g}' for k, value in curve))
+    console.line(f'value by routes{a_leg} ' + ', '.join(f'{k}: {value:.4g}' for k, value in curve))
     console.line(_as_text(plan, few, draws, covered))
     console.result['few'] = {
         'value': covered * few.value, 'lower_bound': covered * few.lower_bound,
         'candidates': few.candidates, 'worst_xy': few.worst_xy.tolist(),
-        'shares': few.shares.tolist(), 'costs': few.costs.tolist(), 'curve': curve,
+        'legs': (few.leg + 1).tolist(), 'shares': few.shares.tolist(),
+        'costs': few.costs.tolist(), 'curve': curve,
         'draws': {draw.name: {'value': covered * draw.value, 'outcomes': draw.ranges}
                   for draw in draws},
     }
@@ -79,6 +86,8 @@ def _as_text(plan: Plan, few: FewRoutes, draws: Sequence[RandomDraw], covered: f
     columns = [['route', *map(str, range(1, len(few.paths) + 1)), 'value'],
                ['share', *map(percent, few.shares), f'{covered * few.value:.4g}'],
                ['length', *(travel(cost, plan.network.travel_unit) for cost in few.costs), '']]
+    if len(plan.legs) > 1:
+        columns.insert(0, ['leg', *map(str, few.leg + 1), ''])
     columns += [[draw.name, *draw.ranges, f'{covered * draw.value:.4g}'] for draw in draws]
     width = [max(map(len, column)) for column in columns]
     lines = ['  '.join(text.rjust(size) for text, size in zip(row, width, strict=True))

@@ -21,7 +21,7 @@ from ..maps.occupancy import OccupancyOptions
 from ..maps.road_file import ROAD_OPTIONS
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
-from .planner_parser import WORDS
+from .cli import WORDS
 from .positions import crs_text
 
 # Default options by their groups, in which the time limit of a solve is the node's.

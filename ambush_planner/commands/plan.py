@@ -16,7 +16,7 @@ from ..route_files import PLAN, SUFFIXES
 from ..words import distance, duration, over_legs, percent
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
-from .planner_parser import WORDS, planner_parser, source_names
+from .planner_parser import planner_parser, source_names
 from .positions import places_on
 from .terrain import add_terrain, terrain_of, terrain_options_in
 
@@ -45,7 +45,8 @@ With --slots, a time of departure is drawn for each route: an ambusher can wait 
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
 "shortest_length", "driven_length", "shortest_route_loss", "best_ambush": {{"xy", "hit"}},
 "refinement": [{{"nodes", "value", "seconds"}}], "seconds", "first_hit_value", "few": null, or with
---routes {{"value", "lower_bound", "candidates", "worst_xy", "shares", "costs", "curve", "draws"}},
+--routes {{"value", "lower_bound", "candidates", "worst_xy", "legs", "shares", "costs", "curve",
+"draws"}},
 "slots": null, or with --slots {{"value", "lower_bound", "shares", "drawn"}}}}
 """
 
@@ -60,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     number.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                         metavar='COUNT', help='number of routes to draw for a look (default: 1)')
     number.add_argument('--routes', type=int, metavar='K', help='find '
-                        'the best mixture of at most K routes, to brief, or draw by hand')
+                        'the best mixture of at most K routes a leg, to brief, or draw by hand')
     for end in ('start', 'goal'):
         made.add_argument(f'--{end}-name', default='', metavar='NAME',
                           help=f'name of the {end} on cards')
@@ -180,7 +181,8 @@ def _hold_line(arguments: argparse.Namespace, plan: Plan) -> str:
     """The call of ``ambush hold`` for the same trip."""
     from ..maps.road_file import ROAD_OPTIONS
 
-    given = [word for name in ('start', 'via', 'goal', 'roads', *ROAD_OPTIONS, *WORDS, 'crs', 'set')
+    given = [word for name in ('start', 'via', 'goal', 'roads', *ROAD_OPTIONS, *cli.WORDS, 'crs',
+                               'set')
              if (value := getattr(arguments, name))
              for word in (f'--{name.replace("_", "-")}', *(
                  map(str, value) if isinstance(value, list) else [value] * (value is not True)))]

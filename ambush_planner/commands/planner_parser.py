@@ -7,8 +7,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from .cli import existing, new_parser
-from .positions import add_crs, add_places
+from .cli import WORDS, existing, new_parser
+from .positions import add_crs, add_places, as_typed_places
 
 # Options of all commands that plan which their short help shows.
 COMMON = ('-o', '--start', '--goal', '--via', '--roads', '--reach', '--held', '--detour', '--slack',
@@ -25,17 +25,6 @@ The options of --set are named like the node's parameters (map., network., game.
 route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
 that strategy.time_limit is 60 s.
 """
-# Words for the options that every user sets.
-WORDS = {
-    'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
-              '(default: 0, only the network nodes that he waits at)'),
-    'held': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
-             'start, stops and goal: nobody can wait there (default: the reach and the tube)'),
-    'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
-               "route's (default: 1.2)"),
-    'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '
-              'routes (default: 0.01)'),
-}
 
 
 def planner_parser(command: str, description: str, epilog: str, details: str, usage: str,
@@ -52,7 +41,15 @@ def planner_parser(command: str, description: str, epilog: str, details: str, us
     add_places(parser, stops)
     _add_options(parser, hidden)
     add_crs(parser)
+    parser.set_defaults(wording=_wording)
     return parser
+
+
+def _wording(arguments: argparse.Namespace, text: str) -> str:
+    """A message that names options and places as they are typed."""
+    from .inputs import as_typed
+
+    return as_typed(as_typed_places(arguments, text))
 
 
 def source_names(arguments: argparse.Namespace) -> list[str]:

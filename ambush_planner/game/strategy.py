@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import plan_methods
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption
 from ..maps.risk_map import RiskMap
@@ -210,9 +211,7 @@ class Strategy(Shown):
 
     def plot(self, risk_map: RiskMap | None = None, axes: Any = None) -> Any:
         """Draw edges by probability and ambush sites on matplotlib axes; returns the axes."""
-        from ..figures import draw_strategy
-
-        return draw_strategy(axes, self.alone, risk_map)
+        return plan_methods.plot(self.alone, risk_map, axes)
 
     @cached_property
     def alone(self) -> TripStrategy:

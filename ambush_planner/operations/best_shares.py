@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Best shares of given paths: the LP over them."""
+"""Best shares of given paths of a trip's legs: the LP over them."""
 
 from __future__ import annotations
 
@@ -20,53 +20,62 @@ FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
 class BestShares(NamedTuple):
     """The best shares (k,) of some paths, the ``columns`` (k,), and their value.
 
-    What path j would add is priced by ``column_costs[j]``: less than the value is a gain. No
-    mixture of any paths has a value below ``bound``.
+    A path j with ``reduced_costs[j]`` < 0 lowers the value if it joins. No mixture of any paths has
+    a value below the sum of ``bounds`` (legs,).
     """
 
     columns: IndexArray
     value: float
     shares: FloatArray
-    column_costs: FloatArray
-    bound: float = 0.0
+    reduced_costs: FloatArray
+    bounds: FloatArray
 
-    def of_all(self, count: int, least: float = 0.0) -> FloatArray:
-        """The shares of all paths (``count``,), those up to ``least`` left out.
+    def of_all(self, leg: IndexArray, least: float = 0.0) -> FloatArray:
+        """The shares of all paths, given their legs (K,), those up to ``least`` left out.
 
         Raises BudgetInfeasible if no shares are within the budget.
         """
         if math.isinf(self.value):
             raise BudgetInfeasible(f'no mixture of {len(self.columns)} routes was found within the '
                                    'budget; raise max_detour')
-        shares = np.zeros(count)
+        shares = np.zeros(len(leg))
         shares[self.columns] = np.where(self.shares > least, self.shares, 0.0)
-        return np.asarray(shares / shares.sum())
+        return np.asarray(shares / np.bincount(leg, shares)[leg])
 
 
 class SharesLP:
-    """Paths that cause ``losses`` (S, K) at sites; each row of ``costs`` (B, K) has a mean <= 1.
+    """Paths of some legs (K,) that cause ``losses`` (S, K) at sites; losses of legs add up.
 
-    A site has a row in the LP once it matters. More sites may join ``losses`` at its end.
-    ``solve`` raises TimeLimit at the ``deadline`` (``time.monotonic``).
+    Each leg has a budget, and the mean of its paths' ``costs`` (K,) is at most 1. A site has a row
+    in the LP once it matters. More sites may join ``losses`` at its end. ``solve`` raises TimeLimit
+    at the ``deadline`` (``time.monotonic``).
     """
 
-    def __init__(self, losses: FloatArray | csr_matrix, costs: FloatArray,
+    def __init__(self, losses: FloatArray | csr_matrix, costs: FloatArray, leg: IndexArray,
                  deadline: float = math.inf) -> None:
-        self.losses, self.costs, self.deadline = losses, costs, deadline
+        self.losses, self.costs, self.leg, self.deadline = losses, costs, leg, deadline
         self.sites = np.argsort(-np.asarray(losses.mean(axis=1)).ravel())[:FIRST_SITES]
 
     def solve(self, columns: IndexArray | None = None) -> BestShares:
         """The best shares of ``columns`` (k,), by default of all; the value is inf if none fit."""
-        columns = np.arange(self.costs.shape[1]) if columns is None else columns
-        losses, costs = self.losses[:, columns], self.costs[:, columns]
+        columns = np.arange(len(self.costs)) if columns is None else columns
+        losses = self.losses[:, columns]
         while True:
             sites = self.sites
-            value, shares, q, prices = vertex(csr_matrix(losses[sites]), costs, self.deadline)
+            value, shares, q, prices = self._vertex(csr_matrix(losses[sites]), columns)
             if not self.misses(losses @ shares, value):
                 break
-        column_costs = q @ self.losses[sites] + prices @ self.costs
-        bound = float(column_costs.min() - prices.sum()) / max(float(q.sum()), 1.0)
-        return BestShares(columns, value, shares, column_costs, max(bound, 0.0))
+        column_costs = q @ self.losses[sites] + prices[self.leg] * self.costs
+        bounds = self._least(column_costs, np.arange(len(self.costs))) - prices
+        reduced = column_costs - self._least(column_costs, columns)[self.leg]
+        return BestShares(columns, value, shares, reduced,
+                          np.maximum(bounds, 0.0) / max(float(q.sum()), 1.0))
+
+    def _least(self, column_costs: FloatArray, columns: IndexArray) -> FloatArray:
+        """The least cost (legs,) of each leg's columns among some."""
+        least = np.full(self.leg.max() + 1, np.inf)
+        np.minimum.at(least, self.leg[columns], column_costs[columns])
+        return least
 
     def misses(self, losses: FloatArray, value: float) -> bool:
         """Let some sites join that cause more than a value found without them."""
@@ -76,23 +85,24 @@ class SharesLP:
         return len(worst) > 0
 
 
-def vertex(losses: csr_matrix, costs: FloatArray,
-           deadline: float = math.inf) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Value and shares (K,) of the LP with a row for each site, its duals q (S,) and prices (B,).
+    def _vertex(self, losses: csr_matrix, columns: IndexArray
+                ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """Value and shares (k,) of the LP with a row for each site, and duals: q (S,), prices.
 
-    The value is inf if no shares are within the budgets. Raises TimeLimit.
-    """
-    count = losses.shape[1]
-    unit = float(losses.max()) if losses.nnz else 1.0
-    sites = np.column_stack((losses.toarray() / unit, -np.ones(losses.shape[0])))
-    rows = csr_matrix(np.vstack((sites, np.pad(costs, ((0, 0), (0, 1))))))
-    limits = np.repeat([0.0, 1.0], [losses.shape[0], len(costs)])
-    total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
-    lp = highs.LP(np.append(np.zeros(count), 1.0), rows, limits, total, np.ones(1))
-    solved = highs.run(lp, 'simplex', deadline)
-    if solved.x is None:
-        return math.inf, np.zeros(count), np.zeros(losses.shape[0]), np.ones(len(costs))
-    shares = np.maximum(solved.x[:count], 0.0)
-    duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
-    q, prices = np.split(duals, [losses.shape[0]])
-    return float(solved.fun) * unit, shares / shares.sum(), q, prices * unit
+        The value is inf if no shares are within the budgets. Raises TimeLimit.
+        """
+        count, leg = len(columns), self.leg[columns]
+        unit = float(losses.max()) if losses.nnz else 1.0
+        own = (leg == np.arange(self.leg.max() + 1)[:, None]).astype(np.float64)
+        sites = np.column_stack((losses.toarray() / unit, -np.ones(losses.shape[0])))
+        rows = csr_matrix(np.vstack((sites, np.pad(own * self.costs[columns], ((0, 0), (0, 1))))))
+        limits = np.repeat([0.0, 1.0], [losses.shape[0], len(own)])
+        total = csr_matrix(np.pad(own, ((0, 0), (0, 1))))
+        lp = highs.LP(np.append(np.zeros(count), 1.0), rows, limits, total, np.ones(len(own)))
+        solved = highs.run(lp, 'simplex', self.deadline)
+        if solved.x is None:
+            return math.inf, np.zeros(count), np.zeros(losses.shape[0]), np.ones(len(own))
+        shares = np.maximum(solved.x[:count], 0.0)
+        duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
+        q, prices = np.split(duals, [losses.shape[0]])
+        return float(solved.fun) * unit, shares / (own.T @ (own @ shares)), q, prices * unit

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A few routes: the best mixture that we can find of at most K paths that are driven.
+"""Few routes: the best mixture that we can find of at most K paths a leg that are driven.
 
 Which K paths are best is a hard combinatorial problem. Candidates are drawn from the plan's
-strategy, which knows where to drive; a linear program on the network chooses some of them, and
+strategies, which know where to drive; a linear program on the networks chooses some of them, and
 these are driven. Among them the search leaves out one after the other, and exchanges one at a time
 while the value falls, on a matrix of sites and paths. Each result is judged anywhere on the map,
-and places that are worse than known join the matrix (constraint generation).
+and places that are worse than known join the matrix (constraint generation). The legs of a trip
+share the sites, so the paths of all of them are chosen at once.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
-from ..game.game import GameOptions
 from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy
 from ..planning.few import FewRoutes
@@ -56,109 +56,118 @@ SMOOTH, OVERRUN = (0.1, 0.03, 0.01), 1e3
 _Valued = TypeVar('_Valued', PathMixture, BestShares)
 
 
-def check_few(game: GameOptions, stops: int) -> None:
-    """Raise InvalidOption if trips with this number of stops cannot have few routes in a game."""
-    check_judged(game)
-    if stops:
-        raise InvalidOption('few routes (--routes) are for trips without stops: plan each leg as a '
-                            'trip of its own, or leave routes out and draw each leg afresh')
-
-
 def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
                deadline: float = math.inf) -> FewRoutes:
-    """The best mixture that we can find of at most ``most`` routes within the plan's budget.
+    """The best mixture that we can find of at most ``most`` routes a leg within its budget.
 
     ``rng`` draws the candidates, by default from the operating system's entropy. At the
     ``deadline`` (``time.monotonic``) it is the best mixture so far, and the curve has no smaller
     numbers of routes that were not tried.
 
-    Raises InvalidOption if there are fewer different routes, and as ``check_few``; TimeLimit, with
-    the plan's strategy, if there is no mixture at the deadline.
+    Raises InvalidOption if each leg has fewer different routes, and as ``check_judged``; TimeLimit,
+    with the plan's first strategy, if there is no mixture at the deadline.
     """
-    check_few(plan.options.game, len(plan.stops_xy))
-    if not plan.strategy.value > 0.0:
+    check_judged(plan.options.game)
+    if not plan.trip.value > 0.0:
         raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
                             'several')
-    routes = _candidates(plan, rng or np.random.default_rng())
-    if not 1 <= most <= min(len(routes), MAX_ROUTES):
-        raise InvalidOption(f'routes must be from 1 to {min(len(routes), MAX_ROUTES)}: of {DRAWN} '
-                            f'drawn routes, {len(routes)} are different; got {most}')
+    routes, leg = _candidates(plan, rng or np.random.default_rng())
+    count = int(np.bincount(leg).max())
+    if not 1 <= most <= min(count, MAX_ROUTES):
+        raise InvalidOption(f'routes must be from 1 to {min(count, MAX_ROUTES)}: of {DRAWN} '
+                            f'drawn routes, {count} are different; got {most}')
     try:
-        routes, costs = _promising(plan, routes, max(CANDIDATES, most), deadline)
-        paths = driven_paths(plan.corridors[0], routes, plan.spacing,
-                             plan.options.drive.turning_radius)
+        routes, leg, costs = _promising(plan, routes, leg, max(CANDIDATES, most), deadline)
+        paths = [path for k, corridors in enumerate(plan.corridors) for path in driven_paths(
+            corridors, [route for route, own in zip(routes, leg, strict=True) if own == k],
+            plan.spacing, plan.options.drive.turning_radius)]
         if plan.network.seconds is None:
             costs = path_lengths(paths)
-        search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths),
-                               costs[None] / plan.strategy.length_budget, deadline)
+        search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths, leg),
+                               costs / _limits(plan)[leg], leg, deadline)
         found = search.best([*(k for k in CURVE if k < most), most])
     except TimeLimit as late:
         raise TimeLimit('the time limit (strategy.time_limit) passed before a mixture of few '
-                        'routes was found; allow more time', plan.strategy) from late
+                        'routes was found; allow more time', plan.legs[0]) from late
     all_shares = found[most].shares
-    chosen = np.argsort(-all_shares, kind='stable')[: np.count_nonzero(all_shares)]
-    few = tuple(paths[k] for k in chosen)
+    chosen = np.lexsort((-all_shares, leg))
+    chosen = chosen[all_shares[chosen] > 0.0]
+    few, own = tuple(paths[k] for k in chosen), frozen_array(leg[chosen], np.int64)
     shares, spent = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
-    trip = mixed(plan, few, shares, search.bound, spent)
-    curve = {min(size, len(chosen)): each.value for size, each in found.items()}  # no more needed
-    curve[len(chosen)] = trip.value
-    return FewRoutes(few, shares, trip, len(paths), spent, tuple(curve.items()),
-                     tuple((frozen_array(routes[k], np.int64),) for k in chosen))
+    trip = mixed(plan, few, own, shares, search.bounds, spent)
+    enough = int(np.bincount(own).max())
+    curve = {min(size, enough): each.value for size, each in found.items()}
+    curve[enough] = trip.value
+    return FewRoutes(few, own, shares, trip, len(paths), spent, tuple(curve.items()),
+                     tuple(frozen_array(routes[k], np.int64) for k in chosen))
 
 
-def mixed(plan: Plan, paths: Sequence[FloatArray], shares: FloatArray, bound: float,
-          costs: FloatArray) -> TripStrategy:
-    """The strategy of a plan's few paths with their shares and costs (K,), as FewRoutes has it."""
+def mixed(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray, shares: FloatArray,
+          bounds: FloatArray, costs: FloatArray) -> TripStrategy:
+    """The strategies of a plan's few paths (K,), as FewRoutes has them; bounds are by leg."""
     timed = plan.network.seconds is not None
-    return PathMixtures(plan.own_map, plan, paths).strategy(shares, bound,
-                                                            costs if timed else None)
+    return PathMixtures(plan.own_map, plan, paths, leg).strategy(shares, bounds,
+                                                                 costs if timed else None)
 
 
-def _candidates(plan: Plan, rng: np.random.Generator) -> list[IndexArray]:
-    """Different routes among ``DRAWN``."""
-    drawn = plan.strategy.sample_routes(DRAWN, rng)
-    return list({route.tobytes(): route for route in drawn}.values())
+def _limits(plan: Plan) -> FloatArray:
+    """The length budget (legs,) of each leg."""
+    return np.array([leg.length_budget for leg in plan.legs])
 
 
-def _promising(plan: Plan, routes: list[IndexArray], most: int,
-               deadline: float) -> tuple[list[IndexArray], FloatArray]:
-    """Some routes, those of the best mixture on the network first, and their lengths (K,)."""
-    game, network, budget = plan.strategy.game, plan.network, plan.strategy.budget
-    edges = [route_edges(network, route) for route in routes]
+def _candidates(plan: Plan, rng: np.random.Generator) -> tuple[list[IndexArray], IndexArray]:
+    """Different routes (K,) among ``DRAWN`` of each leg, and their legs."""
+    found = [{route.tobytes(): route for route in leg.sample_routes(DRAWN, rng)}
+             for leg in plan.legs]
+    return ([route for own in found for route in own.values()],
+            np.repeat(np.arange(len(found)), list(map(len, found))))
+
+
+def _promising(plan: Plan, routes: list[IndexArray], leg: IndexArray, most: int,
+               deadline: float) -> tuple[list[IndexArray], IndexArray, FloatArray]:
+    """Some routes of each leg, those of the best mixture on the networks; legs and lengths (K,)."""
+    legs = plan.trip.joint
+    edges = [route_edges(legs.games[k].network, route) + legs.first[k]
+             for k, route in zip(leg.tolist(), routes, strict=True)]
     route = np.repeat(np.arange(len(edges)), list(map(len, edges)))
     uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
-                      (len(network.edges), len(edges)))
-    hit = csr_matrix(game.entering @ uses)
+                      (legs.edge_count, len(edges)))
+    hit = csr_matrix(legs.entering @ uses)
     hit.data[:] = 1.0  # however often a route comes back
-    costs = budget.cost @ uses
-    losses = hit.multiply(game.loss[game.sites][:, None]).tocsr()
-    best = SharesLP(losses, costs[None] / budget.limit, deadline).solve()
-    order = np.argsort(-best.shares, kind='stable')[:most]
-    return [routes[k] for k in order], costs[order]
+    costs = np.concatenate([budget.cost for budget in legs.budgets]) @ uses
+    losses = hit.multiply(legs.loss[:, None]).tocsr()
+    best = SharesLP(losses, costs / _limits(plan)[leg], leg, deadline).solve()
+    some = _likeliest(np.lexsort((-best.shares, leg)), leg, most)
+    return [routes[k] for k in some], leg[some], costs[some]
+
+
+def _likeliest(order: IndexArray, leg: IndexArray, most: int) -> IndexArray:
+    """The first ``most`` columns of each leg in an order, given the legs (K,) of all columns."""
+    return np.concatenate([order[leg[order] == k][:most] for k in range(leg.max() + 1)])
 
 
 class _ColumnSearch:
     """The choice among paths, the columns of a matrix of losses at the sites known so far."""
 
-    def __init__(self, mixtures: PathMixtures, costs: FloatArray,
+    def __init__(self, mixtures: PathMixtures, costs: FloatArray, leg: IndexArray,
                  deadline: float) -> None:
-        self._mixtures, self._count = mixtures, costs.shape[1]
-        self._lp = SharesLP(mixtures.losses.toarray(), costs, deadline)
+        self._mixtures, self._leg = mixtures, leg
+        self._lp = SharesLP(mixtures.losses.toarray(), costs, leg, deadline)
 
     def best(self, sizes: Sequence[int]) -> dict[int, PathMixture]:
-        """For each number of paths, in rising order, the best mixture found of at most that many.
+        """For each number of paths a leg, rising, the best mixture found of at most that many.
 
         When the time is up, only the last number still counts. Raises TimeLimit if there is no
         mixture yet.
         """
-        everything = np.arange(self._count)
+        everything = np.arange(len(self._leg))
         self._settled(self._lp.solve(everything), self._solved_again)
         every = self._lp.solve(everything)
-        self.bound = every.bound
+        self.bounds = every.bounds
         self._enough = every.value * (1.0 + MAX_MISSED)
         count = np.count_nonzero(every.shares > MIN_SHARE)
         used = np.argsort(-every.shares, kind='stable')[:count]
-        likeliest = self._lp.solve(used[: sizes[-1]])
+        likeliest = self._lp.solve(_likeliest(used, self._leg, sizes[-1]))
         nested = self._nested(self._lp.solve(used), likeliest, sizes)
         found: dict[int, PathMixture] = {}
         best: PathMixture | None = None
@@ -181,7 +190,7 @@ class _ColumnSearch:
         """The best mixture that choices lead to; worse places on the map join the sites."""
         found: list[PathMixture] = []
         while True:
-            found.append(self._mixtures.judged(choice.of_all(self._count, MIN_SHARE)))
+            found.append(self._mixtures.judged(choice.of_all(self._leg, MIN_SHARE)))
             self._lp.losses = self._mixtures.losses.toarray()
             good = found[-1].value <= choice.value * (1.0 + MAX_MISSED)
             if good or self._late or len(found) == ROUNDS:
@@ -204,16 +213,15 @@ class _ColumnSearch:
         found: dict[int, BestShares] = {}
         try:
             for size in sorted(sizes, reverse=True):
-                while len(choice.columns) > size:
-                    few = LEAVE if len(choice.columns) <= 2 * size else 1
-                    choice = self._without_one(choice, few)
+                while (most := self._counts(choice.columns).max()) > size:
+                    choice = self._without_one(choice, size, LEAVE if most <= 2 * size else 1)
                 found[size] = choice
         except TimeLimit:
             found.setdefault(sizes[-1], likeliest)
         return found
 
     def _improved(self, choice: BestShares, size: int) -> BestShares:
-        """Let one column join, and one leave if there are too many, while the value falls.
+        """Let one column join, and one of its leg leave if there are too many, while it helps.
 
         From this choice, or one that is good in equal shares (without that, values of 24 mixtures
         rose by 1 % on average, and by up to 8 %).
@@ -226,31 +234,42 @@ class _ColumnSearch:
         return choice
 
     def _better(self, choice: BestShares, size: int) -> BestShares | None:
-        column_costs = choice.column_costs.copy()
-        column_costs[choice.columns] = np.inf
-        for column in np.argsort(column_costs)[:JOIN]:
+        reduced_costs = choice.reduced_costs.copy()
+        reduced_costs[choice.columns] = np.inf
+        for column in np.argsort(reduced_costs)[:JOIN]:
             other = self._lp.solve(np.append(choice.columns, column))
             enough = choice.value * (1.0 - MIN_GAIN)
-            if other.value < enough and len(other.columns) > size:
-                other = self._without_one(other, LEAVE)
+            if other.value < enough and self._counts(other.columns).max() > size:
+                other = self._without_one(other, size, LEAVE)
             if other.value < enough:
                 return other
         return None
 
-    def _without_one(self, choice: BestShares, few: int) -> BestShares:
-        """The best choice without one of the ``few`` columns of smallest shares."""
+    def _counts(self, columns: IndexArray) -> IndexArray:
+        """The number (legs,) of each leg's columns."""
+        return np.bincount(self._leg[columns], minlength=self._leg[-1] + 1)
+
+    def _without_one(self, choice: BestShares, size: int, few: int) -> BestShares:
+        """The best choice without one of the ``few`` columns of smallest shares.
+
+        Of the legs that have more than ``size``.
+        """
+        too_many = (self._counts(choice.columns) > size)[self._leg[choice.columns]]
         return _better_of([self._lp.solve(np.delete(choice.columns, k))
-                           for k in np.argsort(choice.shares)[:few]])
+                           for k in np.lexsort((choice.shares, ~too_many))[:few] if too_many[k]])
 
     def _good_in_equal_shares(self, size: int) -> IndexArray:
-        """``size`` columns that join one by one, and are then exchanged, all in equal shares."""
+        """``size`` columns a leg that join one by one, and are then exchanged, in equal shares."""
         columns = np.zeros(0, dtype=np.int64)
-        while len(columns) < size:
-            columns = np.append(columns, self._smooth(columns, SMOOTH[0]).argmin())
+        wanted = np.minimum(np.bincount(self._leg), size)
+        while len(columns) < wanted.sum():
+            leg = int((self._counts(columns) / wanted).argmin())
+            own, values = self._smooth(columns, SMOOTH[0], leg)
+            columns = np.append(columns, own[values.argmin()])
         while True:
             for smooth in SMOOTH:
                 columns = self._exchanged_equal(columns, smooth)
-            mean = self._lp.losses[:, columns].mean(axis=1)
+            mean = self._lp.losses[:, columns] @ (1.0 / self._counts(columns)[self._leg[columns]])
             if not self._lp.misses(mean, float(mean[self._lp.sites].max())):
                 return columns
 
@@ -258,22 +277,33 @@ class _ColumnSearch:
         """Exchange the best pair of columns until none lowers the smooth value."""
         least = math.inf
         while True:
-            values = [self._smooth(np.delete(chosen, k), smooth) for k in range(len(chosen))]
-            leaves, joins = np.unravel_index(np.argmin(values), np.shape(values))
-            if not values[leaves][joins] < least or self._late:
+            tried = [self._smooth(np.delete(chosen, k), smooth, int(self._leg[chosen[k]]))
+                     for k in range(len(chosen))]
+            values = [own.min() for _, own in tried]
+            leaves = int(np.argmin(values))
+            if not values[leaves] < least or self._late:
                 return chosen
-            least = values[leaves][joins]
-            chosen = np.append(np.delete(chosen, leaves), joins)
+            least, (columns, own) = values[leaves], tried[leaves]
+            chosen = np.append(np.delete(chosen, leaves), columns[own.argmin()])
 
-    def _smooth(self, chosen: IndexArray, smooth: float) -> FloatArray:
-        """The smooth value (K,) of equal shares if each column joins; inf for those chosen."""
-        losses, costs = ((each[:, chosen].sum(axis=1)[:, None] + each) / (len(chosen) + 1)
-                         for each in (self._lp.losses[self._lp.sites], self._lp.costs))
+    def _smooth(self, chosen: IndexArray, smooth: float, leg: int) -> tuple[IndexArray, FloatArray]:
+        """Columns (k,) of a leg, and the smooth value of equal shares if each joins those chosen.
+
+        It is inf for a column that is chosen.
+        """
+        counts, joining = self._counts(chosen), np.flatnonzero(self._leg == leg)
+        counts[leg] += 1
+        weights = 1.0 / counts[self._leg[chosen]]
+        known = self._lp.losses[self._lp.sites]
+        losses = (known[:, chosen] @ weights)[:, None] + known[:, joining] / counts[leg]
+        of_all = weights * self._lp.costs[chosen]
+        costs = np.bincount(self._leg[chosen], of_all, len(counts))[:, None] + np.where(
+            np.arange(len(counts))[:, None] == leg, self._lp.costs[joining] / counts[leg], 0.0)
         top, smooth = losses.max(axis=0), smooth * self._enough or smooth
         value = top + smooth * np.log(np.exp((losses - top) / smooth).sum(axis=0))
         value += OVERRUN * self._enough * np.maximum(costs - 1.0, 0.0).sum(axis=0)
-        value[chosen] = np.inf
-        return np.asarray(value)
+        value[np.isin(joining, chosen)] = np.inf
+        return joining, np.asarray(value)
 
 
 def _better_of(found: Sequence[_Valued]) -> _Valued:

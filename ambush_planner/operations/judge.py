@@ -94,9 +94,10 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     if not len(plan.strategy.game.sites):
         raise InvalidOption('the secured area covers everything around start and goal, so that '
                             'nobody can wait there: choose a smaller radius (--held)')
-    mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips])
+    mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips],
+                            np.zeros(len(trips), dtype=np.int64))
     driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
-    best = mixtures.best(lengths[None] / mean, end)
+    best = mixtures.best(lengths / mean, end)
     return Habits(trips, lengths, driven, _interval(driven), best, plan)
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mixtures of given paths: their loss against an informed ambusher, and the best shares.
 
-Paths that are driven side by side are a network of their own, on which they share no node but start
-and goal. A mixture of them is a strategy on it; hits, sites and cells are those of any strategy.
+Paths of a leg that are driven side by side are a network of their own, on which they share no node
+but start and goal. A mixture of them is a strategy on it; hits, sites and cells are those of any
+strategy, and those of legs add up.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
 from ..game.ambusher import Ambusher
 from ..game.budget import Budget
-from ..game.distribution.chain import chain_of
-from ..game.game import GameOptions, make_game
-from ..game.legs import Legs
+from ..game.distribution.chain import chain_of_legs
+from ..game.game import GameOptions, make_games
+from ..game.legs import Legs, exposed_legs
 from ..game.strategy import TripStrategy, make_strategies
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
@@ -32,8 +33,6 @@ from .best_shares import SharesLP
 
 # Maximum relative gap between the best shares' value and that of the linear program.
 MAX_GAP = 1e-3
-# Radius of the secured area around a stop if there is none: nobody can wait at the stop [m].
-AT_STOP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,40 +51,40 @@ class PathMixture:
 
 
 class PathMixtures:
-    """All mixtures of paths (L, 2 or 3), x and y [m] first, from start to goal of a plan.
+    """All mixtures of paths (L, 2 or 3), x and y [m] first, on each leg of a plan (K,).
 
-    An ambush of the plan's reach hits a path that passes within it outside the secured area,
-    once however often it comes back. The robot's tracking error adds to the reach, but no tube: a
-    given path is what is driven.
+    Shares (K,) add up to 1 on each leg. An ambush of the plan's reach hits a path that passes
+    within it outside the secured area, once however often it comes back, and each leg's. The
+    robot's tracking error adds to the reach, but no tube: a given path is what is driven.
 
     Raises InvalidOption if the plan's game has no reach.
     """
 
-    def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray]) -> None:
+    def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray],
+                 leg: IndexArray) -> None:
         solved = plan.trip.game
         options = solved.options
         check_judged(options)
-        self._network, self._uses = _network_of(plan, paths)
-        self._plan = plan
-        stops = ((x, y, options.secured_distance or AT_STOP) for x, y in plan.stops_xy)
-        self._game = make_game(self._network, replace(
+        self._networks, self._uses = _networks_of(plan, paths, leg)
+        self._plan, self._leg = plan, leg
+        self._games = make_games(self._networks, replace(
             options, tube=plan.options.drive.tracking_error,
-            secured_radius=options.secured_distance,
-            held_places=(*options.held_places, *stops)))
+            secured_radius=options.secured_distance))
+        self._first = np.cumsum([0, *(len(each.edges) for each in self._networks)])
         self._cells = CellLosses(risk_map, options.ambush_in_obstacles)
-        self._exposed = self._game.exposed()
+        self._exposed = exposed_legs(self._games)
         self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
         self._hit = csr_matrix((0, len(paths)))
         points = solved.network.points[solved.sites]
         self._add_sites(points, solved.loss[solved.sites])
 
     def judged(self, shares: FloatArray) -> PathMixture:
-        """The mixture with given shares (K,), which add up to 1."""
+        """The mixture with given shares (K,)."""
         least = float((self._loss * (self._hit @ shares)).max(initial=0.0))
         used = self._uses @ shares
         # Only along the paths that have a share: of many paths, a best mixture needs few.
-        search = CellSearch(self._cells, (self._game,), used > 0.0)
-        found = search.worst(chain_of(self._network, used), least)
+        search = CellSearch(self._cells, self._games, used > 0.0)
+        found = search.worst(chain_of_legs(self._networks, used, self._first), least)
         self._add_sites(found.points, found.alpha)
         losses = self._loss * (self._hit @ shares)
         worst = int(losses.argmax())
@@ -93,33 +92,36 @@ class PathMixtures:
                            frozen_array(self._points[worst], np.float64),
                            frozen_array(self._hit[worst].toarray()[0], np.bool_))
 
-    def strategy(self, shares: FloatArray, bound: float,
+    def strategy(self, shares: FloatArray, bounds: FloatArray,
                  costs: FloatArray | None = None) -> TripStrategy:
-        """The mixture with given shares (K,) as a strategy, which has the value of ``judged``.
+        """The mixture with given shares (K,) as strategies, which have the value of ``judged``.
 
-        Its ambusher waits at the worst place. ``costs`` (K,) are driving times [s] of the paths, if
-        the plan has them.
+        Their ambusher waits at the worst place; ``bounds`` (legs,) are what each leg loses at
+        least. ``costs`` (K,) are driving times [s] of the paths, if the plan has them.
         """
-        value, known = self.judged(shares).value, self._network
-        seconds = None
+        value, count = self.judged(shares).value, len(self._networks[0].points)
+        lengths = np.concatenate([each.lengths for each in self._networks])
+        seconds: list[FloatArray | None] = [None] * len(self._networks)
         if costs is not None:
-            lengths = known.lengths @ self._uses
-            seconds = known.lengths * (self._uses @ (costs / lengths))
-        network = with_places(replace(known, seconds=seconds), self._points, self._loss)
-        game, q = make_game(network, self._game.options), np.zeros(len(network.points))
-        q[len(known.points) + int((self._loss * (self._hit @ shares)).argmax())] = 1.0
-        legs = Legs((game,), (Budget(game, math.inf, self._plan.trip.shortest_length),))
-        return make_strategies(legs, self._uses @ shares, [None], Ambusher(q, (0.0,)),
-                               np.array([min(bound, value)]))
+            seconds = list(np.split(lengths * (self._uses @ (costs / (lengths @ self._uses))),
+                                    self._first[1:-1]))
+        networks = [with_places(replace(each, seconds=own), self._points, self._loss)
+                    for each, own in zip(self._networks, seconds, strict=True)]
+        games, q = make_games(networks, self._games[0].options), np.zeros(len(networks[0].points))
+        q[count + int((self._loss * (self._hit @ shares)).argmax())] = 1.0
+        legs = Legs(games, tuple(Budget(game, math.inf, leg.shortest_length)
+                                 for game, leg in zip(games, self._plan.legs, strict=True)))
+        bounds = bounds * min(1.0, value / max(float(bounds.sum()), np.finfo(float).tiny))
+        return make_strategies(legs, self._uses @ shares, [None] * len(games),
+                               Ambusher(q, (0.0,) * len(games)), bounds)
 
     def best(self, costs: FloatArray, deadline: float = math.inf) -> PathMixture:
-        """The shares of least value, up to ``MAX_GAP``.
+        """The shares of least value, up to ``MAX_GAP``; the mean of a leg's ``costs`` is at most 1.
 
-        The mean of each row of ``costs`` (B, K) is at most 1.
         At the ``deadline`` (``time.monotonic``) it is the best mixture so far. Raises TimeLimit if
         there is none, and BudgetInfeasible if no mixture keeps to the costs.
         """
-        lp = SharesLP(self.losses, costs, deadline)
+        lp = SharesLP(self.losses, costs, self._leg, deadline)
         found: list[PathMixture] = []
         while True:
             try:
@@ -128,7 +130,7 @@ class PathMixtures:
                 if not found:
                     raise
                 break
-            found.append(self.judged(solved.of_all(costs.shape[1])))
+            found.append(self.judged(solved.of_all(self._leg)))
             if found[-1].value <= solved.value * (1.0 + MAX_GAP):
                 break
             lp.losses = self.losses
@@ -140,7 +142,7 @@ class PathMixtures:
         return self._hit.multiply(self._loss[:, None]).tocsr()
 
     def _add_sites(self, points: FloatArray, loss: FloatArray) -> None:
-        hit = csr_matrix(self._exposed.entering(points, self._game.reach) @ self._uses)
+        hit = csr_matrix(self._exposed.entering(points, self._games[0].reach) @ self._uses)
         hit.data[:] = 1.0  # however often a path comes back
         self._points = np.concatenate((self._points, points))
         self._loss = np.append(self._loss, loss)
@@ -154,28 +156,24 @@ def check_judged(options: GameOptions) -> None:
                             'an ambush reaches')
 
 
-def side_by_side(inner: Sequence[int]) -> tuple[IndexArray, IndexArray]:
-    """Lines from node 0 to node 1 over some ``inner`` nodes of each (K,), numbered from 2 on.
-
-    Returns their edges (M, 2), one line after the other, and the line of each edge (M,).
-    """
-    nodes = np.arange(2, 2 + sum(inner))
-    end: IndexArray = np.cumsum(inner)
-    edges = np.column_stack((np.insert(nodes, end - np.array(inner), 0), np.insert(nodes, end, 1)))
-    return edges, np.repeat(np.arange(len(inner)), np.add(inner, 1))
-
-
-def _network_of(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:
-    """The network of the paths, and the edges (M, K) that each uses."""
-    ends = plan.network.points[[plan.network.source, plan.network.target]]
-    lines = []
-    for path in paths:
-        line = np.vstack((ends[0], path[:, :2], ends[1]))
+def _networks_of(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray
+                 ) -> tuple[list[Network], csr_matrix]:
+    """The networks of each leg's paths, on the same nodes, and the edges (M, K) that each uses."""
+    ends = [(each.network.source, each.network.target) for each in plan.legs]
+    known, end = np.unique(ends, return_inverse=True)
+    end, lines = end.reshape(-1, 2), [plan.network.points[known]]
+    first, edges = len(known), []
+    for path, (source, target) in zip(paths, end[leg].tolist(), strict=True):
+        line = np.vstack((lines[0][source], path[:, :2], lines[0][target]))
         line = line[np.append(True, (line[1:] != line[:-1]).any(axis=1))]
         if len(line) == 2:  # its one edge could be another path's, too
             line = np.insert(line, 1, line.mean(axis=0), axis=0)
         lines.append(line[1:-1])
-    edges, of = side_by_side(list(map(len, lines)))
-    points = np.concatenate((ends, *lines))
-    network = Network(points, np.zeros(len(points)), edges, 0, 1)
-    return network, csr_matrix((np.ones(len(of)), (np.arange(len(of)), of)))
+        nodes = [source, *range(first, first + len(line) - 2), target]
+        edges.append(np.column_stack((nodes[:-1], nodes[1:])))
+        first += len(line) - 2
+    points, of = np.concatenate(lines), np.repeat(np.arange(len(edges)), list(map(len, edges)))
+    alpha, every = np.zeros(len(points)), np.concatenate(edges)
+    networks = [Network(points, alpha, every[leg[of] == k], *own.tolist())
+                for k, own in enumerate(end)]
+    return networks, csr_matrix((np.ones(len(of)), (np.arange(len(of)), of)))

@@ -22,9 +22,9 @@ OUTCOMES = {
 
 @dataclass(frozen=True, eq=False)
 class RandomDraw:
-    """A way to draw: ``counts`` (K,) of its outcomes stand for each route, one route after another.
+    """A way to draw, once for each leg: ``counts`` (K,) of its outcomes stand for each route.
 
-    ``value`` is the mean loss by the worst ambusher who knows all of this but the draw.
+    ``value`` is the mean loss by the worst ambusher who knows all of this but the draws.
     """
 
     name: str
@@ -34,20 +34,23 @@ class RandomDraw:
     @property
     def ranges(self) -> list[str]:
         """The outcomes of each route, such as ``11-23``; '-' if it has none."""
-        outcomes, ends = OUTCOMES[self.name], np.cumsum(self.counts).tolist()
-        return ['-' if not count else outcomes[end - 1] if count == 1 else
-                f'{outcomes[end - count]}-{outcomes[end - 1]}'
-                for count, end in zip(self.counts.tolist(), ends, strict=True)]
+        outcomes = OUTCOMES[self.name]
+        last = (np.cumsum(self.counts) - 1) % len(outcomes)  # of each leg, from the first one
+        return ['-' if not count else outcomes[end] if count == 1 else
+                f'{outcomes[end - count + 1]}-{outcomes[end]}'
+                for count, end in zip(self.counts.tolist(), last.tolist(), strict=True)]
 
 
 def random_draws(plan: Plan) -> list[RandomDraw]:
-    """All ways with at least as many outcomes as the plan's few routes, by the nearest shares."""
-    assert plan.few is not None
-    mixtures = PathMixtures(plan.own_map, plan, plan.few.paths)
+    """All ways with at least as many outcomes as a leg has routes, by the nearest shares."""
+    few = plan.few
+    assert few is not None
+    mixtures, own = PathMixtures(plan.own_map, plan, few.paths, few.leg), np.bincount(few.leg)
     made = []
     for name, outcomes in OUTCOMES.items():
-        if len(outcomes) >= len(plan.few.paths):
-            counts = nearest_counts(plan.few.shares, len(outcomes))
+        if len(outcomes) >= own.max():
+            counts = np.concatenate([nearest_counts(shares, len(outcomes)) for shares in np.split(
+                few.shares, own.cumsum()[:-1])])
             value = mixtures.judged(counts / len(outcomes)).value
             made.append(RandomDraw(name, counts, value))
     return made

@@ -19,13 +19,11 @@ from .plan import Plan, Route, departure_path
 class DrawnRoute:
     """A route, the nodes of each leg, and the poses (L, 3) = (x, y, yaw) of its path [m, m, rad].
 
-    ``few_route`` is its index if the plan has few routes. ``rng`` is the generator that drew it,
-    for what is drawn after it.
+    ``rng`` is the generator that drew it, for what is drawn after it.
     """
 
     route: Route
     poses: FloatArray
-    few_route: int | None
     rng: np.random.Generator
 
 
@@ -40,8 +38,8 @@ def draw_route(plan: Plan, source: Sequence[int], spacing: float = 0.0, ends: En
     """
     rng = np.random.default_rng(source)
     if plan.few is not None:
-        k = plan.few.draw(rng)
-        return DrawnRoute(plan.few.routes[k], plan.few.paths[k], k, rng)
+        (numbers,) = plan.few.draw(1, rng)
+        return DrawnRoute(tuple(plan.few.routes[k] for k in numbers), plan.few.path(numbers), rng)
     if ground is None or newest is None:
         route: Route | None = tuple(leg.sample_route(rng) for leg in plan.legs)
     else:
@@ -49,4 +47,4 @@ def draw_route(plan: Plan, source: Sequence[int], spacing: float = 0.0, ends: En
         plan = ground.fitted(newest, ends) if ends else plan
     if route is None:
         return None
-    return DrawnRoute(route, departure_path(plan, route, spacing or plan.spacing, ends), None, rng)
+    return DrawnRoute(route, departure_path(plan, route, spacing or plan.spacing, ends), rng)

@@ -9,40 +9,44 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..game.strategy import TripStrategy
+from ..routes.driven_path import joined
 
 
 @dataclass(frozen=True, eq=False)
 class FewRoutes:
-    """A mixture of few routes.
+    """Few routes of each leg of a trip, drawn leg by leg.
 
     Attributes
     ----------
     paths : K arrays (L, 3)
-        The driven paths, as ``Plan.paths`` has them.
+        The driven paths of the legs' routes, those of the first leg first.
+    leg : (K,)
+        The leg of each, from 0.
     shares : (K,)
-        How likely each is driven; the largest first.
+        How likely each is driven on its leg; the leg's largest first.
     trip : TripStrategy
-        The mixture, on a network of the paths side by side. Its ambusher waits at the worst place
-        anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``: paths as
-        they are driven, from which these were chosen. The plan's own bound is that of another game,
-        in which convoys may stray from their routes by the tube.
+        The mixture, on networks of each leg's paths side by side. Its ambusher waits at the worst
+        place anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``:
+        paths as they are driven, from which these were chosen. The plan's own bound is that of
+        another game, in which convoys may stray from their routes by the tube.
     candidates : int
         Their number.
     costs : (K,)
         Lengths [m], or driving times [s] if the network has them.
     curve : ((K, value), ...)
-        The value of the best mixture found with at most K routes.
+        The value of the best mixture found with at most K routes a leg.
     routes : K arrays
-        The nodes of each leg of each route in the plan's network.
+        The nodes of each route in the plan's network of its leg.
     """
 
     paths: tuple[FloatArray, ...]
+    leg: IndexArray
     shares: FloatArray
     trip: TripStrategy
     candidates: int
     costs: FloatArray
     curve: tuple[tuple[int, float], ...]
-    routes: tuple[tuple[IndexArray, ...], ...]
+    routes: tuple[IndexArray, ...]
 
     @property
     def value(self) -> float:
@@ -60,16 +64,29 @@ class FewRoutes:
         network, q = self.trip.game.network, self.trip.ambusher.q
         return np.asarray(network.points[q.argmax()])
 
-    def nodes(self, k: int) -> tuple[IndexArray, ...]:
-        """The nodes of a route in the network of ``trip``."""
-        network = self.trip.game.network
-        first = np.flatnonzero(network.tails == network.source)
-        return (np.append(network.source, np.split(network.heads, first[1:])[k]),)
+    def nodes(self, numbers: IndexArray) -> tuple[IndexArray, ...]:
+        """The nodes of the routes with ``numbers`` (legs,) in the networks of ``trip``."""
+        found = []
+        for k, leg in zip(numbers, self.trip.legs, strict=True):
+            network, before = leg.network, np.count_nonzero(self.leg < self.leg[k])
+            first = np.flatnonzero(network.tails == network.source)
+            heads = np.split(network.heads, first[1:])[k - before]
+            found.append(np.append(network.source, heads))
+        return tuple(found)
 
-    def draw(self, rng: np.random.Generator) -> int:
-        """Draw the index of a departure's route."""
-        return int(rng.choice(len(self.paths), p=self.shares))
+    def draw(self, n: int, rng: np.random.Generator) -> IndexArray:
+        """Draw ``n`` departures, (n, legs): the number of a route for each leg."""
+        own = [np.flatnonzero(self.leg == k) for k in range(len(self.trip.legs))]
+        return np.stack([rng.choice(each, n, p=self.shares[each]) for each in own], axis=1)
 
-    def drawn(self, n: int, rng: np.random.Generator) -> list[FloatArray]:
-        """Draw the paths of ``n`` departures."""
-        return [self.paths[k] for k in rng.choice(len(self.paths), n, p=self.shares)]
+    def path(self, numbers: IndexArray) -> FloatArray:
+        """The path of a departure with some ``numbers`` (legs,) of routes."""
+        return joined([self.paths[k] for k in numbers])
+
+    def numbers(self, route: tuple[IndexArray, ...]) -> IndexArray:
+        """The numbers (legs,) of a departure's routes; ValueError if one is none of the few."""
+        found = [k for leg, nodes in enumerate(route) for k in np.flatnonzero(self.leg == leg)
+                 if np.array_equal(self.routes[k], nodes)]
+        if len(found) != len(self.trip.legs):
+            raise ValueError('the route is none of the few routes')
+        return np.array(found)

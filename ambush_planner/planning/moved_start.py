@@ -123,7 +123,7 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, leg: int
             route = (np.concatenate(([network.source], rest)), *later)
             fitted = ground.fitted(newest, ends, np.array([node]), leg)
             path = departure_path(fitted, route, spacing or fitted.spacing, ends)
-            return DrawnRoute(route, path, None, rng)
+            return DrawnRoute(route, path, rng)
     return None
 
 

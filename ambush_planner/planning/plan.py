@@ -24,7 +24,7 @@ from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
-from ..routes.driven_path import Ends, driven_path, driven_paths
+from ..routes.driven_path import Ends, driven_path, driven_paths, joined
 from ..words import distance
 from .few import FewRoutes
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
@@ -193,7 +193,7 @@ class Plan(Shown):
         rng = np.random.default_rng(rng)
         check_whole('n', n, 0)
         if self.few is not None:
-            return self.few.drawn(n, rng)
+            return [self.few.path(numbers) for numbers in self.few.draw(n, rng)]
         return departure_paths(self, n, self.spacing, rng)
 
     def save(self, *files: Path | str, n: int = 1,
@@ -358,7 +358,7 @@ def departure_path(plan: Plan, route: Route, spacing: float, ends: Ends | None =
         places[0], places[-1] = ends
     legs = [driven_path(corridors, nodes, spacing, radius, own) for corridors, nodes, own in zip(
         plan.corridors, route, pairwise(places), strict=True)]
-    return _joined(legs)
+    return joined(legs)
 
 
 def departure_paths(plan: Plan, n: int, spacing: float,
@@ -367,9 +367,4 @@ def departure_paths(plan: Plan, n: int, spacing: float,
     radius, routes = plan.options.drive.turning_radius, draw_routes(plan, n, rng)
     legs = [driven_paths(corridors, list(own), spacing, radius) for corridors, own in zip(
         plan.corridors, zip(*routes, strict=True), strict=True)] if n else []
-    return [_joined(each) for each in zip(*legs, strict=True)]
-
-
-def _joined(legs: Sequence[FloatArray]) -> FloatArray:
-    """The paths of legs as one, whose poses at stops are those of the arrival."""
-    return np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))
+    return [joined(each) for each in zip(*legs, strict=True)]

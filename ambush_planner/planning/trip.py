@@ -76,8 +76,9 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     warm
         A similar strategy to start the search from.
     routes, rng
-        Departures draw from the best mixture found of at most that number of routes: ``Plan.few``.
-        ``rng`` draws the candidates, or is a seed. The strategy then gets ``PLANNED`` of the time.
+        Departures draw from the best mixture found of at most that number of routes a leg:
+        ``Plan.few``. ``rng`` draws the candidates, or is a seed. The strategy then gets ``PLANNED``
+        of the time.
     progress
         Is called with the phase in words, and the value of the plan that is finished, ``inf`` if
         none is.
@@ -125,7 +126,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
                             'PlanningOptions(game=GameOptions(...))')
     stops = list(stops)
     if routes is not None:
-        plan_methods.check_few_routes(options, stops)
+        plan_methods.check_few_routes(options)
     end = time.monotonic() + options.strategy.time_limit
     share = PLANNED if routes is not None else 1.0
     made = plan_quietly(risk_map, start_xy, goal_xy, options, stops, warm, progress, share)

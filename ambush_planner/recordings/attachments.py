@@ -67,8 +67,9 @@ _COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, *NUMBERS, *_PLANNED, _REAS
 _ROADS = ('points', 'pairs', 'speeds', 'timed', 'names', 'name', 'places')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
-_OF_FEW = ('shares', 'value', 'lower_bound', 'candidates', 'costs', 'curve')
-_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW)
+# ``lower_bound`` is that of each leg.
+_OF_FEW = ('leg', 'shares', 'value', 'candidates', 'costs', 'curve')
+_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW, 'lower_bound')
 
 
 def strategy_file(trip: TripStrategy) -> bytes:
@@ -218,7 +219,9 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
 def few_file(few: FewRoutes) -> bytes:
     """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
     arrays: dict[str, Any] = {name: getattr(few, name) for name in _OF_FEW}
-    for name, value in (('paths', few.paths), ('routes', [nodes for nodes, in few.routes])):
+    arrays['lower_bound'] = [leg.lower_bound for leg in few.trip.legs]
+    for name in _RAGGED:
+        value = getattr(few, name)
         arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
     return _npz(arrays)
 
@@ -232,10 +235,10 @@ def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
     ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
               for name in _RAGGED}
     shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
-    trip = mixed(plan, ragged['paths'], shares, float(content['lower_bound']), costs)
+    leg = frozen_array(content.get('leg', np.zeros(len(shares))), np.int64)  # once there was one
+    trip = mixed(plan, ragged['paths'], leg, shares, np.atleast_1d(content['lower_bound']), costs)
     few = FewRoutes(
-        paths=ragged['paths'], routes=tuple((nodes,) for nodes in ragged['routes']),
-        shares=shares, trip=trip, candidates=int(content['candidates']),
+        **ragged, leg=leg, shares=shares, trip=trip, candidates=int(content['candidates']),
         costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
     return few, float(content['value'])
 

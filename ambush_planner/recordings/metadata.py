@@ -84,14 +84,13 @@ class RecordedDay:
     """The day of a departure that was drawn from a plan file.
 
     ``date`` (YYYY-MM-DD) and ``slot`` (HH:MM; '': not said) in a time ``zone``, which was drawn
-    after the route if ``slot_drawn``; the index of the route if there are few; the id of an earlier
-    departure for the same day that it ``replaces``, because that one was not driven, and ``why``.
+    after the route if ``slot_drawn``; the id of an earlier departure for the same day that it
+    ``replaces``, because that one was not driven, and ``why``.
     """
 
     date: str
     slot: str
     slot_drawn: bool
-    few_route: int | None
     replaces: str = ''
     why: str = ''
     zone: str = ''

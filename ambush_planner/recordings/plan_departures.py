@@ -40,14 +40,13 @@ _NAME = re.compile(r'(\d+)_(\d{4}-\d\d-\d\d)\.mcap')
 class DrawnDeparture:
     """One departure: its route, the nodes of each leg, and its path (L, 3) = (x, y, yaw).
 
-    ``few_route`` is the index of one of few routes. ``slot`` is when it leaves (HH:MM; '': not
-    said), which was drawn, too, if ``slot_drawn``. All follows from the random ``source``.
+    ``slot`` is when it leaves (HH:MM; '': not said), which was drawn, too, if ``slot_drawn``. All
+    follows from the random ``source``.
     """
 
     source: int
     route: Route
     poses: FloatArray
-    few_route: int | None
     slot: str
     slot_drawn: bool
 
@@ -68,7 +67,7 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
     slot_drawn = not slot and saved.slots is not None
     if saved.slots and not slot:
         slot = saved.slots.drawn(drawn.rng)
-    return DrawnDeparture(source, drawn.route, drawn.poses, drawn.few_route, slot, slot_drawn)
+    return DrawnDeparture(source, drawn.route, drawn.poses, slot, slot_drawn)
 
 
 def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: str, stamp_ns: int,
@@ -92,7 +91,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         False, tuple(tuple(nodes.tolist()) for nodes in drawn.route), (drawn.source,),
         RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}),
         saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
-        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, drawn.few_route, replaces, why,
+        day=RecordedDay(date, drawn.slot, drawn.slot_drawn, replaces, why,
                         local_zone(date, drawn.slot)))
     return said.departure_id, encode(list(roles.values()), said.entries(),
                                      attachments_of(plan, plan.own_map.crs), 'zstd')

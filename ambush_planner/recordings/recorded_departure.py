@@ -40,7 +40,7 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
-from .metadata import InvalidEntry, Metadata, RecordedDay, typed
+from .metadata import InvalidEntry, Metadata, typed
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
 
@@ -212,7 +212,7 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
     few, few_value = None, math.nan
     if FEW_FILE in files:
         few, few_value = once(few_from_file, files[FEW_FILE], ground().plan)
-        drawn_from, route = few.trip, few.nodes(_few_route(metadata.day))
+        drawn_from, route = few.trip, few.nodes(few.numbers(route))
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
                              trip, stated, drawn_from, joined, planned_on, newest, risk_map,
@@ -233,13 +233,6 @@ def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
                            'ambush_planner, or was edited')
     kinds |= {name: kind for name, kind in BEYOND.items() if name in values}
     return {name: typed(values[name], kind, name) for name, kind in kinds.items()}
-
-
-def _few_route(day: RecordedDay | None) -> int:
-    """Return the index of the route; ValueError without one."""
-    if day is None or day.few_route is None or day.few_route < 0:
-        raise ValueError('no index of the few routes')
-    return day.few_route
 
 
 def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:

@@ -178,7 +178,6 @@ class Verifier:
                                    parameters.occupancy, parameters.planning, departure.risk_map)
         plan, source = ground.plan, said.route_entropy_source
         spacing = parameters.values['route.path_spacing']
-        few_route = said.day.few_route if said.day else None
         if departure.few:
             plan = replace(plan, few=departure.few)
         if said.diversion:
@@ -189,8 +188,7 @@ class Verifier:
             again = draw_route(departure.joined.plan, source, spacing, said.ends)
         else:
             again = draw_route(plan, source, spacing, said.ends, ground, newest)
-        if again is None or again.few_route != few_route or _numbers(
-                again.route) != _numbers(departure.drawn):
+        if again is None or _numbers(again.route) != _numbers(departure.drawn):
             return ['route: the recorded entropy draws another one']
         rows, poses = again.poses, departure.recorded_poses
         if len(poses) == len(rows) + 1:

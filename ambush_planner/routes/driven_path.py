@@ -9,6 +9,7 @@ widened.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +91,11 @@ def driven_paths(corridors: Corridors, routes: list[IndexArray], spacing: float,
     for path in paths:
         _check_count(float(len(path)), spacing)
     return paths
+
+
+def joined(legs: Sequence[FloatArray]) -> FloatArray:
+    """The paths of legs as one, whose poses at stops are those of the arrival."""
+    return np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))
 
 
 def _driven(corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float,
