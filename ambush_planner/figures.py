@@ -20,6 +20,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.ticker import FuncFormatter
+from matplotlib.transforms import ScaledTranslation, Transform
 from scipy.spatial import cKDTree
 
 from . import colours
@@ -54,6 +55,8 @@ START = Line2D([], [], linestyle='none', marker='s', markersize=8, color=colours
                markeredgecolor='black', label='start')
 GOAL = Line2D([], [], linestyle='none', marker='*', markersize=13, color=colours.ENDS,
               markeredgecolor='black', label='goal')
+# Distance of a legend from the map above it, for its ticks and labels [inches].
+BELOW = 0.5
 NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
                  label='the convoy may drive here: the wider, the likelier')
 
@@ -287,6 +290,11 @@ def draw_strategy(axes: Axes | None, trip: TripStrategy, risk_map: RiskMap | Non
         key = [*key, SECURED_AREA]
     drawn = f'{len(routes)} route{"s" * (len(routes) != 1)} drawn'
     axes.legend(key, [drawn if isinstance(each, tuple) else each.get_label() for each in key],
-                handler_map={tuple: HandlerTuple(None, 0.0)}, loc='upper left',
-                bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4, frameon=False)
+                handler_map={tuple: HandlerTuple(None, 0.0)}, loc='upper left', frameon=False,
+                borderaxespad=0.0, bbox_to_anchor=(0.0, -BELOW), bbox_transform=inches(axes))
     return axes
+
+
+def inches(axes: Axes) -> Transform:
+    """Inches from the lower left corner of axes."""
+    return axes.figure.dpi_scale_trans + ScaledTranslation(0.0, 0.0, axes.transAxes)

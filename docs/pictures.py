@@ -257,7 +257,8 @@ def main() -> None:
     demo = sections_of(read_departures(recordings_in('out/demo'), print))[-1]
     for name in options.names:
         if name in still:
-            (folder / f'{name}.png').write_bytes(map_figures.as_png(still[name](demo)))
+            (folder / f'{name}.png').write_bytes(map_figures.as_png(
+                still[name](demo), f'{name}.png', [demo_ground.ELEVATION]))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp')
         elif name == 'report':

@@ -206,7 +206,8 @@ def test_the_legend_of_a_square_map_ends_above_the_curve():
     figure = hold_figure(found, RADIUS, risk_map)
     figure.draw_without_rendering()
     legend = figure.axes[0].get_legend().get_texts()
-    (curve,) = (axes for axes in figure.axes if 'places held' in axes.get_xlabel())
+    (curve,) = (axes for axes in figure.axes[0].child_axes
+                if 'places held' in axes.get_xlabel())
     assert len(legend) == 5
     assert legend[-1].get_window_extent().y0 > curve.get_window_extent().y1
 

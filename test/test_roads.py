@@ -9,6 +9,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 import pytest
+from commands import run_here
 from games import exact_value, lp_value
 
 pytest.importorskip('geopandas', reason='vector files need geopandas')
@@ -29,6 +30,8 @@ from ambush_planner import (
     build_network,
     plan_trip,
 )
+from ambush_planner.commands import frontier, hold, judge, plan
+from ambush_planner.network import construction
 from ambush_planner.planning.options import ROAD_TUBE
 from ambush_planner.planning.plan import departure_paths
 
@@ -165,6 +168,49 @@ def test_paths_keep_to_the_roads(streets, game, tube):
     edges = set(map(tuple, plan.network.edges.tolist()))
     route = plan.strategy.sample_route(np.random.default_rng(2)).tolist()
     assert edges.issuperset(pairwise(route))
+
+
+def test_plan_judge_hold_and_frontier_play_on_the_same_roads(streets, tmp_path, monkeypatch):
+    """With the length budget of the trips, each has the value and the network of ``plan``."""
+    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+    risk_map, sizes = ground(), set()
+    np.savez(tmp_path / 'map.npz', alpha=risk_map.alpha, obstacles=risk_map.obstacles,
+             resolution=risk_map.resolution, origin=risk_map.origin, crs=CRS)
+    build = construction.road_trip_graph
+
+    def count_nodes(*arguments):
+        made = build(*arguments)
+        sizes.add(len(made.points))
+        return made
+
+    monkeypatch.setattr(construction, 'road_trip_graph', count_nodes)
+
+    def numbers(command, *arguments):
+        done = run_here(command, tmp_path / 'map.npz', *arguments, '--roads',
+                        streets / 'untimed.gpkg', '--start', *on_map(START), '--goal',
+                        *on_map(GOAL), '--reach', 30, '--held', 150, '--json', '--set',
+                        'network.spacing=60')
+        assert done.code == 0, done.err
+        return json.loads(done.out)
+
+    numbers(plan, '-n', 3, '-o', tmp_path / 'trips.geojson')
+    trips = geopandas.read_file(tmp_path / 'trips.geojson', where="layer = 'routes'")
+    trips[['geometry']].to_file(tmp_path / 'trips.gpkg')
+    judged = numbers(judge, tmp_path / 'trips.gpkg', '-o', tmp_path / 'judge.png')
+    detour = judged['max_detour']
+    x, y = on_map((600.0, 600.0))
+    (tmp_path / 'corner.csv').write_text(f'name,x,y\ncorner,{x},{y}\n')
+    (swept, _) = numbers(frontier, '--detours', detour, '--slacks', 0.01, '--detour', detour, '-o',
+                         tmp_path / 'f.csv')['rows']
+    found = [numbers(plan, '--detour', detour, '-o', tmp_path / 'routes.csv'), judged['optimal'],
+             numbers(hold, '--detour', detour, '--radius', 60, '-k', 1, '-o', tmp_path / 'h.csv',
+                     '--candidates', tmp_path / 'corner.csv'),
+             swept]
+    for each in found:
+        assert each['value'] == pytest.approx(found[0]['value'], rel=1e-3)
+        assert each['lower_bound'] == pytest.approx(found[0]['lower_bound'], rel=1e-3)
+    assert len(judged['left_out']) == 0 and len(sizes) == 1
+    assert judged['optimal']['value'] <= judged['reweighted']['value']
 
 
 def nav2_graph(edges, **properties):

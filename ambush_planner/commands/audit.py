@@ -138,7 +138,9 @@ def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
         except NotAuditable as error:
             console.say(f'There is no {PICTURE}: {error}.')
             return
-    write_all_durably({folder / PICTURE: as_png(audit_figure(risk_map, result), PICTURE)})
+    write_all_durably({folder / PICTURE: as_png(
+        audit_figure(risk_map, result), PICTURE,
+        [cli.place(departures[0].path.parent)])})
     console.secret([folder / PICTURE])
 
 

@@ -31,7 +31,7 @@ def few_figure(drawn: FewDrawn) -> Figure:
     panels = len(drawn.paths) if len(drawn.paths) <= MAX_PANELS else 0
     rows, (width, height) = -(-panels // 3), drawn.risk_map.size
     shape = min(max(height / width, 0.2), 1.5)
-    tall, head = rows * (0.4 + 2.1 * shape), 2.4 + 3.6 * shape  # inches
+    tall, head = rows * (0.4 + 2.1 * shape), max(4.4, 0.7 + 3.5 * shape)  # inches
     figure = Figure(figsize=(map_figures.WIDTH, head + tall), layout='constrained')
     top, below = (figure.subfigures(2, 1, height_ratios=(head, tall)) if rows
                   else (figure.subfigures(), None))

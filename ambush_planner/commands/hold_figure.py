@@ -20,17 +20,16 @@ from ..words import count
 
 HELD = '#35c48c'  # a green that is none of the routes'
 NAME_WIDTH = 12  # characters in a line below the curve
+_TALL = 1.6  # height of the curve [inches]
 _KEY = Line2D([], [], linestyle='none', marker='o', markersize=12, color=HELD, alpha=0.5,
               markeredgewidth=0.0, label='held: nobody can wait here')
 
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
-    # Inches: a square map and its legend of up to these lines, which the layout does not reserve.
-    lines = 3 + len(map_figures.ground_key(risk_map))
-    heights = 6.1 + 0.3 * lines, 2.1
-    figure = Figure(figsize=(map_figures.WIDTH, sum(heights)), layout='compressed')
-    overview, curve = (part.subplots() for part in figure.subfigures(2, 1, height_ratios=heights))
+    width, height = risk_map.size
+    figure = Figure(figsize=(map_figures.WIDTH, 4.0 + 4.0 * height / width), layout='compressed')
+    overview = figure.subplots()
     figures.draw_strategy(overview, found.strategies[-1], risk_map, key=[_KEY])
     held = f'{count(len(found.steps), "place")} held (green)'
     overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
@@ -43,6 +42,9 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
         overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.5, linewidth=0, zorder=5))
         spot = labels.beside(np.array(step.xy), size, 0.25 * float(size[0]), True)
         figures.number_badge(overview, k, np.array(step.xy), HELD, spot)
+    entries = len(overview.get_legend().get_texts())
+    curve = overview.inset_axes((0.0, -figures.BELOW - 0.21 * entries - 0.6 - _TALL, 5.0, _TALL),
+                                transform=figures.inches(overview))
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
                label='lower bound', **style)

@@ -82,8 +82,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                  + _span(trips))
     for reason, count in Counter(each.reason for each in left_out).items():
         first = next(each for each in left_out if each.reason == reason)
-        console.item(f'left out: {first}' if count == 1 else
-                     f'left out: {count} tracks, such as {first.name}, which {reason}', 0)
+        console.item(f'left out: {first}' if count == 1 else f'left out: {count} tracks, such as '
+                     f'{first.name}, which {reason}{first.detail}', 0)
     console.result = {'trips': len(trips), 'left_out': [*map(str, left_out)], 'near': near}
     if not trips:
         console.error('no track has a trip from start to goal')

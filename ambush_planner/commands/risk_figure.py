@@ -14,11 +14,13 @@ from matplotlib.lines import Line2D
 
 from .. import map_figures
 from ..colours import ROUTES
+from ..labels import Labels
 from ..maps.risk_layers import Layer
 from ..maps.risk_map import RiskMap
 
 # Width of the map, and of a panel of a layer, without what is next to it [inches]; panels in a row.
 _WIDE, _NARROW, _COLUMNS = 5.0, 1.9, 2
+_FONT = 8.0  # of names of places [points]
 # How shapes of layers are drawn on the map: roads, incidents, and outlines of polygons.
 _ROADS: dict[str, Any] = {'color': map_figures.ROAD, 'linewidth': 0.9}
 _INCIDENTS: dict[str, Any] = {'color': ROUTES[0], 'marker': 'X', 'markersize': 7.0,
@@ -40,6 +42,7 @@ def layers_figure(risk_map: RiskMap, layers: Sequence[Layer]) -> Figure:
     image = map_figures.draw_map(whole, risk_map, 'Risk map')
     map_figures.colour_bar(whole, image, map_figures.LOSS)
     key = [*map_figures.ground_key(risk_map), *_draw_shapes(whole, layers)]
+    _name_places(whole, risk_map, layers)
     if key:
         top.legend(handles=key, loc='outside lower left', ncols=3, frameon=False)
     panels = bottom.subplots(rows, _COLUMNS, squeeze=False).ravel() if bottom else ()
@@ -65,6 +68,17 @@ def _draw_shapes(axes: Axes, layers: Sequence[Layer]) -> list[Line2D]:
         key.append(Line2D([], [], label=layer.title.partition(':')[0], **style))
     axes.set(xlabel='', ylabel='')
     return key
+
+
+def _name_places(axes: Axes, risk_map: RiskMap, layers: Sequence[Layer]) -> None:
+    """Write the names of places, other than those that would cover others."""
+    letter = _FONT / 72.0 * risk_map.size[0] / _WIDE  # height [m]
+    labels = Labels(np.array(risk_map.bounds), np.empty((0, 2)), np.empty((0, 4)))
+    for x, y, name in (place for layer in layers for place in layer.names):
+        size = np.array((0.6 * len(name), 1.4)) * letter
+        if (spot := labels.on(np.array([(x, y)]), size)) is not None:
+            axes.text(*spot, name, ha='center', va='center', fontsize=_FONT, style='italic',
+                      path_effects=map_figures.HALO, zorder=7)
 
 
 def _draw(axes: Axes, risk_map: RiskMap, layer: Layer) -> None:

@@ -41,6 +41,7 @@ from .incidents import count_near, cross_validated_bandwidth, kernel_density, we
 from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
+from .road_file import places_in
 from .road_joints import connected_parts
 from .road_tags import roads_among
 from .tables import InvalidFeatures
@@ -71,6 +72,8 @@ NEAR = 2.0
 # With fewer incidents of full weight in all, or near most of the cells that they make costly, a
 # density is mostly chance.
 FEW, FEW_NEAR = 20.0, 5
+# Positions (x, y) [m] in the world, and names.
+Names = tuple[tuple[float, float, str], ...]
 
 
 class InvalidLayers(AmbushPlannerError, ValueError):
@@ -83,12 +86,13 @@ class Layer:
 
     ``values`` (H, W) are losses, changes of them, or numbers of incidents; booleans say which cells
     a layer covers that changes no losses. ``shapes`` are those of a vector layer, for roads with
-    the length of their connected ``part``.
+    the length of their connected ``part``, and the ``names`` there.
     """
 
     title: str
     values: FloatArray | BoolArray
     shapes: GeoPandasBase | None = None
+    names: Names = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,13 +149,35 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
                         f'{path.name}: {whole[0]} ground must be whole; put lines that are no '
                         'roads into a layer of polygons with a buffer')
                 features = roads
-            add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
-            add(path.name, features, values)
+            if kind == 'incidents':
+                joined.add_incidents(path.name, features, values)
+                continue
+            joined.add_shapes(path.name, features, values)
+            joined.layers[-1] = replace(joined.layers[-1], names=(
+                _places(path, joined.ground.crs) if kind == 'roads' else _named(features)))
         except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
             where = '' if path.name in str(error) else f'{path.name}: '
             raise InvalidLayers(f'layer {number} ({kind}): {where}{error}') from error
     assert joined is not None  # there is a line
     return joined.result()
+
+
+def _places(path: Path, crs: str | None) -> Names:
+    """Return the names of the places in a file of roads."""
+    if (found := places_in(path)) is None:
+        return ()
+    lat_lon = np.column_stack((found.geometry.y, found.geometry.x))
+    x, y = Coordinates(crs or '').from_lat_lon(lat_lon).T.tolist()
+    return tuple(zip(x, y, found['name'], strict=True))
+
+
+def _named(features: GeoDataFrame) -> Names:
+    """Return the names of shapes."""
+    if 'name' not in features:
+        return ()
+    named = features[features['name'].notna()]
+    at = named.representative_point()
+    return tuple(zip(at.x, at.y, map(str, named['name']), strict=True))
 
 
 def _line(number: int, line: Any) -> tuple[str, Mapping[str, Any]]:

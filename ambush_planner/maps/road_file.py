@@ -126,18 +126,21 @@ def _read(source: str, path: Path, version: tuple[int, int], node_crossings: boo
                                   'osmnx.load_graphml(FILE), directed=True)')
         roads = roads_from_lines(str(path), read_features(source, 'LineString'), node_crossings,
                                  **declared)
-        return _with_places(roads, path) if path.suffix.lower() in ('.osm', '.pbf') else roads
+        if (found := places_in(path)) is None:
+            return roads
+        index = len(roads.names) + np.arange(len(found))
+        return replace(roads, names=(*roads.names, *found['name']),
+                       places=np.column_stack((found.geometry.x, found.geometry.y, index)))
 
 
-def _with_places(roads: RoadGraph, path: Path) -> RoadGraph:
-    """Add the villages and other places of a file of OpenStreetMap."""
+def places_in(path: Path) -> GeoDataFrame | None:
+    """Return the villages and other places with a ``name``; None if not of OpenStreetMap."""
+    if path.suffix.lower() not in ('.osm', '.pbf'):
+        return None
     import pyogrio
 
-    found = pyogrio.read_dataframe(path, layer='points', columns=['name'],
-                                   where='place IS NOT NULL AND name IS NOT NULL')
-    index = len(roads.names) + np.arange(len(found))
-    return replace(roads, names=(*roads.names, *found['name']),
-                   places=np.column_stack((found.geometry.x, found.geometry.y, index)))
+    return pyogrio.read_dataframe(path, layer='points', columns=['name'],
+                                  where='place IS NOT NULL AND name IS NOT NULL')
 
 
 def lines_of_graph(graph: Any) -> GeoDataFrame:

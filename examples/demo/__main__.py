@@ -30,7 +30,7 @@ from ambush_planner.recordings.durable_files import write_all_durably
 from ambush_planner.recordings.report_data import Section
 
 from .figures import fixed_routes, routes_figure
-from .ground import GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
+from .ground import ELEVATION, GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
 from .node_process import NodeProcess, free_domain
 
 # Parameters of the network, if they are not the defaults.
@@ -80,7 +80,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     shown = replace(section.risk_map, heights=load_elevation().heights)
     figure = routes_figure(shown, trip, [path[:, :2] for path in paths],
                            fixed_routes(trip.legs[0]))
-    write_all_durably({folder / 'routes.png': as_png(figure)})
+    write_all_durably({folder / 'routes.png': as_png(figure, 'routes.png', [ELEVATION])})
     console.step('solving for other budgets')
     last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
     planning = replace(last.parameters.planning, strategy=budgets)

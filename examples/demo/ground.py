@@ -24,6 +24,7 @@ from ambush_planner.maps import (
     terrain_map,
 )
 
+ELEVATION = 'jacksboro_fault_dem.npz'
 RESOLUTION = 90.0
 # Length of one degree of latitude on a sphere with the Earth's mean radius [m].
 METRES_PER_DEGREE = 111_195.0
@@ -40,7 +41,7 @@ def load_ground() -> OccupancyMap:
 
 def load_elevation() -> Elevation:
     """Load the heights; raises OSError without matplotlib's sample data."""
-    with np.load(get_sample_data('jacksboro_fault_dem.npz', asfileobj=False)) as file:
+    with np.load(get_sample_data(ELEVATION, asfileobj=False)) as file:
         sample = dict(file)
     # ymin and ymax are swapped in the file; their mean is correct.
     latitude = float(sample['ymin'] + sample['ymax']) / 2
