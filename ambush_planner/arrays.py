@@ -45,7 +45,9 @@ def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArr
     ValueError if they would take more than ``MAX_BYTES``; numpy raises others if the file is
     malformed.
     """
-    with np.load(file, allow_pickle=False) as archive:
+    # numpy leaves a file open that is no archive.
+    with (file if isinstance(file, BytesIO) else file.open('rb') as stream,
+          np.load(stream, allow_pickle=False) as archive):
         found = [name for name in names if name in archive]
         size = sum(archive.zip.getinfo(f'{name}.npy').file_size for name in found)
         if size > MAX_BYTES:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Worker processes that serve one node of a test after the other."""
 
+import atexit
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -24,6 +25,13 @@ class HandedOn(WorkerProcess):
         return cls.at_work[-1]
 
     @classmethod
+    def end(cls):
+        """End all that is idle when this process ends."""
+        for worker in cls.idle:
+            WorkerProcess.close(worker)
+        cls._parent.close()
+
+    @classmethod
     def _idle(cls):
         while cls.idle:
             if (worker := cls.idle.pop()).alive:
@@ -44,6 +52,9 @@ class HandedOn(WorkerProcess):
             self.idle.append(self)
         else:
             super().close()
+
+
+atexit.register(HandedOn.end)
 
 
 def signal_to(worker, number):

@@ -58,7 +58,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
                            reach=corridors.reach)
     before, now, full = (
         {tuple(link): widths for link, *widths in zip(
-            each.links.tolist(), *each.widths.T, each.beyond, strict=True)}
+            each.links.tolist(), *each.widths.T, each.radii, strict=True)}
         for each in (corridors, refitted, whole)
     )
     links = corridors.uv[corridors.links]
@@ -105,6 +105,6 @@ def test_a_cell_limits_only_the_quarter_on_its_own_side():
     wide = type(between)(np.full((1, 2), 5.0), np.full((1, 2, 2), 5.0))
     risk_map = RiskMap(np.ones((21, 21)), obstacles, 1.0)
     room = limit_to_map(wide, uv, pairs, risk_map, 0.0, True)
-    assert room.beyond[0, 1] == pytest.approx((np.hypot(2.5, 2.5) - OBSTACLE_MARGIN, 5.0))
-    assert room.beyond[0, 0] == pytest.approx((5.0, 5.0))
+    assert room.radii[0, 1] == pytest.approx((np.hypot(2.5, 2.5) - OBSTACLE_MARGIN, 5.0))
+    assert room.radii[0, 0] == pytest.approx((5.0, 5.0))
     assert room.widths[0] == pytest.approx((5.0, 5.0))

@@ -138,5 +138,5 @@ def test_a_later_plan_keeps_the_refined_places():
     options = planning(1)
     first = plan_trip(risk_map, START, GOAL, options)
     warm = WarmStart.of(first.trip, refined)
-    later = plan_trip(risk_map, (5.0, 21.0), GOAL, options, warm=warm)
+    later = plan_trip(risk_map, (5.0, 20.0), GOAL, options, warm=warm)
     assert (later.network.refined == refined[0]).all(axis=1).any()

@@ -285,7 +285,7 @@ def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(made, tu
 def test_corridors_are_those_of_each_leg(risk_map, made):
     for leg, corridors in zip(made.legs, made.corridors, strict=True):
         alone = make_corridors(leg.network, risk_map)
-        for name in ('uv', 'links', 'widths', 'beyond'):
+        for name in ('uv', 'links', 'widths', 'radii'):
             assert np.array_equal(getattr(corridors, name), getattr(alone, name))
 
 

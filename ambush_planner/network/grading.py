@@ -33,7 +33,7 @@ class Grading:
         Least spacing around the ends [m].
     rim
         Radius of the secured area around start, stops and goal [m].
-    refined : (K, 3), around
+    refined : (K, 3), radius
         Places (x, y) and the spacing [m] within this radius [m] of each; the smallest spacings are
         wanted in a ring only, where routes squeeze past an ambush.
     """
@@ -41,17 +41,17 @@ class Grading:
     finest: float
     rim: float
     refined: FloatArray
-    around: float
+    radius: float
 
     def wanted(self, points: FloatArray, ends: FloatArray, spacing: float) -> FloatArray:
         """Spacing (K,) [m] at points (K, 2), for ``ends`` (E, 2); at most the plain network's."""
-        beyond = cKDTree(ends).query(points)[0] - self.rim
-        wanted = np.maximum(END_GROWTH * beyond, self.finest)
+        excess = cKDTree(ends).query(points)[0] - self.rim
+        wanted = np.maximum(END_GROWTH * excess, self.finest)
         for finest in np.unique(self.refined[:, 2]):
             places = self.refined[self.refined[:, 2] == finest, :2]
-            apart = cKDTree(places).query(points)[0] / self.around
-            beyond = apart - 1.0
-            if finest < RING_BELOW * self.around:
-                beyond = np.abs(apart - RING) - HALF_WIDTH
-            wanted = np.minimum(wanted, np.maximum(PLACE_GROWTH * self.around * beyond, finest))
+            distance = cKDTree(places).query(points)[0] / self.radius
+            excess = distance - 1.0
+            if finest < RING_BELOW * self.radius:
+                excess = np.abs(distance - RING) - HALF_WIDTH
+            wanted = np.minimum(wanted, np.maximum(PLACE_GROWTH * self.radius * excess, finest))
         return np.minimum(wanted, spacing)

@@ -51,14 +51,14 @@ def passage_nodes(path: FloatArray, margin: FloatArray, spacing: float) -> Float
 
     Together with the lattice nodes they connect the path's ends.
     """
-    kept: list[int] = []
-    before = -2
+    chosen: list[int] = []
+    last = -2
     for k in np.flatnonzero(margin < MAX_NODE_DISTANCE * spacing).tolist():
-        near = k == before + 1 and np.hypot(*(path[k] - path[kept[-1]])) < NODE_DISTANCE * margin[k]
-        if not near:
-            kept.append(k)
-        before = k
-    return path[kept]
+        distance = np.hypot(*(path[k] - path[chosen[-1]])) if k == last + 1 else np.inf
+        if distance >= NODE_DISTANCE * margin[k]:
+            chosen.append(k)
+        last = k
+    return path[chosen]
 
 
 def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
@@ -82,10 +82,10 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
     margin = (distance[1:-1, 1:-1][tuple(cells.T)] - 0.5) * risk_map.resolution - clearance
     narrow = (margin > 0.0) & (margin < MAX_NODE_DISTANCE * wanted(uv))
     order = np.flatnonzero(narrow)[np.argsort(-margin[narrow], kind='stable')]
-    uv, kept = uv[order], np.ones(len(order), dtype=bool)
+    uv, chosen = uv[order], np.ones(len(order), dtype=bool)
     for k, near in enumerate(cKDTree(uv).query_ball_point(uv, NODE_DISTANCE * margin[order])):
-        kept[k] = not any(other < k and kept[other] for other in near)
-    return uv[kept]
+        chosen[k] = not any(other < k and chosen[other] for other in near)
+    return uv[chosen]
 
 
 def _free_cells(risk_map: RiskMap, field: ObstacleField, clearance: float) -> BoolArray:

@@ -118,7 +118,7 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
     for name, position in ends.items():
         if position in visits:
             continue
-        node, place = _joined(pieces, name, position, join_distance), np.array(position)
+        node, place = _join(pieces, name, position, join_distance), np.array(position)
         if np.hypot(*(pieces.points[node] - place)) <= ON_ROAD:
             pieces.points[node] = place
             visits[position] = node
@@ -143,20 +143,20 @@ def _cut(roads: RoadGraph, spacing: float) -> RoadGraph:
     """Cut the roads into equal parts of at most ``spacing`` [m] between their own places."""
     a, b = roads.points[roads.pairs[:, 0]], roads.points[roads.pairs[:, 1]]
     count = np.maximum(np.ceil(np.hypot(*(b - a).T) / spacing - 1e-9), 1.0).astype(np.int64)
-    of, k = members(count)
+    road, k = members(count)
     inner = k > 0
-    share = (k / count[of])[inner, None]
-    added = a[of[inner]] * (1.0 - share) + b[of[inner]] * share
+    share = (k / count[road])[inner, None]
+    added = a[road[inner]] * (1.0 - share) + b[road[inner]] * share
     number = len(roads.points) + np.cumsum(inner) - 1
-    tails = np.where(inner, number, roads.pairs[of, 0])
-    last = k == count[of] - 1
-    heads = np.where(last, roads.pairs[of, 1], number + 1)
+    tails = np.where(inner, number, roads.pairs[road, 0])
+    last = k == count[road] - 1
+    heads = np.where(last, roads.pairs[road, 1], number + 1)
     return replace(roads, points=np.concatenate((roads.points, added)),
-                   pairs=np.stack((tails, heads), axis=1), speeds=roads.speeds[of],
-                   name=roads.name[of])
+                   pairs=np.stack((tails, heads), axis=1), speeds=roads.speeds[road],
+                   name=roads.name[road])
 
 
-def _joined(pieces: _Pieces, name: str, position: Position, join_distance: float) -> int:
+def _join(pieces: _Pieces, name: str, position: Position, join_distance: float) -> int:
     """The node on the nearest road to a position."""
     far, piece, foot = np.inf, 0, np.zeros(2)
     if len(pieces.pairs):
@@ -187,11 +187,11 @@ def _graph(risk_map: RiskMap, pieces: _Pieces, visits: tuple[int, ...], timed: b
 
 def _check_connected(graph: TripGraph, ends: dict[str, Position], blocked: int) -> None:
     count, (start, *_, goal) = len(graph.points), graph.visits
-    ahead = reachable_from(graph.edges, count, start)
-    behind = reachable_from(graph.edges[:, ::-1], count, goal)
+    from_start = reachable_from(graph.edges, count, start)
+    from_goal = reachable_from(graph.edges[:, ::-1], count, goal)
     nodes = dict(zip(ends, graph.visits, strict=True))
     for name, node in nodes.items():
-        for reached, one, other in ((ahead, 'start', name), (behind, name, 'goal')):
+        for reached, one, other in ((from_start, 'start', name), (from_goal, name, 'goal')):
             if not reached[node]:
                 raise NoRoute(f'no road leads from {named(one, ends[one])} to '
                               f'{named(other, ends[other])}: '

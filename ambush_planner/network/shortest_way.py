@@ -60,9 +60,9 @@ def taut_length(field: ObstacleField, way: FloatArray, clearance: float) -> floa
 
 def _spread(way: FloatArray) -> FloatArray:
     """The corners of a way and points between them, about ``POINTS`` in all."""
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
-    places = np.union1d(along, np.linspace(0.0, along[-1], POINTS))
-    return np.stack([np.interp(places, along, way[:, k]) for k in (0, 1)], axis=1)
+    travelled = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
+    places = np.union1d(travelled, np.linspace(0.0, travelled[-1], POINTS))
+    return np.stack([np.interp(places, travelled, way[:, k]) for k in (0, 1)], axis=1)
 
 
 def _pulled(field: ObstacleField, points: FloatArray, clearance: float) -> FloatArray:
@@ -73,12 +73,12 @@ def _pulled(field: ObstacleField, points: FloatArray, clearance: float) -> Float
     tail, head = tail[clear], head[clear]
     cost = np.hypot(*(points[head] - points[tail]).T)
     first = np.searchsorted(tail, np.arange(count + 1))
-    behind, following = np.zeros(count), np.zeros(count, dtype=np.int64)
+    cost_to_goal, following = np.zeros(count), np.zeros(count, dtype=np.int64)
     for k in range(count - 2, -1, -1):
         some = slice(first[k], first[k + 1])
-        ways = cost[some] + behind[head[some]]
+        ways = cost[some] + cost_to_goal[head[some]]
         best = int(ways.argmin())
-        behind[k], following[k] = ways[best], head[some][best]
+        cost_to_goal[k], following[k] = ways[best], head[some][best]
     chain = [0]
     while chain[-1] < count - 1:
         chain.append(int(following[chain[-1]]))

@@ -120,4 +120,4 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     assert network.refined is not None  # it is graded
     every = np.concatenate((network.refined, added))
     finest_first = np.argsort(every[:, 2], kind='stable')
-    return every[np.sort(thinned(every[:, :2], finest_first, APART * grades.around))]
+    return every[np.sort(thinned(every[:, :2], finest_first, APART * grades.radius))]

@@ -22,7 +22,7 @@ OBSTACLE_MARGIN = 1e-5
 # Number of nodes examined around an edge; space beyond the furthest of them is not used.
 NEAREST = 12
 # How far chords at corners may be from the corner's edges [reaches]; 0.29 for a right angle.
-BESIDE = 0.3
+STRIP_SHARE = 0.3
 # Corners of a unit cell around 0, in order.
 CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
@@ -31,12 +31,12 @@ CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 class CorridorWidths:
     """Size of the corridors along P pairs of nodes [m].
 
-    ``widths`` (P, 2) are those of the left and right strips, ``beyond`` (P, 2, 2) the radii of the
+    ``widths`` (P, 2) are those of the left and right strips, ``radii`` (P, 2, 2) the radii of the
     left and right quarters beyond start and end.
     """
 
     widths: FloatArray
-    beyond: FloatArray
+    radii: FloatArray
 
 
 def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float,
@@ -48,8 +48,8 @@ def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float,
     if tube == np.inf:
         return widths_between_nodes(uv, pairs)
     # A chord of two edges is at most a quarter of each away from them.
-    aside = np.minimum(0.5 * _frame(uv, pairs)[2], BESIDE * reach)
-    return CorridorWidths(np.repeat(tube + aside[:, None], 2, axis=1),
+    lateral = np.minimum(0.5 * _frame(uv, pairs)[2], STRIP_SHARE * reach)
+    return CorridorWidths(np.repeat(tube + lateral[:, None], 2, axis=1),
                           np.full((len(pairs), 2, 2), tube))
 
 
@@ -60,20 +60,20 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
     far, near = cKDTree(uv).query(uv[pairs].mean(axis=1), k=count)
     # There may be other nodes beyond the furthest one examined.
     known = far[:, -1] if count < len(uv) else np.full(len(pairs), np.inf)
-    along, aside = _local_coordinates(uv[near] - start[:, None], direction[:, None])
+    progress, lateral = _local_coordinates(uv[near] - start[:, None], direction[:, None])
     tiny = 1e-9 * length[:, None]
     other = (near != pairs[:, :1]) & (near != pairs[:, 1:])
-    alongside = other & (along > -tiny) & (along < length[:, None] + tiny)
-    widths, beyond = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
-    for side, offset in ((0, aside), (1, -aside)):
+    alongside = other & (progress > -tiny) & (progress < length[:, None] + tiny)
+    widths, radii = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
+    for side, offset in ((0, lateral), (1, -lateral)):
         widths[:, side] = np.where(alongside & (offset > -tiny), offset, np.inf).min(axis=1)
-        for end, ahead in ((0, -along), (1, along - length[:, None])):
-            inside = other & (ahead > -tiny) & (offset > -tiny)
-            beyond[:, end, side] = np.where(inside, np.hypot(ahead, offset), np.inf).min(axis=1)
+        for end, overshoot in ((0, -progress), (1, progress - length[:, None])):
+            inside = other & (overshoot > -tiny) & (offset > -tiny)
+            radii[:, end, side] = np.where(inside, np.hypot(overshoot, offset), np.inf).min(axis=1)
     reach = np.sqrt(np.maximum(known**2 - length**2 / 4, 0.0))
     widths = np.minimum(widths, np.minimum(reach, length)[:, None])
-    beyond = np.minimum(beyond, np.maximum(known - length / 2, 0.0)[:, None, None])
-    return CorridorWidths(NODE_SHARE * widths, NODE_SHARE * beyond)
+    radii = np.minimum(radii, np.maximum(known - length / 2, 0.0)[:, None, None])
+    return CorridorWidths(NODE_SHARE * widths, NODE_SHARE * radii)
 
 
 def limit_to_map(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, risk_map: RiskMap,
@@ -82,7 +82,7 @@ def limit_to_map(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, r
     margin = (clearance if clear_of_edge else 0.0) + OBSTACLE_MARGIN * risk_map.resolution
     strips, quarters = _map_edge_limits(uv, pairs, np.array(risk_map.size), margin)
     inside = CorridorWidths(np.minimum(corridors.widths, strips),
-                            np.minimum(corridors.beyond, quarters))
+                            np.minimum(corridors.radii, quarters))
     return limit_to_cells(inside, uv, pairs, rim_cells(risk_map), clearance, risk_map.resolution)
 
 
@@ -95,9 +95,9 @@ def limit_to_cells(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray,
     margin, cells = clearance + OBSTACLE_MARGIN * resolution, _CellIndex(centres, resolution)
     widths = corridors.widths
     widths = np.minimum(widths, _strip_limits(uv, pairs, cells, widths, margin))
-    beyond = np.minimum(corridors.beyond, widths[:, None])
-    beyond = np.minimum(beyond, _quarter_limits(uv, pairs, cells, beyond, margin))
-    return CorridorWidths(np.maximum(widths, 0.0), np.maximum(beyond, 0.0))
+    radii = np.minimum(corridors.radii, widths[:, None])
+    radii = np.minimum(radii, _quarter_limits(uv, pairs, cells, radii, margin))
+    return CorridorWidths(np.maximum(widths, 0.0), np.maximum(radii, 0.0))
 
 
 def open_ground(uv: FloatArray, risk_map: RiskMap, clearance: float,
@@ -126,9 +126,9 @@ def _frame(uv: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray, F
 
 def _local_coordinates(vector: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Components of vectors along unit directions, and to their left."""
-    along = (vector * direction).sum(axis=-1)
-    aside = direction[..., 0] * vector[..., 1] - direction[..., 1] * vector[..., 0]
-    return along, aside
+    progress = (vector * direction).sum(axis=-1)
+    lateral = direction[..., 0] * vector[..., 1] - direction[..., 1] * vector[..., 0]
+    return progress, lateral
 
 
 def rim_cells(risk_map: RiskMap) -> FloatArray:
@@ -148,21 +148,21 @@ class _CellIndex:
         self._corners = CORNERS * resolution
 
     def near(self, places: FloatArray, radius: FloatArray,
-             of: IndexArray) -> tuple[IndexArray, FloatArray]:
-        """Find the cells within a radius (K,) of places (K, 2), for each place ``of`` (P,).
+             owner: IndexArray) -> tuple[IndexArray, FloatArray]:
+        """Find the cells within a radius (K,) of places (K, 2), for each place ``owner`` (P,).
 
-        Returns indices (C,) into ``of``, and the offsets (C, 4, 2) of the cells' corners from the
-        place.
+        Returns indices (C,) into ``owner``, and the offsets (C, 4, 2) of the cells' corners from
+        the place.
         """
         if self._tree is None:
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
         found = self._tree.query_ball_point(places, radius, return_sorted=False)
         count = np.array([len(some) for some in found], dtype=np.int64)
         index = np.concatenate([*found, []]).astype(np.int64)
-        whose, k = members(count[of])
-        cell = index[(np.cumsum(count) - count)[of][whose] + k]
+        whose, k = members(count[owner])
+        cell = index[(np.cumsum(count) - count)[owner][whose] + k]
         corners = self._centres[cell][:, None] + self._corners
-        return whose, corners - places[of][whose][:, None]
+        return whose, corners - places[owner][whose][:, None]
 
 
 def _strip_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, widths: FloatArray,
@@ -172,10 +172,10 @@ def _strip_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, widths: 
     _, direction, length = _frame(uv, pairs)
     radius = np.hypot(length / 2, widths.max(axis=1)) + margin + cells.resolution
     pair, to = cells.near(uv[pairs].mean(axis=1), radius, np.arange(len(pairs)))
-    along, aside = _local_coordinates(to, direction[pair, None])
+    progress, lateral = _local_coordinates(to, direction[pair, None])
     half = length[pair, None] / 2 + margin
-    for side, offset in ((0, aside), (1, -aside)):
-        first, last = _share_inside([half + along, half - along, offset])
+    for side, offset in ((0, lateral), (1, -lateral)):
+        first, last = _share_inside([half + progress, half - progress, offset])
         change = np.roll(offset, -1, axis=1) - offset
         nearest = offset + np.minimum(first * change, last * change)
         nearest = np.where(first <= last, nearest, np.inf).min(axis=1)
@@ -183,33 +183,33 @@ def _strip_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, widths: 
     return limits
 
 
-def _quarter_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, beyond: FloatArray,
+def _quarter_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, radii: FloatArray,
                     margin: float) -> FloatArray:
     """Radii (P, 2, 2) at which the quarters come within ``margin`` of an obstacle cell."""
-    limits = np.full(beyond.shape, np.inf)
+    limits = np.full(radii.shape, np.inf)
     radius = np.zeros(len(uv))
-    np.maximum.at(radius, pairs, beyond.max(axis=2))
+    np.maximum.at(radius, pairs, radii.max(axis=2))
     direction = _frame(uv, pairs)[1]
-    for end, ahead in enumerate((-direction, direction)):  # out of the strip
+    for end, heading in enumerate((-direction, direction)):  # out of the strip
         pair, to = cells.near(uv, radius + margin + cells.resolution, pairs[:, end])
-        along, aside = _local_coordinates(to, ahead[pair, None])
+        progress, lateral = _local_coordinates(to, heading[pair, None])
         for side in (0, 1):
             # Looking back from a pair's start, its left is on the right.
-            nearest = _quadrant_distance(along, aside if side != end else -aside, margin)
+            nearest = _quadrant_distance(progress, lateral if side != end else -lateral, margin)
             np.minimum.at(limits[:, end, side], pair, nearest - margin)
     return limits
 
 
-def _quadrant_distance(along: FloatArray, aside: FloatArray, margin: float) -> FloatArray:
+def _quadrant_distance(progress: FloatArray, lateral: FloatArray, margin: float) -> FloatArray:
     """Distance (C,) from 0 to the parts of squares that have both offsets at least ``-margin``.
 
     The squares have corners (C, 4) and do not contain 0. Returns inf without such a part.
     """
-    first, last = _share_inside([along + margin, aside + margin])
-    forward, sideward = (np.roll(offset, -1, axis=1) - offset for offset in (along, aside))
-    foot = -(along * forward + aside * sideward) / (forward**2 + sideward**2)
+    first, last = _share_inside([progress + margin, lateral + margin])
+    forward, sideward = (np.roll(offset, -1, axis=1) - offset for offset in (progress, lateral))
+    foot = -(progress * forward + lateral * sideward) / (forward**2 + sideward**2)
     share = np.clip(foot, first, np.maximum(first, last))
-    far = np.hypot(along + share * forward, aside + share * sideward)
+    far = np.hypot(progress + share * forward, lateral + share * sideward)
     nearest: FloatArray = np.where(first <= last, far, np.inf).min(axis=1)
     return nearest
 
@@ -237,12 +237,12 @@ def _map_edge_limits(uv: FloatArray, pairs: IndexArray, size: FloatArray,
     leftward = np.stack((-direction[:, 1], direction[:, 0]), axis=1)
     strips, quarters = np.full((len(pairs), 2), np.inf), np.full((len(pairs), 2, 2), np.inf)
     gaps = [(uv[pairs] - margin, -1.0), (size - margin - uv[pairs], 1.0)]
-    for side, aside in ((0, leftward), (1, -leftward)):
+    for side, normal in ((0, leftward), (1, -leftward)):
         for gap, sign in gaps:
-            width = _distance_until_used(gap.min(axis=1), sign * aside)
+            width = _distance_until_used(gap.min(axis=1), sign * normal)
             strips[:, side] = np.minimum(strips[:, side], width)
-            for end, ahead in enumerate((-direction, direction)):
-                out = sign * np.stack((ahead, aside))
+            for end, heading in enumerate((-direction, direction)):
+                out = sign * np.stack((heading, normal))
                 # A quarter contains the outward normal if both of its sides lead outward.
                 speed = np.where((out > 0.0).all(axis=0), 1.0, out.max(axis=0))
                 radius = _distance_until_used(gap[:, end], speed)

@@ -44,16 +44,16 @@ def with_new_obstacles(corridors: Corridors, cells: FloatArray, clearance: float
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     reach = np.hypot(length / 2 + wide, wide) + clearance + 2.0 * resolution
     middles = ends.mean(axis=1)
-    away, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
-    near = np.flatnonzero(away <= reach)
-    narrowed = limit_to_cells(CorridorWidths(corridors.widths[near], corridors.beyond[near]),
+    distance, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
+    near = np.flatnonzero(distance <= reach)
+    narrowed = limit_to_cells(CorridorWidths(corridors.widths[near], corridors.radii[near]),
                               corridors.uv, corridors.links[near], cells, clearance, resolution)
     still = np.minimum(corridors.open_ground,
                        clear_of_cells(corridors.uv, cells, clearance, resolution))
     return _with_widths(replace(corridors, open_ground=still), near, narrowed)
 
 
-def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
+def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], risk_map: RiskMap,
                    corner: FloatArray, clearance: float = 0.0, clear_of_edge: bool = True,
                    neighbours: IndexArray | None = None) -> Corridors:
     """Update the corridors after the source or target ``node`` moved.
@@ -81,30 +81,30 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
     nodes = np.flatnonzero(distance <= SEARCH_RADIUS * distance[links[at]].max())
     local_uv, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
     measured = largest_widths(local_uv, pairs, corridors.tube, corridors.reach)
-    measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
+    measured = limit_to_map(measured, local_uv, pairs, risk_map, clearance, clear_of_edge)
     return _with_widths(replace(corridors, uv=uv, open_ground=still), at, measured)
 
 
 def _linked(corridors: Corridors, node: int, neighbours: IndexArray) -> Corridors:
     """Replace all links of a node; the new ones have no width yet."""
-    kept = ~(corridors.links == node).any(axis=1)
+    unmoved = ~(corridors.links == node).any(axis=1)
     new = np.stack((np.full(len(neighbours), node), neighbours), axis=1)
-    links = np.concatenate((corridors.links[kept], new, new[:, ::-1]))
+    links = np.concatenate((corridors.links[unmoved], new, new[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
 
     def extended(values: npt.NDArray[Any], fill: float) -> npt.NDArray[Any]:
         added = np.full((2 * len(new), *values.shape[1:]), fill, values.dtype)
-        return np.concatenate((values[kept], added))[order]
+        return np.concatenate((values[unmoved], added))[order]
 
     return replace(corridors, links=links[order], widths=extended(corridors.widths, 0.0),
-                   beyond=extended(corridors.beyond, 0.0),
+                   radii=extended(corridors.radii, 0.0),
                    shortcut=extended(corridors.shortcut, corridors.tube == np.inf))
 
 
 def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:
     """Replace the widths of some links (K,)."""
-    widths, beyond = corridors.widths.copy(), corridors.beyond.copy()
-    widths[links], beyond[links] = measured.widths, measured.beyond
+    widths, radii = corridors.widths.copy(), corridors.radii.copy()
+    widths[links], radii[links] = measured.widths, measured.radii
     shortcut = corridors.shortcut.copy()
     shortcut[links] &= measured.widths.min(axis=1) > 0.0  # without width it may touch an obstacle
-    return replace(corridors, shortcut=shortcut, widths=widths, beyond=beyond)
+    return replace(corridors, shortcut=shortcut, widths=widths, radii=radii)

@@ -59,7 +59,7 @@ class Corridors:
         Tails and heads of the edges, and of shortcuts without a tube; in both directions, sorted.
     widths : (L, 2) float
         Widths of each link's left and right strips [m].
-    beyond : (L, 2, 2) float
+    radii : (L, 2, 2) float
         Radii of the left and right quarters beyond tail and head [m], at most the strip's width.
     shortcut : (L,) bool
         Links on which a path may skip nodes of its route; without a tube, initially all.
@@ -79,7 +79,7 @@ class Corridors:
     uv: FloatArray
     links: IndexArray
     widths: FloatArray
-    beyond: FloatArray
+    radii: FloatArray
     shortcut: BoolArray
     tube: float
     reach: float
@@ -107,19 +107,19 @@ class Corridors:
         link += first[step]
         place = np.full(len(self.uv), -1)
         place[route] = np.arange(len(route))
-        ahead = place[self.links[link, 1]]
-        forward = (ahead == step + 1) | ((ahead > step) & self.shortcut[link])
-        step, ahead = step[forward], ahead[forward]
-        steps = np.hypot(*(self.uv[route[ahead]] - self.uv[route[step]]).T)
+        heads = place[self.links[link, 1]]
+        forward = (heads == step + 1) | ((heads > step) & self.shortcut[link])
+        step, heads = step[forward], heads[forward]
+        steps = np.hypot(*(self.uv[route[heads]] - self.uv[route[step]]).T)
         length, before = [np.inf] * len(route), [0] * len(route)
         length[0] = 0.0
-        for tail, head, gone in zip(step.tolist(), ahead.tolist(), steps.tolist(), strict=True):
+        for tail, head, gone in zip(step.tolist(), heads.tolist(), steps.tolist(), strict=True):
             if length[tail] + gone < length[head]:
                 length[head], before[head] = length[tail] + gone, tail
-        kept = [len(route) - 1]
-        while kept[-1]:
-            kept.append(before[kept[-1]])
-        return route[kept[::-1]]
+        nodes = [len(route) - 1]
+        while nodes[-1]:
+            nodes.append(before[nodes[-1]])
+        return route[nodes[::-1]]
 
 
 def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
@@ -157,15 +157,15 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         pairs, measured = edges, largest_widths(uv, edges, tube, reach)
         if tube == np.inf:
             measured = CorridorWidths(np.minimum(measured.widths, most),
-                                      np.minimum(measured.beyond, most))
+                                      np.minimum(measured.radii, most))
     measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
     # In the opposite direction, left and right are swapped.
     widths = np.concatenate((measured.widths, measured.widths[:, ::-1]))[order]
-    beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
+    radii = np.concatenate((measured.radii, measured.radii[:, ::-1, ::-1]))[order]
     links = links[order]
-    return Corridors(network, risk_map.origin, uv, links, widths, beyond,
+    return Corridors(network, risk_map.origin, uv, links, widths, radii,
                      np.full(len(links), shortcuts), tube, reach, secured,
                      open_ground(uv, risk_map, clearance, clear_of_edge))
 
@@ -189,9 +189,9 @@ def _with_shortcuts(uv: FloatArray, edges: IndexArray, field: ObstacleField,
     pairs = np.concatenate((edges, more))
     measured = widths_between_nodes(uv, pairs)
     length = np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
-    kept = measured.widths.min(axis=1) > SHORTCUT_MARGIN * length
-    kept[: len(edges)] = True
-    return pairs[kept], CorridorWidths(measured.widths[kept], measured.beyond[kept])
+    wide = measured.widths.min(axis=1) > SHORTCUT_MARGIN * length
+    wide[: len(edges)] = True
+    return pairs[wide], CorridorWidths(measured.widths[wide], measured.radii[wide])
 
 
 def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:

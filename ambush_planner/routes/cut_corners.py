@@ -24,7 +24,7 @@ from .corridors import Corridors
 # Maximum length of lines that skip nodes [ambush reaches, without the tube].
 SKIP = 0.4
 # Least share of an edge between its two cuts, if these do not meet.
-APART = 0.25
+CHORD_GAP = 0.25
 # Smallest cut [edges]: shorter chords would leave no room for round turns at their ends.
 SHORT = 0.1
 # Smallest sine and cosine of half a turn at a corner that is cut.
@@ -87,13 +87,13 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
     known = links >= 0  # others skip nodes, or lead from a line to the next
     tubes = np.where(known, corridors.tube, skipping_tube(corridors, length))
     free = corridors.widths[links]
-    beyond = corridors.beyond[links].copy()
-    away = np.maximum(corridors.open_ground[route[:-1]], corridors.open_ground[route[1:]]) - length
-    free[~known] = np.minimum(away, 2.0 * corridors.tube)[~known, None]
-    beyond[~known] = tubes[~known, None, None]
+    radii = corridors.radii[links].copy()
+    clear = np.maximum(corridors.open_ground[route[:-1]], corridors.open_ground[route[1:]]) - length
+    free[~known] = np.minimum(clear, 2.0 * corridors.tube)[~known, None]
+    radii[~known] = tubes[~known, None, None]
     widths = np.minimum(free, tubes[:, None])
     quarters = np.zeros((len(route), 2))
-    quarters[1:-1] = np.minimum(beyond[:-1, 1], beyond[1:, 0])
+    quarters[1:-1] = np.minimum(radii[:-1, 1], radii[1:, 0])
     whole = CutRoutes(nodes, joined, unit, length, widths, free - widths, quarters, bounds)
     if corridors.reach == 0.0:
         return whole
@@ -119,17 +119,17 @@ def _skipping(corridors: Corridors, route: IndexArray) -> IndexArray:
               for centre, radius in zip(*corridors.secured, strict=True)]
     side = np.array(inside).T.tolist() if inside else [[]] * len(route)
     points, wide = uv.tolist(), (at - corridors.tube).tolist()
-    kept, last = [0], len(route) - 1
-    while kept[-1] < last:
-        k = kept[-1]
-        ahead = k + 1
-        while ahead < last and side[ahead + 1] == side[k]:
-            far = math.dist(points[k], points[ahead + 1])
-            if far > most or far > max(wide[k], wide[ahead + 1]):
+    nodes, last = [0], len(route) - 1
+    while nodes[-1] < last:
+        k = nodes[-1]
+        next_node = k + 1
+        while next_node < last and side[next_node + 1] == side[k]:
+            far = math.dist(points[k], points[next_node + 1])
+            if far > most or far > max(wide[k], wide[next_node + 1]):
                 break
-            ahead += 1
-        kept.append(ahead)
-    return route[kept]
+            next_node += 1
+        nodes.append(next_node)
+    return route[nodes]
 
 
 def skipping_tube(corridors: Corridors, length: FloatArray) -> FloatArray:
@@ -192,7 +192,7 @@ def _shared(most: FloatArray, length: FloatArray) -> tuple[FloatArray, BoolArray
     together = tail + head
     meet = together >= length
     tail_meeting = np.clip(0.5 * length, length - head, tail)
-    shrink = np.minimum(1.0, (1.0 - APART) * length / np.maximum(together, TINY * length))
+    shrink = np.minimum(1.0, (1.0 - CHORD_GAP) * length / np.maximum(together, TINY * length))
     tail, head = (np.where(meet, tail_meeting, shrink * tail),
                   np.where(meet, length - tail_meeting, shrink * head))
     cuts = np.stack((head[:-1], tail[1:]), axis=1)
@@ -227,12 +227,12 @@ def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: Bo
     # Where chords meet, nothing is left of the edge.
     gone = last[:-1][meet]
     quarters[gone + 1] = np.minimum(quarters[gone], quarters[gone + 1])
-    kept = np.ones(len(points), dtype=bool)
-    kept[gone] = False
-    points, quarters = points[kept], quarters[kept]
-    unit, length = _directions(points, joined[kept[:-1]])
-    begins = np.cumsum(kept)[first[whole.bounds[:-1]]] - 1
-    return CutRoutes(points, joined[kept[:-1]], unit, length, widths[kept[:-1]], rooms[kept[:-1]],
+    used = np.ones(len(points), dtype=bool)
+    used[gone] = False
+    points, quarters = points[used], quarters[used]
+    unit, length = _directions(points, joined[used[:-1]])
+    begins = np.cumsum(used)[first[whole.bounds[:-1]]] - 1
+    return CutRoutes(points, joined[used[:-1]], unit, length, widths[used[:-1]], rooms[used[:-1]],
                      quarters, np.append(begins, len(points)))
 
 
@@ -253,8 +253,8 @@ def _chord_widths(corners: _Corners, cuts: FloatArray, at: IndexArray,
     # Farthest from both edges is where the corner's axis meets the chord.
     depth = 2.0 * before * after * sine / (before + after)
     inside = np.maximum((corners.inner[at].min(axis=1) / cosine - depth) * slant, 0.0)
-    beyond = before * sines[:, 0] + corners.quarter[at] * cosines.min(axis=1)
-    outside = np.clip(np.minimum(corners.outer[at].min(axis=1), beyond), 0.0, tube)
+    depth = before * sines[:, 0] + corners.quarter[at] * cosines.min(axis=1)
+    outside = np.clip(np.minimum(corners.outer[at].min(axis=1), depth), 0.0, tube)
     ends = np.minimum(np.minimum(corners.outer[at], outside[:, None]), cuts / sines)
     return np.minimum(inside, tube), outside, np.maximum(inside - tube, 0.0), ends
 

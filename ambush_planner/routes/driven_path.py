@@ -171,8 +171,8 @@ def _rounded(portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexAr
     length = np.hypot(*step.T)
     unit = step / np.maximum(length, np.finfo(float).tiny)[:, None]
     before, after, inner = unit[:-1], unit[1:], at[1:-1]
-    within = side[1:-1] != 0
-    turn = np.where(within, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
+    real = side[1:-1] != 0
+    turn = np.where(real, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
     outward = side[1:-1, None] * portals.leftward[inner]
     with np.errstate(divide='ignore', invalid='ignore'):
         offset = _relative_offset(turn, outward, after - before)
@@ -182,23 +182,23 @@ def _rounded(portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexAr
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], before, inner - 1))
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], after, inner + 1))
     tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
-    turn, cut, tangent = (padded(np.where(within, each, 0.0)) for each in (turn, cut, tangent))
+    turn, cut, tangent = (padded(np.where(real, each, 0.0)) for each in (turn, cut, tangent))
     cut = _fit_between_corners(cut, tangent, length)
     return _Lines(points, turn, np.where(np.abs(turn) > 1e-9, 0.999 * cut, 0.0), bounds)
 
 
-def _relative_offset(turn: FloatArray, outward: FloatArray, aside: FloatArray) -> FloatArray:
+def _relative_offset(turn: FloatArray, outward: FloatArray, lateral: FloatArray) -> FloatArray:
     """Offsets of turns (C,) from their corners along portals (C, 2) [cuts].
 
     ``aside`` (C, 2) is the change of direction. Chords between poses lie outside a circle of ``k``
     times the turning radius, and no further from the corner than the chord of the whole turn.
     """
     half, k = np.abs(turn) / 2, math.cos(TURN / 2)
-    cosine = np.abs((outward * aside).sum(axis=1)) / np.hypot(*aside.T)
-    within = (k * np.cos(half)) ** 2 - (1.0 - cosine**2)
+    cosine = np.abs((outward * lateral).sum(axis=1)) / np.hypot(*lateral.T)
+    discriminant = (k * np.cos(half)) ** 2 - (1.0 - cosine**2)
     chord = np.sin(half) / cosine
-    circle = (cosine - np.sqrt(np.maximum(within, 0.0))) / np.sin(half)
-    offset: FloatArray = np.where(within > 0.0, np.minimum(chord, circle), chord)
+    circle = (cosine - np.sqrt(np.maximum(discriminant, 0.0))) / np.sin(half)
+    offset: FloatArray = np.where(discriminant > 0.0, np.minimum(chord, circle), chord)
     return offset
 
 
@@ -218,10 +218,10 @@ def _fit_between_corners(cut: FloatArray, tangent: FloatArray, length: FloatArra
     Both turns get equal radii, and each also gets the length that the other does not need.
     """
     fair = length / np.maximum(tangent[:-1] + tangent[1:], 1e-12)
-    ahead = np.maximum(fair * tangent[:-1], length - cut[1:])
-    behind = np.maximum(fair * tangent[1:], length - cut[:-1])
+    room_ahead = np.maximum(fair * tangent[:-1], length - cut[1:])
+    room_behind = np.maximum(fair * tangent[1:], length - cut[:-1])
     cut = cut.copy()
-    cut[1:-1] = np.minimum(cut[1:-1], np.minimum(ahead[1:], behind[:-1]))
+    cut[1:-1] = np.minimum(cut[1:-1], np.minimum(room_ahead[1:], room_behind[:-1]))
     return cut
 
 
@@ -260,16 +260,17 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     part, number = members(count)
     share = number / count[part]
     k, bent = part // 2, part % 2 == 0
-    along = k - bent  # turns start in the direction before the corner
+    segment = k - bent  # turns start in the direction before the corner
     bend = np.where(bent, lines.turn[k], 0.0)
-    angle = yaw[along] + share * bend
-    origin = lines.points[k] + np.where(bent, -1.0, 1.0)[:, None] * lines.cut[k, None] * unit[along]
+    angle = yaw[segment] + share * bend
+    sign = np.where(bent, -1.0, 1.0)[:, None]
+    origin = lines.points[k] + sign * lines.cut[k, None] * unit[segment]
     # After turning by w, the chord from the start of the turn points w / 2 aside.
     half = share * bend / 2
     with np.errstate(divide='ignore', invalid='ignore'):
         radius = np.where(bend != 0.0, lines.cut[k] / np.tan(np.abs(bend) / 2), 0.0)
     chord = np.where(bent, 2.0 * radius * np.abs(np.sin(half)), share * straight[k])
-    toward = yaw[along] + half
+    toward = yaw[segment] + half
     uv = origin + chord[:, None] * np.stack((np.cos(toward), np.sin(toward)), axis=1)
     return uv, angle, np.append(0, np.cumsum(of_lines.astype(np.int64)))
 

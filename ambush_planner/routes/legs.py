@@ -23,7 +23,7 @@ _SAMPLES = 4000
 def corners_of_legs(path: FloatArray, stops: FloatArray) -> IndexArray:
     """Return the indices (W,) of a path's ends, of its stops (S, 2), and of its main corners."""
     return main_corners(path, MAX_STRAY * float(distances_along(path)[-1]),
-                        [int(_away(path, stop).argmin()) for stop in stops], MAX_LEGS)
+                        [int(_distance_from(path, stop).argmin()) for stop in stops], MAX_LEGS)
 
 
 def main_corners(line: FloatArray, tolerance: float, fixed: Iterable[int] = (),
@@ -59,15 +59,15 @@ def bearings(points: FloatArray) -> FloatArray:
 
 def secured_stretches(path: FloatArray, places: FloatArray, radius: float) -> FloatArray:
     """Return where a path is within ``radius`` of a place (P, 2): ends (K, 2) along it [m]."""
-    along = distances_along(path)
-    at = np.linspace(0.0, along[-1], _SAMPLES)
-    points = np.column_stack([np.interp(at, along, axis) for axis in path.T])
-    secured = np.min([_away(points, place) for place in places], axis=0) <= radius
+    travelled = distances_along(path)
+    samples = np.linspace(0.0, travelled[-1], _SAMPLES)
+    points = np.column_stack([np.interp(samples, travelled, axis) for axis in path.T])
+    secured = np.min([_distance_from(points, place) for place in places], axis=0) <= radius
     edges = np.flatnonzero(np.diff(np.concatenate(([0], secured, [0])))).reshape(-1, 2)
-    return at[edges - (0, 1)]
+    return samples[edges - (0, 1)]
 
 
-def _away(points: FloatArray, place: FloatArray) -> FloatArray:
+def _distance_from(points: FloatArray, place: FloatArray) -> FloatArray:
     return np.hypot(*(points - place).T)
 
 
@@ -75,5 +75,5 @@ def _farthest(line: FloatArray, first: int, last: int) -> tuple[float, int, int,
     """Minus the largest distance from a chord, the index of the point, and the ends."""
     start, chord = line[first], line[last] - line[first]
     share = (line[first:last] - start) @ chord / max(chord @ chord, np.finfo(np.float64).tiny)
-    away = _away(line[first:last], start + np.clip(share, 0.0, 1.0)[:, None] * chord)
-    return -float(away.max()), first + int(away.argmax()), first, last
+    distance = _distance_from(line[first:last], start + np.clip(share, 0.0, 1.0)[:, None] * chord)
+    return -float(distance.max()), first + int(distance.argmax()), first, last

@@ -20,7 +20,7 @@ from .corridors import Corridors
 from .cut_corners import cross, cut_routes, padded
 
 # Largest extent of portals along their edges [edge lengths]; below 0.5, neighbours never cross.
-ALONG = 0.45
+EDGE_SHARE = 0.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,8 @@ class Portals:
 
     def places(self, margin: FloatArray, side: float) -> FloatArray:
         """Points (K, 2) on the portals, ``margin`` from their left (1) or right (-1) ends."""
-        aside = np.where(side > 0, self.left - margin, margin - self.right)
-        return self.nodes + aside[:, None] * self.leftward
+        lateral = np.where(side > 0, self.left - margin, margin - self.right)
+        return self.nodes + lateral[:, None] * self.leftward
 
 
 def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
@@ -62,24 +62,24 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     halves = unit[:-1] + unit[1:]
     size = np.hypot(*halves.T)
     # Components of the portal's direction across and along the segments.
-    off = np.maximum(size / 2, 1e-9)
-    along = np.sqrt(np.maximum(1.0 - off**2, 0.0))
+    sine = np.maximum(size / 2, 1e-9)
+    cosine = np.sqrt(np.maximum(1.0 - sine**2, 0.0))
     leftward = np.stack((-halves[:, 1], halves[:, 0]), axis=1) / np.maximum(size, 1e-9)[:, None]
-    limit = ALONG * np.minimum(length[:-1], length[1:]) / np.maximum(along, 1e-9)
+    limit = EDGE_SHARE * np.minimum(length[:-1], length[1:]) / np.maximum(cosine, 1e-9)
     inner, outer, room = [], [], []
     for side, (width, more) in enumerate(zip(widths.T, lines.room.T, strict=True)):
-        inner.append(np.minimum(np.minimum(width[:-1], width[1:]) / off, limit))
+        inner.append(np.minimum(np.minimum(width[:-1], width[1:]) / sine, limit))
         wide = width + more
-        room.append(np.minimum(np.minimum(wide[:-1], wide[1:]) / off, limit) - inner[-1])
+        room.append(np.minimum(np.minimum(wide[:-1], wide[1:]) / sine, limit) - inner[-1])
         # A line from a portal's outer end to the next portal must enter the strip where it meets
         # the quarter.
-        steep = np.maximum(width[:-1] / length[:-1], width[1:] / length[1:]) / (1.0 - ALONG)
-        outer.append(quarters[:, side] / np.maximum(off + along * steep, 1.0))
+        steep = np.maximum(width[:-1] / length[:-1], width[1:] / length[1:]) / (1.0 - EDGE_SHARE)
+        outer.append(quarters[:, side] / np.maximum(sine + cosine * steep, 1.0))
     turn = cross(unit[:-1], unit[1:])
-    within = lines.joined[:-1] & lines.joined[1:]
-    usable = within & (size > 1e-6)
+    inner_corner = lines.joined[:-1] & lines.joined[1:]
+    usable = inner_corner & (size > 1e-6)
     secured = corridors.secured._replace(radii=corridors.secured.radii + corridors.tube)
-    return Portals(lines.points, padded(leftward * within[:, None]),
+    return Portals(lines.points, padded(leftward * inner_corner[:, None]),
                    padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
                    padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
                    padded(np.minimum(length[:-1], length[1:])), lines.bounds,

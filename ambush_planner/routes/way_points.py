@@ -71,7 +71,7 @@ def way_points(path: FloatArray, names: Sequence[str], stops: FloatArray,
     """
     if line is None or roads is None:
         at = corners_of_legs(path, stops)
-        found = [WayPoint(path[k], along) for k, along in
+        found = [WayPoint(path[k], travelled) for k, travelled in
                  zip(at, distances_along(path)[at].tolist(), strict=True)]
     else:
         found = _fewer(_junctions(line, stops, roads, float(distances_along(path)[-1])))
@@ -122,8 +122,8 @@ class _Roads:
     def nearest(self, xy: FloatArray) -> tuple[float, str]:
         """Distance to the nearest road [m], and its name."""
         a, b = self.graph.points[self.graph.pairs.T]
-        away = np.hypot(*(nearest_on_segments(xy, a, b) - xy).T)
-        return float(away.min()), self.name(int(self.graph.name[away.argmin()]))
+        distance = np.hypot(*(nearest_on_segments(xy, a, b) - xy).T)
+        return float(distance.min()), self.name(int(self.graph.name[distance.argmin()]))
 
     def name(self, index: int) -> str:
         return self.graph.names[index] if index >= 0 else ''
@@ -137,7 +137,7 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
     """
     roads = _Roads(graph)
     line = line[np.r_[True, np.diff(line, axis=0).any(axis=1)]]
-    along = distances_along(line)
+    travelled = distances_along(line)
     far, place = cKDTree(graph.points).query(line)
     crossing = (far <= ON_ROAD) & (roads.degrees(place) > 2)
     ends = [0, *(int(np.hypot(*(line - stop).T).argmin()) for stop in stops), len(line) - 1]
@@ -145,7 +145,7 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
     loose = [k for k in ends if roads.nearest(line[k])[0] > NEAR]
     links = {min(k, k + step) for k in loose for step in (-1, 0)} & set(range(len(line) - 1))
     joints = {k + step for k in loose for step in (-1, 1)}
-    inner = (along > NEAR) & (along < along[-1] - NEAR)
+    inner = (travelled > NEAR) & (travelled < travelled[-1] - NEAR)
     events = sorted({*ends, *(joints & set(range(len(line)))),
                      *np.flatnonzero(crossing & inner).tolist()})
 
@@ -154,23 +154,23 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
         if edge in links:
             return ''
         if far[edge] <= ON_ROAD:
-            return roads.name(_towards(roads, place[edge], line[edge + 1] - line[edge])[1])
+            return roads.name(_arm_towards(roads, place[edge], line[edge + 1] - line[edge])[1])
         return roads.nearest((line[edge] + line[edge + 1]) / 2.0)[1]
 
     found: list[tuple[WayPoint, bool]] = []
     exits = 0  # passed on a roundabout, whose way point is its entry; 0: on none
     for k, before, after in zip(events, [0, *events], [*events[1:], len(line) - 1], strict=False):
-        point = WayPoint(line[k], float(along[k] * length / along[-1]))
+        point = WayPoint(line[k], float(travelled[k] * length / travelled[-1]))
         if k == len(line) - 1:
             found.append((point, False))
             break
-        ahead = _at(line, along, min(along[k] + BASE, along[after])) - line[k]
+        departure = _point_at(line, travelled, min(travelled[k] + BASE, travelled[after])) - line[k]
         point = replace(point, road=name(k))
         if k == 0:
-            found.append((replace(point, action=_compass(ahead)), False))
+            found.append((replace(point, action=_compass(departure)), False))
             continue
-        behind = line[k] - _at(line, along, max(along[k] - BASE, along[before]))
-        others = [] if not crossing[k] else _others(roads, place[k], line[k - 1:k + 2])
+        arrival = line[k] - _point_at(line, travelled, max(travelled[k] - BASE, travelled[before]))
+        others = [] if not crossing[k] else _other_arms(roads, place[k], line[k - 1:k + 2])
         if exits:
             entry = replace(found[-1][0], action=f'roundabout, {_ordinal(exits)} exit',
                             road=point.road)
@@ -180,45 +180,45 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
         exits = int(point.road == ROUNDABOUT)
         follows = name(k - 1) == point.road and k not in ends
         if others or not follows or k in joints:
-            turns = [_angle(behind, each) for each in others]
-            action = _action(_angle(behind, ahead), turns)
+            turns = [_angle(arrival, each) for each in others]
+            action = _action(_angle(arrival, departure), turns)
             found.append((replace(point, action=action), follows and action == STRAIGHT))
     return found
 
 
 def _fewer(found: list[tuple[WayPoint, bool]]) -> list[WayPoint]:
     """Leave out junctions where the route follows its road if there are too many way points."""
-    kept: list[WayPoint] = []
+    shown: list[WayPoint] = []
     for point, follows in found:
         if follows and len(found) > MAX_ROWS:
-            kept[-1] = replace(kept[-1], passed=kept[-1].passed + 1)
+            shown[-1] = replace(shown[-1], passed=shown[-1].passed + 1)
         else:
-            kept.append(point)
-    return kept
+            shown.append(point)
+    return shown
 
 
-def _others(roads: _Roads, place: int, route: FloatArray) -> list[FloatArray]:
+def _other_arms(roads: _Roads, place: int, route: FloatArray) -> list[FloatArray]:
     """Directions of the roads that can be driven at a junction, without the route's own.
 
     ``route`` (3, 2) are the nodes before, at and after it.
     """
     heads, _, speed = roads.arms(place)
-    own = {_towards(roads, place, each - route[1])[0] for each in route[[0, 2]]}
+    own = {_arm_towards(roads, place, each - route[1])[0] for each in route[[0, 2]]}
     return [roads.direction(place, head) for head in heads[speed > 0.0].tolist()
             if head not in own]
 
 
-def _towards(roads: _Roads, place: int, direction: FloatArray) -> tuple[int, int]:
+def _arm_towards(roads: _Roads, place: int, direction: FloatArray) -> tuple[int, int]:
     """The piece at a place that leads in a direction: its other place, and its name."""
     heads, name, _ = roads.arms(place)
-    ahead = roads.graph.points[heads] - roads.graph.points[place]
-    k = int((ahead @ direction / np.hypot(*ahead.T)).argmax())
+    directions = roads.graph.points[heads] - roads.graph.points[place]
+    k = int((directions @ direction / np.hypot(*directions.T)).argmax())
     return int(heads[k]), int(name[k])
 
 
-def _at(line: FloatArray, along: FloatArray, distance: float) -> FloatArray:
+def _point_at(line: FloatArray, travelled: FloatArray, distance: float) -> FloatArray:
     """The point (2,) at a distance along a line."""
-    return np.array([np.interp(distance, along, axis) for axis in line.T])
+    return np.array([np.interp(distance, travelled, axis) for axis in line.T])
 
 
 def _angle(one: FloatArray, other: FloatArray) -> float:
