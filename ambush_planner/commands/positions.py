@@ -54,7 +54,7 @@ class Position:
 
     @property
     def in_degrees(self) -> bool:
-        """Whether the numbers are latitude and longitude."""
+        """True if the numbers are latitude and longitude."""
         return self.kind != 'metres'
 
     def like(self, xy: npt.ArrayLike, risk_map: RiskMap) -> str:
@@ -91,7 +91,7 @@ class Position:
         return Coordinates(risk_map.crs).from_lat_lon(self.numbers)
 
     def is_on(self, risk_map: RiskMap) -> bool:
-        """Whether the position lies on the map."""
+        """Return whether the position lies on the map."""
         try:
             return bool(risk_map.contains(risk_map.to_map_axes(self.xy(risk_map))))
         except InvalidCoordinates:

@@ -16,7 +16,7 @@ PIECE = 8.0
 
 
 class CellCounts:
-    """How many of the marked cells (H, W) lie in boxes, by a summed-area table."""
+    """Counts of the marked cells (H, W) in boxes, by a summed-area table."""
 
     def __init__(self, marked: BoolArray) -> None:
         counts = marked.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
