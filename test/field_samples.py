@@ -89,16 +89,14 @@ def undefined_system(folder):
     return roads('a.gpkg')(folder)
 
 
-def with_table(name):
-    def say(folder):
-        lines(highway=['road', 'road']).to_file(folder / 'a.gpkg', layer='roads')
-        with closing(sqlite3.connect(folder / 'a.gpkg')) as file:
-            file.execute('CREATE TABLE names (fid INTEGER PRIMARY KEY, name TEXT)')
-            file.execute("INSERT INTO gpkg_contents (table_name, data_type, identifier, srs_id) "
-                         "VALUES ('names', 'attributes', 'names', 0)")
-            file.commit()
-        return roads(f'a.gpkg|layername={name}')(folder)
-    return say
+def table_by_name(folder):
+    lines(highway=['road', 'road']).to_file(folder / 'a.gpkg', layer='roads')
+    with closing(sqlite3.connect(folder / 'a.gpkg')) as file:
+        file.execute('CREATE TABLE names (fid INTEGER PRIMARY KEY, name TEXT)')
+        file.execute("INSERT INTO gpkg_contents (table_name, data_type, identifier, srs_id) "
+                     "VALUES ('names', 'attributes', 'names', 0)")
+        file.commit()
+    return roads('a.gpkg|layername=names')(folder)
 
 
 def route_graph(*frames):
@@ -146,10 +144,11 @@ ROADS = {
         *(np.array(each.coords)[:, ::-1] for each in IN_DEGREES.geometry), **NAMES, crs=4326)),
     'a GeoPackage with the undefined geographic system': undefined_system,
     'a route graph of two frames': roads('a.geojson', text=route_graph('map', 'odom')),
-    'a table of a GeoPackage, by its name': with_table('names'),
-    'a layer that is not there': with_table('road'),
+    'a table of a GeoPackage, by its name': table_by_name,
     'a spreadsheet': roads('a.xlsx', text=b'PK\3\4'),
     'the page of a login': roads('a.geojson', text='<!DOCTYPE html><html>Sign in</html>'),
+    'a ford, and a bridge with `maxweight`': roads(frame=lines(
+        **NAMES, ford=['yes', None], maxweight=[None, '3.5'])),
     'an extract as `.osm.gz`': roads('a.osm.gz', text=b'\x1f\x8b'),
     'GraphML': roads('a.graphml', text='<graphml>'),
     'a file that ends early': roads('a.geojson', text=lines(**NAMES).to_json()[:-50]),

@@ -119,13 +119,6 @@ def ditch(folder):
     return said
 
 
-def other_kind(name, content):
-    def say(folder):
-        (folder / name).write_bytes(content)
-        return heard(read_raster, folder / name)[1]
-    return say
-
-
 def position(text, xy=None):
     """Read a position as it is typed for a map."""
     def say(folder):
@@ -157,7 +150,6 @@ GIS = {
     'a site grid in feet': heights(crs=SITE),
     '`--crs EPSG:32634` for a file that says EPSG:32633': heights(given='EPSG:32634'),
     'cells of 20 m from a model with a ditch 4 m wide': ditch,
-    'a cloud of points': other_kind('a.laz', b'LASF' + bytes(300)),
     'an elevation model as a map': risk(HILLS, unit='ft'),
     '`--start 36S UG 68 12`': position('36S UG 68 12'),
     '`--start 37,06096 31,32974`': position('37,06096 31,32974'),
@@ -190,6 +182,8 @@ LAYERS = {
     'polygons whose latitude comes first': layer(
         [Polygon([(y, x) for x, y in IN_DEGREES.exterior.coords])], crs=4326),
     'a point among `forbidden` polygons': layer([FIELD, MINE], forbidden=True),
+    'a polygon with the form of an 8': layer([Polygon(CORNER + [
+        (50.0, 50.0), (250.0, 250.0), (250.0, 50.0), (50.0, 250.0)])]),
     'a `forbidden` polygon that has lost its shape': layer([FIELD, None], forbidden=True),
     '`loss: risk`, which is `high` once': layer([FIELD, FIELD], risk=['2', 'high'], loss='risk'),
     '`loss: risk`, with a decimal comma': layer([FIELD, FIELD], risk=['2', '1,5'], loss='risk'),

@@ -121,9 +121,9 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
 def read_places(source: str, risk_map: RiskMap) -> dict[str, tuple[float, float]]:
     """World positions [m] by the names of points in a file; raises InvalidFeatures."""
     from ..maps.tables import InvalidFeatures
-    from ..maps.vector_file import attribute, features_on
+    from ..maps.vector_file import attribute, read_features_on
 
-    points = features_on(risk_map, source, 'Point', crs=risk_map.crs,
+    points = read_features_on(risk_map, source, 'Point', crs=risk_map.crs,
                          refused='each place needs a position')
     names = attribute(points, 'candidates', 'name').astype(str).str.strip()
     if names.duplicated().any():

@@ -54,7 +54,7 @@ class Position:
 
     @property
     def in_degrees(self) -> bool:
-        """Return whether the numbers are latitude and longitude."""
+        """True if the numbers are latitude and longitude."""
         return self.kind != 'metres'
 
     def like(self, xy: npt.ArrayLike, risk_map: RiskMap) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From an occupancy grid or an elevation model to a risk map.
+"""Risk maps from occupancy grids and elevation models.
 
 ``risk_map`` defines the map, ``occupancy`` converts cell values to losses, ``ros_messages`` and
 ``map_file`` read grids from messages and from map_server files, ``risk_map_file`` reads risk maps

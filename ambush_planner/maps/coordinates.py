@@ -45,7 +45,7 @@ class Coordinates:
         if words[:1] != ['datum']:
             self.crs = horizontal(text)
             self._to_degrees = converter(self.crs, horizontal(WGS84))
-            if not (self.crs.is_projected and in_metres(self.crs)):
+            if not (self.crs.is_projected and is_metric(self.crs)):
                 raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
                                          'metre; reproject the map, for example to its UTM zone')
             return
@@ -131,7 +131,7 @@ def metric_system(crs: Any, x: float, y: float) -> Any:
     It is the system itself if its metres are metres on the ground, else the UTM zone.
     """
     longitude, latitude = converter(crs, horizontal(WGS84)).transform(x, y)
-    if crs.is_projected and in_metres(crs):
+    if crs.is_projected and is_metric(crs):
         factors = _pyproj().Proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale
         if max(abs(scale - 1.0) for scale in scales) <= MAX_STRETCH:
@@ -151,7 +151,7 @@ def horizontal(text: Any) -> Any:
     return crs.sub_crs_list[0] if crs.is_compound else crs
 
 
-def known_system(own: Any, given: Any = None) -> Any:
+def resolve_system(own: Any, given: Any = None) -> Any:
     """Return the horizontal ``pyproj.CRS`` of a file that names ``own``; None if it is unknown.
 
     ``given`` names it if the file does not: if ``own`` is missing, undefined, a local system, or
@@ -194,7 +194,7 @@ def agree(one: str, other: str) -> bool:
 
 
 def _same_projection(one: Any, other: Any) -> bool:
-    """Return whether two systems project the same ellipsoid alike, of any datum."""
+    """Return whether two systems are one projection of one ellipsoid, of whatever datum."""
     axes = np.array([(each.ellipsoid.semi_major_metre, each.ellipsoid.semi_minor_metre)
                      for each in (one, other)])
     degrees = np.meshgrid(np.arange(-175.0, 180.0, 10.0), np.arange(-85.0, 90.0, 10.0))
@@ -210,7 +210,9 @@ def converter(source: Any, target: Any) -> Any:
     do all datums agree within a few metres.
     """
     pyproj = _pyproj()
-    old = [each for each in (source, target) if not _is_geocentric(each.ellipsoid)]
+    old = [each for each in (source, target) if each.ellipsoid is None
+           or abs(each.ellipsoid.semi_major_metre - 6378137.0) > 0.5
+           or abs(each.ellipsoid.inverse_flattening - 298.257) > 0.01]
     try:
         return pyproj.Transformer.from_crs(source, target, always_xy=True, allow_ballpark=not old)
     except pyproj.exceptions.ProjError as error:
@@ -222,16 +224,11 @@ def converter(source: Any, target: Any) -> Any:
             'its EPSG code or with +towgs84') from error
 
 
-def _is_geocentric(ellipsoid: Any) -> bool:
-    return (ellipsoid is not None and abs(ellipsoid.semi_major_metre - 6378137.0) < 0.5
-            and abs(ellipsoid.inverse_flattening - 298.257) < 0.01)
-
-
 def _pyproj() -> Any:
     return import_extra('pyproj', 'coordinate systems', 'gis', InvalidCoordinates)
 
 
-def in_metres(crs: Any) -> bool:
+def is_metric(crs: Any) -> bool:
     """Return whether the axes of a coordinate system (pyproj) are in metres."""
     return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
 
@@ -244,7 +241,7 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
     """
     own = horizontal(crs)
     if not map_crs:
-        if not in_metres(own):
+        if not is_metric(own):
             raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the '
                                      'coordinate system of the map is unknown; name it with crs '
                                      '(map.crs)')

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..arrays import arrays_in
 from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
-from .coordinates import agree, known_system, metric_system
+from .coordinates import agree, metric_system, resolve_system
 from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
@@ -119,7 +119,7 @@ def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
 def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
     _check(path, dataset, name)
-    system = known_system(dataset.crs and dataset.crs.to_wkt(), crs)
+    system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
     _check_axes(path, _tags(dataset), system)
     metres = _metres_per_unit(path, dataset) if name == 'elevation' else 1.0
     bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]

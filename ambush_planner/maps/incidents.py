@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 from ..arrays import FloatArray
 from ..option_checks import check_at_least
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, dates_of
+from .tables import InvalidFeatures, read_dates
 from .vector_file import attribute, attribute_values
 
 if TYPE_CHECKING:
@@ -42,12 +42,12 @@ def weighted_incidents(features: GeoDataFrame,
     check_at_least('half_life', half_life, 1e-3, 'days', finite=False)
     if half_life == math.inf and values['until'] is None:
         return places, weights, ''
-    dates = dates_of(attribute(features, 'date', values['date']), values['date'])
+    dates = read_dates(attribute(features, 'date', values['date']), values['date'])
     if missing := int(dates.isna().sum()):
         raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have no date such '
                               'as 2025-03-31')
     until = (dates.max() if values['until'] is None
-             else dates_of(Series([values['until']]), 'until').iloc[0])
+             else read_dates(Series([values['until']]), 'until').iloc[0])
     counts = (dates <= until).to_numpy()
     if not counts.any():
         raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, label, maximum_filter1d
 
 from ..arrays import BoolArray, IndexArray
@@ -27,9 +26,12 @@ def slope(elevation: Elevation) -> HeightArray:
     Source: L. W. Zevenbergen, C. R. Thorne, *Quantitative analysis of land surface topography*,
     Earth Surface Processes and Landforms 12, 1987.
     """
-    along_rows, along_columns = np.gradient(_filled(elevation.heights), elevation.resolution)
-    steepness = np.hypot(along_rows, along_columns)
-    return np.where(np.isnan(elevation.heights), np.nan, steepness).astype(np.float32)
+    heights, unknown = elevation.heights, np.isnan(elevation.heights)
+    if unknown.any():
+        heights = heights[tuple(distance_transform_edt(unknown, return_distances=False,
+                                                       return_indices=True))]
+    steepness = np.hypot(*np.gradient(heights, elevation.resolution))
+    return np.where(unknown, np.nan, steepness).astype(np.float32)
 
 
 def barriers(raster: Raster, elevation: Elevation, slope_limit: float) -> BoolArray:
@@ -123,12 +125,3 @@ def disc_rectangles(radius: float) -> list[tuple[int, int]]:
         rows = np.unique(np.floor(radius * np.sin(angles)).astype(np.int64))
     columns = np.floor(np.sqrt(radius**2 - rows**2)).astype(np.int64)
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
-
-
-def _filled(heights: HeightArray) -> npt.NDArray[np.float32]:
-    """Replace unknown heights by those of the nearest known cells."""
-    unknown = np.isnan(heights)
-    if not unknown.any():
-        return heights
-    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return heights[tuple(nearest)]

@@ -1,24 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Risk maps combined from layers: terrain, polygons, roads and incidents.
 
-A YAML file has one line per layer. Each cell starts at the loss ``base``, and the lines apply from
-top to bottom:
-
-* ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
-  that are too steep or unknown are obstacles.
-* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre, then
-  multiplies by its ``factor``. All shapes grow by ``buffer`` [m]; points and lines need one.
-* ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
-  with the same value count once. Lines that are no roads (``roads_among``) are left out.
-* ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of
-  ``weight`` * 2^(-age / half_life) * exp(-distance^2 / (2 bandwidth^2)). Ages are in days before
-  ``until``, by default the newest incident; later ones are left out.
-
-Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
-touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A text
-as a value names the attribute to read it from. Features that cannot be used are counted in a
-warning, and are an error if they are forbidden or held. ``crs`` at the top is that of files without
-one.
+A YAML file has one line per layer; they apply from top to bottom, by the formulas of
+docs/risk_layers.md. Features that cannot be used are counted in a warning, and are an error if they
+are forbidden or held.
 """
 
 from __future__ import annotations
@@ -43,11 +28,11 @@ from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
 from .road_file import places_in
 from .road_joints import connected_parts
-from .road_tags import roads_among
+from .road_tags import select_roads
 from .tables import InvalidFeatures
 from .terrain_file import terrain_of_file
 from .terrain_risk import TerrainOptions
-from .vector_file import attribute_values, features_on
+from .vector_file import attribute_values, read_features_on
 from .visibility import ViewOptions
 
 if TYPE_CHECKING:
@@ -106,7 +91,7 @@ class LayeredRisk:
 
 def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path | None = None,
                      progress: Callable[[float], None] | None = None) -> LayeredRisk:
-    """Combine the layers of a YAML file, or of its content, by the formulas above.
+    """Combine the layers of a YAML file, or of its content, by the formulas of docs/risk_layers.md.
 
     The grid is that of the terrain, which must be the first layer; without it, that of ``bounds``
     [west, south, east, north], ``resolution`` [m] and ``crs``. Files are relative to ``folder``, by
@@ -139,10 +124,11 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
                 continue
             joined = joined or _without_terrain(top, base)
             whole = [key for key in ('forbidden', 'held') if values.get(key)]
-            features = features_on(joined.ground, str(path), *_GEOMETRIES[kind], crs=crs, refused=(
-                f'{whole[0]} ground must be whole' if whole else ''))
+            features = read_features_on(
+                joined.ground, str(path), *_GEOMETRIES[kind], crs=crs,
+                refused=f'{whole[0]} ground must be whole' if whole else '')
             if kind == 'roads':
-                roads, *_ = roads_among(str(path), features, values['road_column'],
+                roads, *_ = select_roads(str(path), features, values['road_column'],
                                        values['all_lines_are_roads'], two_way=True)
                 if whole and len(roads) < len(features):
                     raise InvalidFeatures(
@@ -327,7 +313,7 @@ class _Joined:
             transform=self._transform(0, 0), merge_alg=MergeAlg.add, dtype='float64'))
 
     def _cover(self, features: GeoDataFrame, touched: bool) -> BoolArray:
-        """Return the cells (H, W) whose centres, or any part if ``touched``, the shapes cover."""
+        """Cells (H, W) whose centres shapes cover, or any part of which if ``touched``."""
         cells = np.zeros(self.loss.shape, bool)
         part, covered = self._covered(features.geometry, touched)
         cells[part] = covered

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, warn
-from .road_joints import noded, segments_of
-from .road_tags import roads_among
-from .tables import InvalidFeatures, naming
+from .road_joints import cut_at_meetings, segments_of
+from .road_tags import select_roads
+from .tables import InvalidFeatures, prefixed_errors
 from .vector_file import file_and_layer, read_features, single_parts
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def read_roads(source: Any, node_crossings: bool = False, **declared: Any) -> Ro
 
     Lines meet where they share a vertex, so a bridge does not meet the road below. With
     ``node_crossings`` they also meet where they cross or touch, ends to 5 cm, unless one is on a
-    bridge or in a tunnel; else a warning counts these places. ``roads_among`` says which lines are
+    bridge or in a tunnel; else a warning counts these places. ``select_roads`` says which lines are
     roads, and in which direction; ``declared`` are its options.
 
     A file is a vector file (``read_features``) or a graph of nav2_route (GeoJSON): points with
@@ -110,7 +110,7 @@ def read_roads(source: Any, node_crossings: bool = False, **declared: Any) -> Ro
 def _read(source: str, path: Path, version: tuple[int, int], node_crossings: bool,
           **declared: Any) -> RoadGraph:
     """Read the file again only if it has changed."""
-    with naming(path):
+    with prefixed_errors(path):
         if path.suffix.lower() in ('.json', '.geojson') and b'"startid"' in path.read_bytes():
             if node_crossings or any(declared.values()):
                 raise InvalidFeatures('a route graph says itself where it leads; leave out '
@@ -206,11 +206,11 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
                      **declared: Any) -> RoadGraph:
     """Join lines that are roads where they share a vertex, as ``read_roads`` says.
 
-    ``path`` is named in errors and warnings; ``declared`` are options of ``roads_among``.
+    ``path`` is named in errors and warnings; ``declared`` are options of ``select_roads``.
     """
     apart = 'lines that share a vertex at different heights or levels do not meet, at {} places'
     try:
-        lines, tags, named = roads_among(path, lines, **declared)
+        lines, tags, named = select_roads(path, lines, **declared)
     except InvalidFeatures as error:
         split = segments_of(lines).split
         also = f'; also, {apart.format(split)}' if split else ''
@@ -222,7 +222,7 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
     if segments.split:
         warn(f'{path}: {apart.format(segments.split)}')
     level = np.array([road.level for road in tags])
-    joined, count = noded(segments, level)
+    joined, count = cut_at_meetings(segments, level)
     if node_crossings:
         segments = joined
     elif count:

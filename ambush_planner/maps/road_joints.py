@@ -78,7 +78,7 @@ def segments_of(lines: GeoDataFrame, levels: FloatArray | None = None) -> Segmen
                     len(np.unique(spot[order][higher])))
 
 
-def noded(given: Segments, level: IndexArray) -> tuple[Segments, int]:
+def cut_at_meetings(given: Segments, level: IndexArray) -> tuple[Segments, int]:
     """Cut segments where they cross or touch others of the same ``level`` (L,) of their lines.
 
     Returns how many places these are, too; those within twice ``NEAR_END`` count once.

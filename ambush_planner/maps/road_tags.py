@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads for vehicles among the lines of a file: direction and speed, by their columns.
+"""Roads for vehicles among the lines of a file, their directions and speeds, by their columns.
 
 ``road_schemas`` has the data that are known; tags of OpenStreetMap are read as OSRM and osmnx do.
 Columns of other data are refused unless the caller says what they mean.
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import warn
-from . import road_schemas as known
-from .tables import InvalidFeatures, column_among, naming, plain
+from . import road_schemas as schemas
+from .tables import InvalidFeatures, find_column, plain, prefixed_errors
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -32,7 +32,7 @@ _WHOLE = re.compile(r'[-+]?\d+')
 _PAIR = r'"((?:[^"\\]|\\.)*)"\s*=>\s*(?:"((?:[^"\\]|\\.)*)"|NULL)'
 _HSTORE = re.compile(rf'{_PAIR}(\s*,\s*{_PAIR})*')
 _CUT = 251
-_NESTED = re.compile('(?=[{"]).*["\'](highway|' + '|'.join((*known.ACCESS, *known.DIRECTIONS))
+_NESTED = re.compile('(?=[{"]).*["\'](highway|' + '|'.join((*schemas.ACCESS, *schemas.DIRECTIONS))
                      + ')["\']\\s*(:|=>)', re.DOTALL)
 _Schema = Mapping[str, frozenset[str]]
 
@@ -52,7 +52,7 @@ class Road(NamedTuple):
     speed: float = math.nan
 
 
-def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
+def select_roads(path: str, lines: GeoDataFrame, road_column: str = '',
                 all_lines_are_roads: bool = False,
                 two_way: bool = False) -> tuple[GeoDataFrame, list[Road], list[str]]:
     """Return the lines that are roads for vehicles, what their tags say, and their names.
@@ -63,18 +63,18 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
     Warns how many lines are left out and why; raises InvalidFeatures if all are, if a column is not
     known for certain, or if a speed is no number. Both name ``path``.
     """
-    with naming(path):
+    with prefixed_errors(path):
         texts = _texts(lines, path.lower().endswith('.shp'))
-        columns = {key: name for key in known.KEYS if (name := _column(texts, key))}
+        columns = {key: name for key in schemas.KEYS if (name := _column(texts, key))}
         schema = _schema(texts, columns, road_column, all_lines_are_roads)
         others = texts.drop(columns=[name for key, name in columns.items()
-                                     if key != known.RESTRICTIONS])
+                                     if key != schemas.RESTRICTIONS])
         problems = [] if schema is not None else [
             f'{len(lines)} lines, and no column says which are roads: '
             f'{_kinds(texts)}; use --road-column COLUMN=VALUE,... or --all-lines-are-roads '
             '(road_column, all_lines_are_roads)']
-        directed = (two_way or schema is known.OVERTURE
-                    or not columns.keys().isdisjoint(known.DIRECTIONS))
+        directed = (two_way or schema is schemas.OVERTURE
+                    or not columns.keys().isdisjoint(schemas.DIRECTIONS))
         names = [name for name in others if _says_directions(others, name, schema)]
         if names and not directed:
             problems.append(
@@ -89,11 +89,15 @@ def roads_among(path: str, lines: GeoDataFrame, road_column: str = '',
         tags = texts[[*dict.fromkeys(columns.values())]].apply(lambda each: each.str.lower())
         tags[''] = ''  # if there is no column
         # Thousands of lines share a few combinations.
-        judged = [_judged(defaultdict(str, {key: each[name] for key, name in columns.items()}),
-                          schema) for each in tags.drop_duplicates().to_dict('records')]
-        roads = [judged[k] for k in tags.groupby([*tags], sort=False).ngroup()]
+        kinds = [_judge(defaultdict(str, {key: each[name] for key, name in columns.items()}),
+                        schema) for each in tags.drop_duplicates().to_dict('records')]
+        roads = [kinds[k] for k in tags.groupby([*tags], sort=False).ngroup()]
         _warn_of_others(path, roads)
-    keep = np.array([not road.problem for road in roads])
+        keep = np.array([not road.problem for road in roads])
+        limits = {key: int(((texts[columns[key]] != '') & keep).sum())
+                  for key in schemas.LIMITS if key in columns}
+        if unread := [f'{key} {count}' for key, count in limits.items() if count]:
+            warn(f'{path}: limits of its roads are not read: {", ".join(unread)}')
     return (lines[keep], [road for road in roads if not road.problem],
             [name for name, kept in zip(_names(texts), keep, strict=True) if kept])
 
@@ -102,14 +106,14 @@ def _texts(lines: GeoDataFrame, of_shapefile: bool) -> DataFrame:
     """The columns that say something as texts, '' if missing, and tags in one column as columns."""
     texts = lines.drop(columns=lines.geometry.name).map(_text).reset_index(drop=True)
     texts.columns = texts.columns.astype(str)
-    texts = texts[[name for name in texts if plain(name) not in known.NUMBER_NAMES
+    texts = texts[[name for name in texts if plain(name) not in schemas.NUMBER_NAMES
                    and (texts[name] != '').any()]].copy()
     for name in [*texts]:
         words = texts[name].unique()
         if any(_NESTED.match(word) or plain(name).endswith('tags') and re.search('[=:[{]', word)
                for word in words):
             pairs = texts.pop(name).map({each: _pairs(name, each, of_shapefile) for each in words})
-            for key in {*known.KEYS, *known.NAMES}.intersection(*[set().union(*pairs)]):
+            for key in {*schemas.KEYS, *schemas.NAMES}.intersection(*[set().union(*pairs)]):
                 found = pairs.map(lambda each, key=key: str(each.get(key) or ''))
                 texts[key] = texts[key].where(texts[key] != '', found) if key in texts else found
     return texts
@@ -121,7 +125,7 @@ def _names(texts: DataFrame) -> list[str]:
     # osmnx has lists where it has merged ways.
     kind, *parts = ([' / '.join(_parts(each)) if each.startswith('["') else each
                      for each in columns.get(key, [''] * len(texts))]
-                    for key in ('junction', *known.NAMES))
+                    for key in ('junction', *schemas.NAMES))
     return [ROUNDABOUT if kind in ('roundabout', 'circular') else ' '.join(' '.join(words).split())
             for kind, *words in zip(kind, *parts, strict=True)]
 
@@ -150,7 +154,7 @@ def _pairs(name: str, text: str, of_shapefile: bool) -> dict[str, Any]:
 def _column(texts: DataFrame, key: str) -> Any:
     """The column of a key, which shapefiles cut to ten characters."""
     cut = (each for each in texts if len(each) == 10 and plain(key).startswith(plain(each)))
-    return column_among(texts, key) or next(cut, None)
+    return find_column(texts, key) or next(cut, None)
 
 
 def _schema(texts: DataFrame, columns: Mapping[str, str], road_column: str,
@@ -158,17 +162,17 @@ def _schema(texts: DataFrame, columns: Mapping[str, str], road_column: str,
     """The schema that the caller names, or that the columns have."""
     if road_column:
         name, _, values = road_column.partition('=')
-        column = column_among(texts, name.strip())
+        column = find_column(texts, name.strip())
         roads = frozenset(each.strip().lower() for each in values.split(','))
         if column is None or not roads <= {*texts[column].str.lower()}:
             raise InvalidFeatures(f'road_column must be COLUMN=VALUE,... of {_kinds(texts)}; got '
                                   f'{road_column!r}')
         return {column: roads}
-    found = next((each for each in known.SCHEMAS if columns.keys() >= each.keys()), None)
+    found = next((each for each in schemas.SCHEMAS if columns.keys() >= each.keys()), None)
     if found and all_lines_are_roads:
         raise InvalidFeatures(f'{", ".join(found)} says which lines are roads; leave out '
                               '--all-lines-are-roads (all_lines_are_roads)')
-    if not found and 'type' in columns and not known.LANE_BORDERS.isdisjoint(
+    if not found and 'type' in columns and not schemas.LANE_BORDERS.isdisjoint(
             texts[columns['type']]):
         raise InvalidFeatures('its lines are borders of lanes (lanelet2), not roads; use roads of '
                               'OpenStreetMap, or draw centre lines')
@@ -177,7 +181,7 @@ def _schema(texts: DataFrame, columns: Mapping[str, str], road_column: str,
 
 def _kinds(texts: DataFrame) -> str:
     """Columns that may say kinds, with their most frequent values."""
-    names = sorted(texts, key=lambda name: (not known.KIND_NAMES.search(plain(name)),
+    names = sorted(texts, key=lambda name: (not schemas.KIND_NAMES.search(plain(name)),
                                             texts[name].nunique()))
     return ', '.join(f'{name} has ' + ', '.join(
         f'{value[:40] or "nothing"} {count}' for value, count in
@@ -185,29 +189,29 @@ def _kinds(texts: DataFrame) -> str:
 
 
 def _says_directions(texts: DataFrame, name: str, schema: _Schema | None) -> bool:
-    """Return whether a column may say directions, by name or values (in OpenStreetMap, all)."""
+    """Return whether a column may say directions, by its name or values (all in OpenStreetMap)."""
     words = {*texts[name].str.lower()} - {''}
-    enough = all if schema is known.OPENSTREETMAP else any
+    enough = all if schema is schemas.OPENSTREETMAP else any
     return ':' not in name and bool(
-        known.DIRECTION_NAMES.search(plain(name))
-        or enough(map(known.DIRECTION_VALUES.fullmatch, words))
+        schemas.DIRECTION_NAMES.search(plain(name))
+        or enough(map(schemas.DIRECTION_VALUES.fullmatch, words))
         or any(words.issuperset(some) and words <= {*every}
-               for some, every in known.DIRECTION_CODES))
+               for some, every in schemas.DIRECTION_CODES))
 
 
 def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], schema: _Schema,
                      directed: bool) -> None:
     for key, name in columns.items():
         if len(plain(name)) < len(plain(key)) or (
-                key in (*known.DIRECTIONS, *known.SPEEDS) and name.lower() != key):
+                key in (*schemas.DIRECTIONS, *schemas.SPEEDS) and name.lower() != key):
             warn(f'{path}: its attribute {name!r} is read as {key}')
     for name in others:
-        if known.SPEED_NAMES.fullmatch(plain(name)):
+        if schemas.SPEED_NAMES.fullmatch(plain(name)):
             warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
-        if known.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1:
+        if schemas.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1:
             warn(f'{path}: its attribute {name!r} is not read; bridges, tunnels and levels must be '
                  'in bridge, tunnel and layer')
-    if not directed and schema not in (known.OPENSTREETMAP, known.GEOFABRIK):
+    if not directed and schema not in (schemas.OPENSTREETMAP, schemas.GEOFABRIK):
         warn(f'{path}: no column says directions, so that all roads are two-way')
 
 
@@ -220,45 +224,45 @@ def _warn_of_others(path: str, roads: list[Road]) -> None:
     text = (f'{sum(reasons.values())} of {len(roads)} lines are no roads for vehicles: {why}'
             f'{", ..." if len(reasons) > 8 else ""}')
     if 'oneway' in why:
-        text += f'; known values of oneway are {", ".join(known.ONE_WAY)}'
+        text += f'; known values of oneway are {", ".join(schemas.ONE_WAY)}'
     if sum(reasons.values()) == len(roads):
         raise InvalidFeatures(text)
     warn(f'{path}: {text}; they are left out')
 
 
-def _judged(tags: Mapping[str, str], schema: _Schema) -> Road:
+def _judge(tags: Mapping[str, str], schema: _Schema) -> Road:
     """Read the tags of a line."""
     if of_osm := 'highway' in schema:
-        for key in known.OTHER_WAYS:
+        for key in schemas.OTHER_WAYS:
             if not tags['highway'] and tags[key] not in _NOT:
                 return Road(f'{key}={tags[key]}')
     for key, roads in schema.items():
         if roads.isdisjoint(_parts(tags[key])):
             return Road(tags[key] or f'without {key}')
-    for key in known.UNFINISHED:
+    for key in schemas.UNFINISHED:
         if of_osm and tags[key] not in _NOT:
             return Road(key)
-    access = next((tags[key] for key in known.ACCESS if tags[key]), '')
-    if access and known.DENIED.issuperset(_parts(access)):
+    access = next((tags[key] for key in schemas.ACCESS if tags[key]), '')
+    if access and schemas.DENIED.issuperset(_parts(access)):
         return Road(f'access={access}')
-    for key, value in known.UNUSABLE.items():
+    for key, value in schemas.UNUSABLE.items():
         if tags[key] == value:
             return Road(f'{key}={value}')
-    given = next((tags[key] for key in known.DIRECTIONS if tags[key]), '')
-    if given and given not in known.ONE_WAY:
+    given = next((tags[key] for key in schemas.DIRECTIONS if tags[key]), '')
+    if given and given not in schemas.ONE_WAY:
         return Road(f'oneway={given}')
     implied = (tags['highway'] in ('motorway', 'motorway_link')
                or tags['junction'] in ('roundabout', 'circular'))
-    way = known.ONE_WAY[given] if given else int(implied)
-    if schema is known.OVERTURE and tags[known.RESTRICTIONS]:
-        ways = _allowed_ways(tags[known.RESTRICTIONS])
+    way = schemas.ONE_WAY[given] if given else int(implied)
+    if schema is schemas.OVERTURE and tags[schemas.RESTRICTIONS]:
+        ways = _allowed_ways(tags[schemas.RESTRICTIONS])
         if not ways:
             return Road('access_restrictions')
         way = sum(ways)
     level = int(tags['layer']) if _WHOLE.fullmatch(tags['layer']) else 0
     level = level or (tags['bridge'] not in _NOT) - (tags['tunnel'] not in _NOT)
     first, last = (next((float(tags[key]) for key in keys if _WHOLE.fullmatch(tags[key])), math.nan)
-                   for keys in (known.FIRST_LEVEL, known.LAST_LEVEL))
+                   for keys in (schemas.FIRST_LEVEL, schemas.LAST_LEVEL))
     inner = level if math.isnan(first + last) else first if first == last else math.nan
     return Road('', way, level, (first, inner, last), _speed(tags))
 
@@ -273,11 +277,12 @@ def _allowed_ways(text: str) -> set[int]:
     try:
         rules = [(rule['access_type'], rule.get('when') or {}) for rule in json.loads(text)]
     except (ValueError, TypeError, KeyError) as error:
-        raise InvalidFeatures(f'{known.RESTRICTIONS} must be a list of rules in JSON, got '
+        raise InvalidFeatures(f'{schemas.RESTRICTIONS} must be a list of rules in JSON, got '
                               f'{text[:60]!r}') from error
     ways = {1, -1}
     for kind, when in rules:
-        if not known.MODES.isdisjoint(when.get('mode') or known.MODES) and not when.get('vehicle'):
+        modes = when.get('mode') or schemas.MODES
+        if not schemas.MODES.isdisjoint(modes) and not when.get('vehicle'):
             of = {'forward': {1}, 'backward': {-1}}.get(str(when.get('heading')), {1, -1})
             if kind == 'denied':
                 ways -= of
@@ -287,10 +292,10 @@ def _allowed_ways(text: str) -> set[int]:
 
 
 def _speed(tags: Mapping[str, str]) -> float:
-    for key, factor in known.SPEEDS.items():
+    for key, factor in schemas.SPEEDS.items():
         if tags[key]:
             found = re.fullmatch(r'([\d.]+(?:e[-+]?\d+)?)\s*(\D*)', tags[key])
-            if not found or found[2] not in ('', *known.UNITS):
+            if not found or found[2] not in ('', *schemas.UNITS):
                 raise InvalidFeatures(f'{key} must be numbers, got {tags[key]!r}')
-            return float(found[1]) * known.UNITS.get(found[2], factor)
+            return float(found[1]) * schemas.UNITS.get(found[2], factor)
     return math.nan

@@ -39,8 +39,12 @@ def occupancy_from_ros(
             f'{info.height} is {info.width * info.height}'
         )
     origin = info.origin
-    if fault := _pose_fault(origin) or _tilt_fault(origin.orientation):
+    if fault := _pose_fault(origin):
         raise InvalidRiskMap(f"the map's origin: {fault}")
+    q = origin.orientation
+    if q.x * q.x + q.y * q.y > _UNIT_TOLERANCE:
+        raise InvalidRiskMap(f"the map's origin: orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, "
+                             f'{q.w}) tilts the map; only rotation about z is supported')
     values = np.frombuffer(message.data, dtype=np.int8).reshape(info.height, info.width)
     grid = values, float(info.resolution), pose_from_ros(origin)
     check_occupancy(*grid)
@@ -81,13 +85,6 @@ def _pose_fault(pose: Any) -> str | None:
             f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) is not a unit quaternion: '
             f'its norm is {norm:.6g}'
         )
-    return None
-
-
-def _tilt_fault(q: Any) -> str | None:
-    if q.x * q.x + q.y * q.y > _UNIT_TOLERANCE:
-        return (f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only '
-                'rotation about z is supported')
     return None
 
 

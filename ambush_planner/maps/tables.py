@@ -36,7 +36,7 @@ class InvalidFeatures(AmbushPlannerError, ValueError):
 
 
 @contextmanager
-def naming(path: Path | str) -> Iterator[None]:
+def prefixed_errors(path: Path | str) -> Iterator[None]:
     """Name a file in the errors about what is in it."""
     try:
         yield
@@ -83,7 +83,7 @@ def plain(name: object) -> str:
     return re.sub(r'[\W_]', '', str(name)).lower()
 
 
-def column_among(names: Iterable[object], *wanted: str) -> Any:
+def find_column(names: Iterable[object], *wanted: str) -> Any:
     """The first wanted name among those of columns: exactly, or else as ``plain``; None if absent.
 
     Raises InvalidFeatures if several columns have it.
@@ -100,7 +100,7 @@ def column_among(names: Iterable[object], *wanted: str) -> Any:
     return None
 
 
-def numbers_of(values: Series, name: str) -> FloatArray:
+def read_numbers(values: Series, name: str) -> FloatArray:
     """The numbers (L,) of a column, NaN for others; raises InvalidFeatures for decimal commas."""
     from pandas import to_numeric
 
@@ -109,7 +109,7 @@ def numbers_of(values: Series, name: str) -> FloatArray:
     return np.asarray(to_numeric(values, errors='coerce'), dtype=np.float64)
 
 
-def dates_of(values: Series, name: str) -> Series:
+def read_dates(values: Series, name: str) -> Series:
     """Dates and times (L,) of a column in ISO 8601, by default in UTC; NaT if missing.
 
     Raises InvalidFeatures for anything else, also for dates before 1900 and years ahead.

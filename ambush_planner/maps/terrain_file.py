@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the file of an elevation model to a risk map, in one step."""
+"""Risk maps of files of elevation models, in one step."""
 
 from __future__ import annotations
 

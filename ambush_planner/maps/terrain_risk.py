@@ -21,13 +21,14 @@ measurement.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..arrays import BoolArray, frozen_array
+from ..errors import InvalidOption
+from ..option_checks import allowed, check_at_least, check_options
 from .elevation import Elevation, InvalidTerrain
 from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap
 from .relief import relative_depth, slope
@@ -38,7 +39,7 @@ FULL_DEPTH = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class TerrainOptions:
-    """Conversion of terrain to risk.
+    """Options of the conversion of terrain to risk.
 
     Parameters
     ----------
@@ -51,25 +52,21 @@ class TerrainOptions:
     road_factor
         Factor 0..1 on the risk of cells with a road.
 
-    Raises InvalidTerrain if a number is out of range.
+    Raises InvalidOption if a number is out of range.
     """
 
     view: ViewOptions = field(default_factory=ViewOptions)
-    slope_limit: float = 0.42
+    slope_limit: float = allowed(0.42, low=1e-3)
     weights: tuple[float, float, float, float] = (0.4, 0.2, 0.2, 0.2)
-    road_factor: float = 0.5
+    road_factor: float = allowed(0.5, high=1.0)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.slope_limit) and self.slope_limit > 0.0):
-            raise InvalidTerrain(f'slope_limit must be positive, got {self.slope_limit}')
-        if not 0.0 <= self.road_factor <= 1.0:
-            raise InvalidTerrain(f'road_factor must be in 0..1, got {self.road_factor}')
-        sound = all(math.isfinite(weight) and weight >= 0.0 for weight in self.weights)
-        if len(self.weights) != 4 or not sound or sum(self.weights) <= 0.0:
-            raise InvalidTerrain(
-                'weights must be four numbers >= 0 (depth, exposure, approach, slope), not all 0, '
-                f'got {self.weights}'
-            )
+        check_options(self)
+        for weight in self.weights:
+            check_at_least('weights', weight, 0.0)
+        if len(self.weights) != 4 or not sum(self.weights):
+            raise InvalidOption('weights must be four numbers (depth, exposure, approach, slope), '
+                                f'not all 0, got {self.weights}')
 
 
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Current poses of frames: the part of tf2's buffer that the planner needs.
+"""Transforms between frames as they are now: the part of tf2's buffer that the planner needs.
 
 The newest believable transform of each link counts, and static ones always do. tf2 answers for any
 time, so it keeps a history and interpolates; a robot that asks where it is needs neither.
@@ -40,7 +40,7 @@ class StampedTransform(NamedTuple):
 
     @property
     def is_valid(self) -> bool:
-        """Return whether a transform joins two frames and, once normalised, is a rigid motion."""
+        """True if the frames are two and the numbers, once normalised, are a rigid motion."""
         norm = math.fsum(part * part for part in self.quaternion)
         return (
             '' not in (self.parent, self.child) and self.parent != self.child

@@ -16,8 +16,14 @@ from ..errors import shown, warn
 from .coordinates import from_system
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, column_among, dates_of, naming, plain
-from .vector_file import file_and_layer, misplaced, read_features, read_positions, with_positions
+from .tables import InvalidFeatures, find_column, plain, prefixed_errors, read_dates
+from .vector_file import (
+    file_and_layer,
+    placement_hint,
+    read_features,
+    read_positions,
+    with_positions,
+)
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -27,7 +33,7 @@ FIRST_DATE = 631152000.0
 # Days at which clocks of receivers begin, too: 1999-08-22 and 2000-01-01 [days].
 _FIRST_DAYS = (10825, 10957)
 # Columns of a table: plain names of those that tell tracks apart, and names of those with times.
-_APART = re.compile('(track|trip|vehicle|device|unit|tracker|asset|truck|car)'
+_TRACK_COLUMN = re.compile('(track|trip|vehicle|device|unit|tracker|asset|truck|car)'
                     '(id|fid|name|no|nr|num|number)?|imei|callsign')
 _TIMES = ('time', 'timestamp', 'datetime', 'fix_time', 'gps_time', 'device_time', 'time_utc')
 _ISO_TIME = re.compile(r'\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
@@ -60,27 +66,23 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
     """
     path, _ = file_and_layer(source)
     read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
-    with naming(path):
+    with prefixed_errors(path):
         points, crs, names, times = read(source)
-        if hint := misplaced(points, crs, risk_map):
+        if hint := placement_hint(points, crs, risk_map):
             raise InvalidFeatures(f'nothing in it lies on the map: {hint}')
         xy = points if crs is None else from_system(points, crs, risk_map.crs)
     tracks, ignored = [], 0
     for name in dict.fromkeys(names.tolist()):
-        own = names == name
-        when = None if times is None or not _tells(times[own]) else times[own]
+        own, when = names == name, None
+        if times is not None and np.isfinite(times[own]).all() and np.ptp(times[own]) > 0.0 and (
+                times[own].min() >= FIRST_DATE and times[own].min() // 86400.0 not in _FIRST_DAYS):
+            when = times[own]
         ignored += times is not None and when is None
         tracks.append(Track(shown(f'track {name} of {path.name}'), xy[own], when))
     if ignored:
         warn(f'{path}: the times of {ignored} of {len(tracks)} tracks are ignored: they are '
              'missing, all equal, or from before 1990')
     return tracks
-
-
-def _tells(times: FloatArray) -> bool:
-    """Return whether times say when a track was driven."""
-    return bool(np.isfinite(times).all() and np.ptp(times) > 0.0 and times.min() >= FIRST_DATE
-                and times.min() // 86400.0 not in _FIRST_DAYS)
 
 
 def _of_rows(source: str) -> tuple[FloatArray, Any, Any, Any]:
@@ -96,24 +98,24 @@ def _of_rows(source: str) -> tuple[FloatArray, Any, Any, Any]:
         warn(f'{path}: {count} of {len(rows)} positions have no fix and are left out')
     if fixed.empty:
         raise InvalidFeatures('there is no track in it')
-    apart = [name for name in rows if _APART.fullmatch(plain(name))]
-    time = column_among(rows, *_TIMES)
-    if used := [repr(name) for name in (*apart, time) if name and name not in ('track', 'time')]:
+    labels = [name for name in rows if _TRACK_COLUMN.fullmatch(plain(name))]
+    time = find_column(rows, *_TIMES)
+    if used := [repr(name) for name in (*labels, time) if name and name not in ('track', 'time')]:
         warn(f'{path}: tracks and times are those of {", ".join(used)}')
-    if unnamed := int(fixed[apart].eq('').all(axis=1).sum()) if apart else 0:
-        raise InvalidFeatures(f'{unnamed} of {len(fixed)} positions have no {apart[0]!r}: name '
+    if unnamed := int(fixed[labels].eq('').all(axis=1).sum()) if labels else 0:
+        raise InvalidFeatures(f'{unnamed} of {len(fixed)} positions have no {labels[0]!r}: name '
                               'their track, or remove them')
     xy = shapely.get_coordinates(fixed.geometry)
-    names = (fixed[apart].astype(str).agg(' '.join, axis=1) if apart
+    names = (fixed[labels].astype(str).agg(' '.join, axis=1) if labels
              else pandas.Series('1', fixed.index))
-    _refuse_unknown(fixed.drop(columns=[*apart, *[time] * bool(time), 'geometry']), xy,
-                    bool(apart), bool(time))
+    _refuse_unknown(fixed.drop(columns=[*labels, *[time] * bool(time), 'geometry']), xy,
+                    bool(labels), bool(time))
     seconds = None if time is None else (
-        dates_of(fixed[time], time) - pandas.Timestamp(0, tz='UTC')).dt.total_seconds().to_numpy()
+        read_dates(fixed[time], time) - pandas.Timestamp(0, tz='UTC')).dt.total_seconds().to_numpy()
     return xy, fixed.crs, names.to_numpy(), seconds
 
 
-def _refuse_unknown(others: Any, xy: FloatArray, apart: bool, timed: bool) -> None:
+def _refuse_unknown(others: Any, xy: FloatArray, labels: bool, timed: bool) -> None:
     """Raise InvalidFeatures if other columns tell tracks apart, or have their times."""
     from pandas import factorize
 
@@ -125,7 +127,7 @@ def _refuse_unknown(others: Any, xy: FloatArray, apart: bool, timed: bool) -> No
         if not timed and len(given) and given.map(_ISO_TIME.match).notna().all():
             raise InvalidFeatures(f'times may be in {name!r}; name it time, or remove it')
         code, kinds = factorize(others[name])
-        if apart or len(kinds) * _FEW > len(code) or (np.diff(code) >= 0).all():
+        if labels or len(kinds) * _FEW > len(code) or (np.diff(code) >= 0).all():
             continue
         order = np.argsort(code, kind='stable')
         if way(order)[np.diff(code[order]) == 0].sum() < _LEFT * way(slice(None)).sum():

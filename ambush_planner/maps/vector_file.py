@@ -26,12 +26,12 @@ from .coordinates import (
     converter,
     from_system,
     horizontal,
-    known_system,
     longest_edge,
+    resolve_system,
 )
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, column_among, naming, numbers_of, read_table
+from .tables import InvalidFeatures, find_column, prefixed_errors, read_numbers, read_table
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -61,7 +61,7 @@ def read_features(source: str, *kinds: str, refused: str = '') -> GeoDataFrame:
     if there are none, or if several layers have some.
     """
     path, layer = file_and_layer(source)
-    with naming(path):
+    with prefixed_errors(path):
         if not path.exists():
             raise InvalidFeatures('no such file')
         refuse_other_kinds(path, InvalidFeatures)
@@ -79,6 +79,8 @@ def file_and_layer(source: str) -> tuple[Path, str]:
 def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
                  refused: str = '') -> GeoDataFrame:
     """The single parts of some kinds in a table, as ``read_features`` returns them."""
+    import shapely
+
     empty = frame.geometry.isna() | frame.geometry.is_empty
     parts = frame[~empty].explode()
     fits = parts.geom_type.isin(kinds)
@@ -94,13 +96,19 @@ def single_parts(path: str, frame: GeoDataFrame, kinds: Sequence[str],
         if refused:
             raise InvalidFeatures(f'{text}; {refused}')
         warn(text)
-    return _with_known_system(path, kept)
+    bad = kept[(kept.geom_type == 'Polygon') & ~kept.geometry.is_valid].geometry
+    if len(bad):
+        raise InvalidFeatures(
+            f'{path}: {len(bad)} of {len(kept)} polygons cross themselves, so that their area is '
+            f'not known: {shapely.is_valid_reason(bad.iloc[0])}; mend them with Fix geometries in '
+            'QGIS, or make_valid of geopandas')
+    return _with_system(path, kept)
 
 
-def _with_known_system(path: str, features: GeoDataFrame) -> GeoDataFrame:
+def _with_system(path: str, features: GeoDataFrame) -> GeoDataFrame:
     """Drop a system that says nothing; raises InvalidFeatures if it cannot be applied."""
-    with naming(path):
-        features = features.set_crs(known_system(features.crs), allow_override=True)
+    with prefixed_errors(path):
+        features = features.set_crs(resolve_system(features.crs), allow_override=True)
         most = np.abs(features.total_bounds)
         if features.crs is not None and features.crs.is_geographic and not (
                 most <= (360.0, 90.0, 360.0, 90.0)).all():
@@ -203,9 +211,9 @@ def read_positions(path: Path) -> GeoDataFrame:
     """
     rows = read_table(path)
     for north, east in (_DEGREES, _METRES):
-        columns = [column_among(rows, *names) for names in (east, north)]
+        columns = [find_column(rows, *names) for names in (east, north)]
         if None not in columns:
-            xy = np.stack([numbers_of(rows[name], name) for name in columns], axis=1)
+            xy = np.stack([read_numbers(rows[name], name) for name in columns], axis=1)
             if len(xy) and not np.isfinite(xy).all(axis=1).any():
                 raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
                                       f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
@@ -233,7 +241,7 @@ def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
     return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
-def misplaced(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
+def placement_hint(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
     """Say how positions (K, 2) in a system (none: unknown) are meant if none lies on the map."""
     swapped = points[:, ::-1]
     order = 'latitude and longitude' if crs and horizontal(crs).is_geographic else 'x and y'
@@ -252,7 +260,7 @@ def misplaced(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
     return ''
 
 
-def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = None,
+def read_features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = None,
                 refused: str = '') -> GeoDataFrame:
     """Read features (``read_features``) in the coordinates of a map.
 
@@ -263,7 +271,7 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
 
     features = given = read_features(source, *kinds, refused=refused)
     own = features.crs if features.crs is not None else crs
-    with naming(source):
+    with prefixed_errors(source):
         if risk_map.crs and not own:
             raise InvalidFeatures('its coordinate system is unknown, that of the map is '
                                   f'{risk_map.crs}; name it in the file, or with crs for all files')
@@ -272,7 +280,7 @@ def features_on(risk_map: RiskMap, source: str, *kinds: str, crs: str | None = N
         features = features.set_crs(None, allow_override=True)
         if not features.intersects(shapely.box(*np.ravel(risk_map.bounds))).any():
             (left, bottom), (right, top) = np.asarray(risk_map.bounds).tolist()
-            hint = misplaced(shapely.get_coordinates(given.geometry), given.crs, risk_map)
+            hint = placement_hint(shapely.get_coordinates(given.geometry), given.crs, risk_map)
             raise InvalidFeatures(
                 f'nothing in it lies on the map, which reaches from ({left:.0f}, {bottom:.0f}) to '
                 f'({right:.0f}, {top:.0f}){": " * bool(hint)}{hint}')
@@ -308,7 +316,7 @@ def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray
         check_at_least(key, value, 0.0)
         return np.full(len(features), float(value))
     words = attribute(features, key, value).astype(str).str.lower()
-    numbers = numbers_of(words.replace({'true': '1', 'yes': '1', 'false': '0', 'no': '0'}), value)
+    numbers = read_numbers(words.replace({'true': '1', 'yes': '1', 'false': '0', 'no': '0'}), value)
     if bad := int((~(numbers >= 0.0)).sum()):
         raise InvalidFeatures(f'{key}: attribute {value!r} of {bad} of {len(features)} features is '
                               'no number of at least 0')
@@ -318,7 +326,7 @@ def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray
 def attribute(features: GeoDataFrame, key: str, name: str) -> Any:
     """The column of an attribute, in any case; raises InvalidFeatures if there is none."""
     names = features.columns.drop(features.geometry.name)
-    if (found := column_among(names, name)) is None:
+    if (found := find_column(names, name)) is None:
         raise InvalidFeatures(f'{key}: no attribute {name!r}; there is '
                               f'{", ".join(map(str, names)) or "none"}')
     return features[found]

@@ -29,7 +29,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import InvalidOption
+from ..option_checks import allowed, check_options, length
 from .elevation import MAX_CELLS, Elevation, HeightArray, InvalidTerrain
+
+SHORTEST = 1e-3  # weapon range and height [m]
 
 # Distance up to which samples are one cell apart [cells]; beyond it, the spacing grows with the
 # distance divided by this.
@@ -55,21 +59,18 @@ class ViewOptions:
     rays
         Number of directions, a multiple of 4; fewer are used if the range has few cells.
 
-    Raises InvalidTerrain if a number is out of range.
+    Raises InvalidOption if a number is out of range.
     """
 
-    weapon_range: float = 300.0
-    vehicle_height: float = 2.5
-    person_height: float = 1.7
-    rays: int = 64
+    weapon_range: float = length(300.0, low=SHORTEST)
+    vehicle_height: float = length(2.5, low=SHORTEST)
+    person_height: float = length(1.7, low=SHORTEST)
+    rays: int = allowed(64, low=4)
 
     def __post_init__(self) -> None:
-        for name in ('weapon_range', 'vehicle_height', 'person_height'):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InvalidTerrain(f'{name} must be positive and finite [m], got {value}')
-        if self.rays < 4 or self.rays % 4:
-            raise InvalidTerrain(f'rays must be a positive multiple of 4, got {self.rays}')
+        check_options(self)
+        if self.rays % 4:
+            raise InvalidOption(f'rays must be a multiple of 4, got {self.rays}')
 
 
 @dataclass(frozen=True, eq=False)

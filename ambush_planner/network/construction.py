@@ -59,7 +59,7 @@ class NetworkOptions:
         Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
     road_column, all_lines_are_roads, two_way
         Which lines are roads (COLUMN=VALUE,VALUE or all), and that columns which may say directions
-        do not, if the columns of a file are not known (``roads_among``).
+        do not, if the columns of a file are not known (``select_roads``).
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
     refine

@@ -20,7 +20,7 @@ from ..maps.coordinates import agree, from_system, longest_edge
 from ..maps.obstacles import ObstacleField, nearest_on_segments
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
-from ..maps.vector_file import misplaced
+from ..maps.vector_file import placement_hint
 from .shortest_paths import edge_matrix, reachable_from
 from .trip_graph import Position, TripGraph, named, position_errors
 
@@ -36,7 +36,7 @@ def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
     given, roads = roads, in_map_frame(roads, risk_map.crs)
     uv = risk_map.to_map_axes(roads.points)[roads.pairs]
     inside = ((uv.max(axis=1) >= 0.0) & (uv.min(axis=1) <= risk_map.size)).all(axis=1)
-    if not inside.any() and (hint := misplaced(given.points, given.crs, risk_map)):
+    if not inside.any() and (hint := placement_hint(given.points, given.crs, risk_map)):
         raise InvalidOption(f'graph: none of its roads lies on the map: {hint}')
     return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside],
                    name=roads.name[inside])
