@@ -139,6 +139,19 @@ def test_value_and_bound_are_those_of_the_game_on_the_new_map(where, value):
     assert solve(again).value >= assessment.lower_bound - 1e-9
 
 
+def test_maps_one_after_the_other_are_assessed_as_each_alone():
+    """What is kept from map to map changes nothing."""
+    values, game = rough(1), GameOptions(ambush_radius=1.5)
+    made, on, ground = planned(values, game=game)
+    assert ground.assess(on).value == pytest.approx(made.value)
+    for k in range(6):
+        newest = grid(changed(values, [(5 + 2 * k, 4 + 2 * k), (20 - k, 12)], (100, 70)[k % 2]))
+        alone = ChangedGround(made, on, OCCUPANCY).assess(newest)
+        ground.forget_all_but(newest)
+        assert ground.assess(newest) == alone
+    assert ground.assess(on).value == pytest.approx(made.value)
+
+
 def test_the_clear_routes_can_exceed_the_length_budget():
     """A wall across the middle leaves only routes that go around it."""
     made, on, ground = rough_plan(0.0)

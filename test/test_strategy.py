@@ -311,6 +311,17 @@ def test_revalue_gives_the_value_on_the_new_losses(reach):
     assert other.bound <= best.value and best.lower_bound <= other.value
 
 
+def test_a_node_that_comes_below_the_threshold_opens_routes_that_the_old_bound_did_not_know():
+    # Of two ways, that through node 2 is forbidden until its loss falls.
+    network = Network(np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [2.0, 0.0]]),
+                      np.array([0.0, 1.0, 9.0, 0.0]), np.array([[0, 1], [0, 2], [1, 3], [2, 3]]),
+                      0, 3)
+    strategy = solve(network, GameOptions(alpha_threshold=5.0))
+    assert strategy.lower_bound == pytest.approx(1.0)
+    found = revalue(strategy.alone, np.array([0.0, 1.0, 1.0, 0.0]))
+    assert found.value == pytest.approx(1.0) and found.bound <= 0.5
+
+
 @examples(6)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.2]), stops=st.integers(0, 1))
 def test_losses_where_nobody_waits_do_not_change_what_an_ambusher_proves(seed, reach, stops):

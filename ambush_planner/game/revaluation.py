@@ -39,10 +39,10 @@ def legs_in_game(trip: TripStrategy, options: GameOptions,
 def revalue(trip: TripStrategy, alpha: FloatArray, law: Law | None = None) -> Certificate:
     """Recompute value and bound of strategies after node losses change to ``alpha`` (N,).
 
-    ``law`` replaces how their routes are drawn. The bound follows from their ambusher: where no
-    loss fell at the ambusher's sites, what was proved still holds (docs/theory.md, section 2);
-    otherwise it is as near as theirs if that is proved. Without a playable route within the
-    budgets, the value is infinite.
+    ``law`` replaces how their routes are drawn. The bound follows from their ambusher: unless
+    a loss fell at the ambusher's sites or a node is no longer over the threshold, what was proved
+    still holds (docs/theory.md, Proposition 13.3); otherwise it is as near as theirs if that is
+    proved. Without a playable route within the budgets, the value is infinite.
     """
     try:
         legs = legs_in_game(trip, trip.game.options, alpha)
@@ -50,7 +50,9 @@ def revalue(trip: TripStrategy, alpha: FloatArray, law: Law | None = None) -> Ce
         return Certificate(math.inf, 0.0)
     value, _ = largest_product(legs.loss, legs.entering, law or trip.law)
     waits = trip.ambusher.q > 0.0
-    if (legs.games[0].loss[waits] >= trip.game.loss[waits]).all():
+    new_routes = any((game.playable > leg.game.playable).any()
+                     for game, leg in zip(legs.games, trip.legs, strict=True))
+    if (legs.games[0].loss[waits] >= trip.game.loss[waits]).all() and not new_routes:
         return Certificate(value, min(trip.lower_bound, value))
     as_near = value / trip.value if trip.value > 0.0 else math.inf
     targets = np.array([as_near * leg.lower_bound for leg in trip.legs])

@@ -105,6 +105,11 @@ class CellSearch:
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
 
+    def on(self, cells: CellLosses) -> CellSearch:
+        """Return the search with the losses of another map, of which nothing was returned yet."""
+        self._cells, self._returned = cells, self._returned[:0]
+        return self
+
     def worst(self, law: Law, above: float, apart: float = 0.0,
               among: IndexArray | None = None) -> FoundSites:
         """Places that cost drawn routes more than ``above``, the worst first.

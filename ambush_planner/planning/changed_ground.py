@@ -112,17 +112,20 @@ class ChangedGround:
         self._latest: ChangedNetwork | None = None
         self._assessment: Assessment | None = None
         self._corridors: tuple[Corridors, ...] | None = None
+        self._search: CellSearch | None = None  # keeps which routes pass where, on any map
 
     def compare(self, newest: OccupancyMap) -> ChangedNetwork:
         """Compare the plan's network on the newest map, which is of the same ground."""
-        self.forget_all_but(newest)
-        if self._latest is None:
+        if self._latest is None or self._latest.newest is not newest:
             self._latest = self._planned.on(newest)
+            self._assessment = self._corridors = None
         return self._latest
 
     def forget_all_but(self, newest: OccupancyMap) -> None:
-        """Free what is known of another map than this one."""
-        if self._latest is not None and self._latest.newest is not newest:
+        """Free what is known of another map than this one; all if the last map did not matter."""
+        if self._latest is None:
+            self._search = None
+        elif self._latest.newest is not newest:
             self._latest = self._assessment = self._corridors = None
 
     def assess(self, newest: OccupancyMap) -> Assessment:
@@ -234,11 +237,12 @@ class ChangedGround:
         """
         return self._clear_ground(newest).segments(a, b)
 
-    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, legs: Legs, law: Law,
-                    on_others: bool = False) -> Certificate:
-        """The certificate of a law in a game, against ambushers at any cell if the plan's is.
+    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, law: Law,
+                    on_others: bool = False, moved: Legs | None = None) -> Certificate:
+        """The certificate of a law, against ambushers at any cell if the plan's is.
 
-        Only at cells that have changed if ``at_sites`` holds ``on_others``.
+        Only at cells that have changed if ``at_sites`` holds ``on_others``. The law is of the
+        plan's legs, or of those that have ``moved``.
         """
         changed = self._changed(newest)
         if (math.isinf(at_sites.value) or not holds_anywhere(self.plan.options)
@@ -246,7 +250,11 @@ class ChangedGround:
             return at_sites
         cells = self._cell_losses.on(newest if len(changed) else self._planned_on,
                                      self._occupancy, self._planned.hiding)
-        search = CellSearch(cells, legs.games, law.uses(legs.edge_count) > 0.0)
+        if moved is None:
+            self._search = self._search or CellSearch(cells, self.plan.trip.joint.games, self._used)
+            search = self._search.on(cells)
+        else:
+            search = CellSearch(cells, moved.games, law.uses(moved.edge_count) > 0.0)
         among = None
         if on_others and not self._planned.hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
@@ -276,12 +284,17 @@ class ChangedGround:
         law = LegLaws(trip.joint, laws) if len(laws) > 1 else laws[0]
         if not unchanged:
             known = revalue(trip, look.alpha, law)
-        known = self.at_any_cell(known, look.newest, trip.joint, law, unchanged)
+        known = self.at_any_cell(known, look.newest, law, unchanged)
         length = sum(float(own.uses(len(leg.edge_probability)) @ leg.network.travel_costs)
                      for leg, own in zip(plan.legs, laws, strict=True))
         return Assessment(known.value, known.bound, clear_share, length,
                           plan.options.strategy.max_detour * trip.shortest_length,
                           plan.network.travel_unit)
+
+    @cached_property
+    def _used(self) -> BoolArray:
+        """The edges (M,) that routes of the plan use."""
+        return np.concatenate([leg.edge_probability for leg in self.plan.legs]) > 0.0
 
     def by_leg(self, lost: BoolArray) -> list[BoolArray]:
         """The lost edges (M,), leg by leg."""
@@ -289,8 +302,8 @@ class ChangedGround:
 
     def _is_unchanged(self, look: ChangedNetwork) -> bool:
         """Return whether no edge in use is lost, and no node's loss has changed."""
-        p = np.concatenate([leg.edge_probability for leg in self.plan.legs])
-        return not look.lost[p > 0.0].any() and np.array_equal(look.alpha, self.plan.network.alpha)
+        return (not look.lost[self._used].any()
+                and np.array_equal(look.alpha, self.plan.network.alpha))
 
     def clear_laws(self, look: ChangedNetwork) -> tuple[float, list[Law]]:
         """The probability that a route avoids the lost edges, and the law of each leg then.

@@ -210,7 +210,7 @@ def _joined_trip(ground: ChangedGround, newest: OccupancyMap, network: Network, 
     value, _ = largest_product(legs.loss, legs.entering, law)
     bound = max(float(lower_bounds(legs, ambusher).sum()), 0.0)
     at_nodes = Certificate(value, min(bound, value))
-    anywhere = replace(at_nodes, value=ground.at_any_cell(at_nodes, newest, legs, law).value)
+    anywhere = replace(at_nodes, value=ground.at_any_cell(at_nodes, newest, law, moved=legs).value)
     strategies = [Strategy(game, frozen_array(own.uses(len(game.playable)), np.float64), alone,
                            budget, anywhere, own if isinstance(own, RouteMixture) else None)
                   for game, budget, alone, own in zip(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import resource
 import signal
 import sys
@@ -34,7 +35,9 @@ def noted_signals() -> list[int]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
-    received = noted_signals()  # before the imports, which take a second
+    # There is nothing to end during the imports, which take a second.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))
     # A core dump would hold routes and the sources of their draw.
     resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
     with suppress(AttributeError):  # not glibc
@@ -45,7 +48,7 @@ def main(args: list[str] | None = None) -> int:
     # Not before: rclpy's libraries start threads, and heaps that these had first would be shared.
     from .planner_node import main as run
     try:
-        return run(args, received)
+        return run(args, noted_signals())
     finally:
         # Python restores its handler at its end, and a second Ctrl-C would kill it then.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
