@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import reduce
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,10 @@ def single_thread() -> Iterator[None]:
 
 
 def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
-    """Return a read-only copy of ``values`` as ``dtype``."""
+    """Return a read-only copy of ``values`` as ``dtype``, or the array itself if it is one."""
+    if (isinstance(values, np.ndarray) and values.dtype == dtype and values.base is None
+            and values.flags.c_contiguous and not values.flags.writeable):
+        return values
     array = np.array(values, dtype=dtype, order='C')
     array.setflags(write=False)
     return array
@@ -58,6 +62,19 @@ def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArr
 def sums(index: IndexArray, values: FloatArray, count: int) -> FloatArray:
     """Sum ``values`` (K,) by ``index`` (K,): (count,)."""
     return np.asarray(np.bincount(index, weights=values, minlength=count), dtype=np.float64)
+
+
+def pooled(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDArray[Any]:
+    """Reduce each block of ``block`` cells a side (H, W), by np.maximum or another such function.
+
+    Reducing equal values must give them again: the last cells are repeated where blocks end beyond
+    them.
+    """
+    margins = [(0, -size % block) for size in cells.shape]
+    padded = np.pad(cells, margins, 'edge') if np.any(margins) else cells
+    # By whole rows, then columns: ten times as fast as over two axes.
+    rows = reduce(function, [padded[k::block] for k in range(block)])
+    return np.asarray(reduce(function, [rows[:, k::block] for k in range(block)]))
 
 
 def members(count: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -32,7 +32,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
 from . import colours
-from .arrays import BoolArray, FloatArray
+from .arrays import BoolArray, FloatArray, pooled
 from .errors import InvalidCoordinates, shown
 from .maps.coordinates import Coordinates
 from .maps.risk_map import RiskMap
@@ -41,8 +41,8 @@ from .maps.road_file import RoadGraph
 RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
 RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
     'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
-# Maximum cells across a picture; larger maps are subsampled.
-MAX_CELLS = 2000
+# Maximum cells across a picture; of larger maps it shows blocks of cells (``RiskMap.coarser``).
+MAX_CELLS = 1000
 # The same for hatched ground.
 MAX_HATCHED = 500
 WIDTH = 7.0  # inches
@@ -134,6 +134,7 @@ def _degrees(axis: Axis, system: Coordinates, edge: FloatArray, most: int) -> tu
 
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     """Draw losses, the least one white, obstacles, and the relief below if heights are known."""
+    risk_map = risk_map.coarser(MAX_CELLS)
     relief, step = risk_map.heights is not None, risk_map.resolution
     if relief:
         # Row 0 is in the south, in the north for matplotlib. Pale, so that dark is dangerous.
@@ -150,12 +151,10 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
 def _hatch(axes: Axes, risk_map: RiskMap, marked: BoolArray) -> None:
     """Hatch the marked cells (H, W), other than lone ones."""
     block = -(-max(marked.shape) // MAX_HATCHED)
-    rows, columns = (-(-count // block) for count in marked.shape)
-    whole = np.zeros((rows * block, columns * block), dtype=bool)
-    whole[:marked.shape[0], :marked.shape[1]] = marked
-    inside = whole.reshape(rows, block, columns, block).all(axis=(1, 3))
+    inside = pooled(np.logical_and, marked, block)
     if not inside.any() or min(inside.shape) < 2:
         return
+    rows, columns = inside.shape
     places = (np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + 0.5)
     x, y = np.moveaxis(risk_map.to_world(places.reshape(-1, 2) * block * risk_map.resolution)
                        .reshape(rows, columns, 2), 2, 0)
@@ -184,11 +183,10 @@ def _blocked(risk_map: RiskMap) -> BoolArray:
 
 def draw_cells(axes: Axes, risk_map: RiskMap, values: npt.NDArray[Any], **style: Any) -> AxesImage:
     """Draw values (H, W) of the map's cells, except masked ones."""
-    thin = -(-max(values.shape) // MAX_CELLS)
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
     limits = axes.get_xlim(), axes.get_ylim()
-    image = axes.imshow(values[::thin, ::thin], origin='lower', extent=(0.0, width, 0.0, height),
+    image = axes.imshow(values, origin='lower', extent=(0.0, width, 0.0, height),
                         interpolation='nearest', zorder=0, **style)
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     axes.set(xlim=limits[0], ylim=limits[1])

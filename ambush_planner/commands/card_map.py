@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,12 +94,7 @@ def cropped(risk_map: RiskMap, box: FloatArray) -> RiskMap:
     shape = np.array(risk_map.alpha.shape)[::-1]
     first = np.clip(np.floor(corners.min(axis=0) / risk_map.resolution), 0, shape - 1).astype(int)
     last = np.clip(np.ceil(corners.max(axis=0) / risk_map.resolution), first + 1, shape).astype(int)
-    part = slice(first[1], last[1]), slice(first[0], last[0])
-    x, y = risk_map.to_world(first * risk_map.resolution).tolist()
-    return replace(risk_map, alpha=risk_map.alpha[part], obstacles=risk_map.obstacles[part],
-                   origin=(x, y, risk_map.origin[2]),
-                   unknown=None if risk_map.unknown is None else risk_map.unknown[part],
-                   heights=None if risk_map.heights is None else risk_map.heights[part])
+    return risk_map.part(slice(first[1], last[1]), slice(first[0], last[0]))
 
 
 @dataclass(frozen=True)

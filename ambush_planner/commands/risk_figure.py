@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from .. import map_figures
+from ..arrays import pooled
 from ..colours import ROUTES
 from ..labels import Labels
 from ..maps.risk_layers import Layer
@@ -83,11 +85,13 @@ def _name_places(axes: Axes, risk_map: RiskMap, layers: Sequence[Layer]) -> None
 
 def _draw(axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     map_figures.frame(axes, risk_map, layer.title)
-    values = np.ma.masked_invalid(layer.values.astype(float))
+    block = math.ceil(max(layer.values.shape) / map_figures.MAX_CELLS)
+    values = np.ma.masked_invalid(pooled(np.fmax, layer.values.astype(float), block))
     less = values.min() < 0.0
     style: dict[str, Any] = {'cmap': 'PuOr_r' if less else 'magma_r',
                              'norm': CenteredNorm() if less else None}
-    image = map_figures.draw_cells(axes, risk_map, values, **style)
+    shown = risk_map.coarser(map_figures.MAX_CELLS)
+    image = map_figures.draw_cells(axes, shown, values, **style)
     if layer.values.dtype != bool:
         map_figures.colour_bar(axes, image, '')
     if layer.shapes is not None:

@@ -71,8 +71,10 @@ def read_map(path: Path) -> OccupancyMap:
     mode = str(fields.get('mode', 'trinary')).lower()
     if mode not in _MODES:
         raise InvalidRiskMap(f'{path}: mode must be one of {", ".join(_MODES)}, got {mode!r}')
-    light, opaque = _pixels(path.parent / str(fields['image']), mode)
+    pixels, light, opaque = _pixels(path.parent / str(fields['image']), mode)
     values = _cells(path, light, opaque, mode, fields)
+    if pixels is not None:
+        values = values[pixels]
     origin = _numbers(path, fields, 'origin', 3)
     resolution = _numbers(path, fields, 'resolution', 1)[0]
     if resolution <= 0.0:
@@ -126,8 +128,11 @@ def _cells(path: Path, light: FloatArray, opaque: BoolArray, mode: str,
     return np.where(opaque | (mode == 'trinary'), value, -1).astype(np.int8)
 
 
-def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
-    """Return lightness (H, W) 0..1, top row first, and which pixels are opaque."""
+def _pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, FloatArray, BoolArray]:
+    """Return lightness (H, W) 0..1, top row first, and which pixels are opaque.
+
+    If pixels (H, W) are numbers of one channel, lightness and opacity are those of each number.
+    """
     data = path.read_bytes()
     header = _PGM.match(data)
     if header is None:
@@ -140,7 +145,8 @@ def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
     if len(data) - header.end() < rows * columns * kind.itemsize:
         raise InvalidRiskMap(f'{path}: too short for {columns} x {rows} pixels')
     pixels = np.frombuffer(data, kind, rows * columns, header.end()).reshape(rows, columns)
-    return pixels.astype(np.float64) / largest, np.ones((rows, columns), bool)
+    every = np.arange(np.iinfo(kind).max + 1)
+    return pixels, every / largest, np.ones(len(every), bool)
 
 
 def _check_size(path: Path, columns: int, rows: int) -> None:
@@ -148,7 +154,7 @@ def _check_size(path: Path, columns: int, rows: int) -> None:
         raise InvalidRiskMap(f'{path}: {columns} x {rows} pixels; 1 to {MAX_CELLS} can be read')
 
 
-def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
+def _other_pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, FloatArray, BoolArray]:
     pillow = import_extra('PIL.Image', f'{path}: images other than binary PGM', 'figures',
                           InvalidRiskMap)
     try:
@@ -158,7 +164,9 @@ def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
         with image:
             _check_size(path, *image.size)
             if image.mode[0] in 'IF':
-                return _deep_pixels(path, image)
+                return None, *_deep_pixels(path, image)
+            if image.mode == 'L' and 'transparency' not in image.info:
+                return np.asarray(image), np.arange(256) / 255.0, np.ones(256, bool)
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info
             pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
     except InvalidRiskMap:
@@ -167,7 +175,7 @@ def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
         raise InvalidRiskMap(f'{path}: not a readable image: {error}') from error
     # Only in trinary mode does map_server average opacity together with the colours.
     channels = 4 if has_alpha and mode == 'trinary' else 3
-    return pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0
+    return None, pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0
 
 
 def _deep_pixels(path: Path, image: Any) -> tuple[FloatArray, BoolArray]:

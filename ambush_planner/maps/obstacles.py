@@ -41,7 +41,8 @@ class ObstacleField:
         self._size, self._resolution = risk_map.size, risk_map.resolution
         self._obstacles = risk_map.obstacles
         self.clear_of_edge = clear_of_edge
-        self._counts = CellCounts(risk_map.obstacles)
+        blocks, self._block = risk_map.obstacle_blocks
+        self._counts = CellCounts(blocks)
 
     def clear_points(self, uv: FloatArray, clearance: float) -> BoolArray:
         """Return which points (K, 2) have no obstacle cell within ``clearance`` [m]."""
@@ -70,7 +71,7 @@ class ObstacleField:
         high = self._cell(np.maximum(a, b) + reach + TOUCH)
         middle = self._cell((a + b) / 2)
         blocked = self._obstacles[middle[:, 1], middle[:, 0]]  # finds most blocked ones cheaply
-        columns, rows = zip(low.T, high.T + 1, strict=True)
+        columns, rows = zip(low.T // self._block, high.T // self._block + 1, strict=True)
         near = np.flatnonzero(~blocked & (self._counts.within(rows, columns) > 0))
         blocked[near] = self._hits(a[near], b[near], low[near], high[near], reach)
         return blocked

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import BoolArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InvalidOption, InvalidRiskMap
 from ..option_checks import allowed, check_options
 from .coordinates import agree
-from .risk_map import LOSSES, MAX_LOSS, MIN_LOSS, RiskMap, check_place
+from .risk_map import LOSSES, MAX_LOSS, MIN_LOSS, GradedLosses, RiskMap, check_place
 
 # Values of an obstacle's cells and of unknown ones.
 OBSTACLE, UNKNOWN = 100, -1
@@ -119,12 +119,23 @@ def risk_from_occupancy(values: npt.ArrayLike, resolution: float,
     grid = np.asarray(values)
     check_occupancy(grid, resolution, origin)
     unknown = grid == -1
-    span = options.alpha_max - options.alpha_min
-    alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
-    if options.unknown_alpha is not None:
-        alpha = np.where(unknown, options.unknown_alpha, alpha)
+    if np.issubdtype(grid.dtype, np.integer) and grid.ndim == 2:
+        losses = _losses(np.append(np.arange(OBSTACLE + 1), UNKNOWN), options)  # the last at -1
+        levels, grade = np.unique(losses, return_inverse=True)
+        alpha: Any = GradedLosses(levels, grade.astype(np.uint8)[grid])
+    else:
+        alpha = _losses(grid, options)
     return RiskMap(alpha, obstacles_in(grid, options), resolution, origin, options.crs,
                    unknown if options.unknown_alpha is None and unknown.any() else None)
+
+
+def _losses(values: npt.NDArray[Any], options: OccupancyOptions) -> FloatArray:
+    """The losses of values of an occupancy grid."""
+    unknown, span = values == UNKNOWN, options.alpha_max - options.alpha_min
+    alpha = options.alpha_min + span * np.where(unknown, 0, values) / 100.0
+    if options.unknown_alpha is not None:
+        alpha = np.where(unknown, options.unknown_alpha, alpha)
+    return np.asarray(alpha)
 
 
 def obstacles_in(values: npt.NDArray[Any], options: OccupancyOptions) -> BoolArray:

@@ -10,13 +10,15 @@ result from the rotation and translation of ``origin``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt
 
-from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
+from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, pooled
 from ..errors import InvalidRiskMap
 from ..notebook import Shown
 
@@ -27,6 +29,52 @@ TOUCH = 1e-6
 MIN_LOSS, MAX_LOSS = 1e-9, 1e9
 # Losses of an occupancy grid's values 0 and 100 by default.
 LOSSES = (1.0, 10.0)
+# Maximum number of cells of a map in which obstacles and passes are looked for one by one, instead
+# of in blocks of cells first.
+_MAX_CELLS = 4_000_000
+
+
+# Maximum number of grades of losses.
+GRADES = 256
+
+
+class GradedLosses(np.lib.mixins.NDArrayOperatorsMixin):
+    """Losses (H, W) of at most 256 grades, which take a byte a cell instead of eight.
+
+    Indices and masks read losses as those of an array do. Everything else that arrays can do works,
+    too, on a whole array that is made for it.
+
+    Parameters
+    ----------
+    levels : (G,) float
+        The loss of each grade, ascending.
+    grades : (H, W) uint8
+    """
+
+    ndim, dtype = 2, np.dtype(np.float64)
+
+    def __init__(self, levels: npt.ArrayLike, grades: npt.NDArray[np.uint8]) -> None:
+        self.levels = frozen_array(levels, np.float64)
+        self.grades = frozen_array(grades, np.uint8)
+        self.shape, self.size = self.grades.shape, self.grades.size
+
+    def __len__(self) -> int:
+        return len(self.grades)
+
+    def __getitem__(self, key: Any) -> Any:
+        return self.levels[self.grades[key]]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return np.asarray(self.levels[self.grades], dtype)
+
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **given: Any) -> Any:
+        whole = (np.asarray(each) if isinstance(each, GradedLosses) else each for each in inputs)
+        return getattr(function, method)(*whole, **given)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith('__') or 'grades' not in vars(self):
+            raise AttributeError(name)
+        return getattr(np.asarray(self), name)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,7 +114,7 @@ class RiskMap(Shown):
 
     def __post_init__(self) -> None:
         try:
-            alpha = frozen_array(self.alpha, np.float64)
+            alpha: Any = self.graded or frozen_array(self.alpha, np.float64)
             obstacles = frozen_array(self.obstacles, np.bool_)
             origin = tuple(float(value) for value in self.origin)
             resolution = float(self.resolution)
@@ -76,7 +124,7 @@ class RiskMap(Shown):
         check_place(resolution, origin)
         for name, value in (('alpha', alpha), ('obstacles', obstacles)):
             object.__setattr__(self, name, value)
-        for name, kind in (('unknown', np.bool_), ('heights', np.float32)):
+        for name, kind in _LAYERS.items():
             if (layer := getattr(self, name)) is not None:
                 if np.shape(layer) != alpha.shape:
                     raise InvalidRiskMap(f"{name} must have alpha's shape {alpha.shape}, got "
@@ -87,8 +135,7 @@ class RiskMap(Shown):
 
     def _summary(self) -> dict[str, str]:
         rows, columns = self.alpha.shape
-        free = self.alpha[~self.obstacles]
-        loss = f'{free.min():.4g} to {free.max():.4g}' if free.size else 'none'
+        loss = '{:.4g} to {:.4g}'.format(*self.loss_range) if self.loss_range else 'none'
         return {'cells': f'{columns} x {rows} of {self.resolution:.4g} m', 'loss': loss,
                 'obstacles': f'{self.obstacles.mean():.1%}', 'crs': self.crs or 'unknown'}
 
@@ -105,10 +152,65 @@ class RiskMap(Shown):
         corners = self.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
         return corners.min(axis=0), corners.max(axis=0)
 
+    @cached_property
+    def loss_range(self) -> tuple[float, float] | None:
+        """Least and greatest loss of free cells; None if no cell is free."""
+        free, graded = ~self.obstacles, self.graded
+        if not free.any():
+            return None
+        if graded is None:
+            return (float(self.alpha.min(where=free, initial=np.inf)),
+                    float(self.alpha.max(where=free, initial=-np.inf)))
+        least, most = graded.levels[[graded.grades.min(where=free, initial=GRADES - 1),
+                                     graded.grades.max(where=free, initial=0)]].tolist()
+        return least, most
+
+    @property
+    def graded(self) -> GradedLosses | None:
+        """The losses, if they are kept in grades."""
+        alpha: Any = self.alpha
+        return alpha if isinstance(alpha, GradedLosses) else None
+
+    def _losses_of(self, cells: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Any:
+        """The losses of a part of the map, or of blocks of cells."""
+        graded = self.graded
+        return GradedLosses(graded.levels, cells(graded.grades)) if graded else cells(self.alpha)
+
+    @cached_property
+    def obstacle_blocks(self) -> tuple[BoolArray, int]:
+        """Blocks of cells that have an obstacle, and how many cells each has a side."""
+        block = max(math.ceil(math.sqrt(self.obstacles.size / _MAX_CELLS)), 1)
+        return pooled(np.logical_or, self.obstacles, block), block
+
+    def part(self, rows: slice, columns: slice) -> RiskMap:
+        """The map of some rows and columns, which begin on this one."""
+        at = rows, columns
+        x, y = self.to_world(np.multiply((columns.start, rows.start), self.resolution)).tolist()
+        return replace(
+            self, alpha=self._losses_of(lambda cells: cells[at]), obstacles=self.obstacles[at],
+            origin=(x, y, self.origin[2]),
+            **{name: layer[at] for name in _LAYERS if (layer := getattr(self, name)) is not None})
+
+    def coarser(self, most: int) -> RiskMap:
+        """The map for pictures of at most ``most`` cells a side: of blocks of cells.
+
+        Each block has its greatest loss, and is an obstacle if any of its cells is.
+        """
+        block = math.ceil(max(self.alpha.shape) / most)
+        if block == 1:
+            return self
+        return RiskMap(
+            self._losses_of(lambda cells: pooled(np.fmax, cells, block)),
+            pooled(np.logical_or, self.obstacles, block), block * self.resolution, self.origin,
+            self.crs, None if self.unknown is None else pooled(np.logical_and, self.unknown, block),
+            None if self.heights is None else self.heights[::block, ::block])
+
     def nearest_free_alpha(self) -> FloatArray:
         """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
+        from scipy.ndimage import distance_transform_edt  # takes long to import, and few need it
+
         if self.obstacles.all():
-            return np.zeros_like(self.alpha)
+            return np.zeros(self.alpha.shape)
         nearest = distance_transform_edt(self.obstacles, return_distances=False,
                                          return_indices=True)
         return np.asarray(self.alpha[tuple(nearest)])
@@ -130,6 +232,10 @@ class RiskMap(Shown):
     def cells(self, uv: npt.ArrayLike) -> tuple[IndexArray, IndexArray]:
         """Return (rows, columns) of the cells that contain positions in map axes (..., 2)."""
         return cells_at(uv, self.resolution, self.alpha.shape)
+
+
+# Layers for pictures, and their types.
+_LAYERS: dict[str, Any] = {'unknown': np.bool_, 'heights': np.float32}
 
 
 def to_map_axes(origin: tuple[float, float, float], xy: npt.ArrayLike) -> FloatArray:
@@ -171,13 +277,16 @@ def check_place(resolution: float, origin: tuple[float, ...]) -> None:
         raise InvalidRiskMap(f'origin must be three finite numbers (x, y, yaw), got {origin}')
 
 
-def _check_layers(alpha: FloatArray, obstacles: BoolArray) -> None:
+def _check_layers(alpha: Any, obstacles: BoolArray) -> None:
     if alpha.ndim != 2 or alpha.size == 0:
         raise InvalidRiskMap(f'alpha must be a non-empty (H, W) array, got shape {alpha.shape}')
     if obstacles.shape != alpha.shape:
         raise InvalidRiskMap(
             f"obstacles must have alpha's shape {alpha.shape}, got {obstacles.shape}"
         )
+    if isinstance(alpha, GradedLosses) and (
+            np.isfinite(alpha.levels) & (alpha.levels >= 0.0)).all():
+        return
     bad = ~(np.isfinite(alpha) & (alpha >= 0.0)) & ~obstacles
     if bad.any():
         row, column = (int(k) for k in np.argwhere(bad)[0])

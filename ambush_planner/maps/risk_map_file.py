@@ -11,17 +11,22 @@ from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+import numpy.typing as npt
 
-from ..arrays import arrays_in
+from ..arrays import FloatArray, arrays_in
 from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates
 from .elevation import square_cells
 from .elevation_file import HEIGHTS, read_raster
 from .map_file import read_map
-from .occupancy import NO_RISK, OccupancyMap, OccupancyOptions, agreed_crs
-from .risk_map import RiskMap, to_map_axes
+from .occupancy import NO_RISK, OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions, agreed_crs
+from .risk_map import GRADES, GradedLosses, RiskMap, to_map_axes
 
 _UNKNOWN = 255  # in a GeoTIFF
+# Graded losses in an npz file, instead of ``alpha``.
+_GRADED = ('levels', 'grades')
+# One of so many rows of losses is looked at first, whether they are few.
+_SAMPLED = 50
 
 
 def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> RiskMap:
@@ -46,8 +51,8 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
     path, options = Path(path), options or OccupancyOptions()
     risk_map = (_read_npz(path, options.crs) if path.suffix.lower() == '.npz'
                 else _read_grid(path, options))
-    losses = risk_map.alpha[~risk_map.obstacles]
-    if losses.size and np.ptp(losses) == 0.0 and options.alpha_min < options.alpha_max:
+    losses = risk_map.loss_range
+    if losses and losses[0] == losses[1] and options.alpha_min < options.alpha_max:
         warn(NO_RISK)
     return risk_map
 
@@ -70,16 +75,28 @@ def _read_raster(path: Path) -> OccupancyMap:
         warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
              f'to {raster.row_step:.7g} m, by the nearest')
     origin = (*(raster.corner or (0.0, 0.0)), 0.0)
-    values: Any = np.nan_to_num(raster.values.astype(np.float64), nan=-1.0)
-    return OccupancyMap(values, raster.column_step, origin, raster.crs, raster.heights,
-                        raster.losses)
+    return OccupancyMap(_cell_values(raster.values), raster.column_step, origin, raster.crs,
+                        raster.heights, raster.losses)
+
+
+def _cell_values(values: npt.NDArray[np.float32]) -> Any:
+    """Values (H, W) of an occupancy grid, -1 where unknown: whole numbers if all of them are."""
+    cells = np.empty(values.shape, np.int8)
+    for part, given in zip(cells, values, strict=True):  # row by row, as the map may be large
+        given = np.nan_to_num(given, nan=UNKNOWN)
+        if not ((given == np.rint(given)) & (given >= UNKNOWN) & (given <= OBSTACLE)).all():
+            return np.nan_to_num(values.astype(np.float64), nan=UNKNOWN)
+        part[:] = given
+    return cells
 
 
 def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
     try:
-        content = arrays_in(path, (field.name for field in fields(RiskMap)))
+        content = arrays_in(path, (*_GRADED, *(field.name for field in fields(RiskMap))))
+        alpha: Any = (GradedLosses(*(content[name] for name in _GRADED)) if _GRADED[0] in content
+                      else _graded(content.pop('alpha')))
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
-        return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
+        return RiskMap(alpha, content['obstacles'], float(content['resolution']),
                        (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs),
                        content.get('unknown'), content.get('heights'))
     except KeyError as error:
@@ -88,16 +105,33 @@ def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
         raise InvalidRiskMap(f'{path}: {error}') from error
 
 
+def _graded(alpha: FloatArray) -> GradedLosses | FloatArray:
+    """The same losses (H, W) in grades, if these are few."""
+    levels = np.unique(alpha[::_SAMPLED])
+    if alpha.ndim != 2 or not 0 < len(levels) < GRADES or alpha.dtype != np.float64:
+        return alpha
+    grades = np.empty(alpha.shape, np.uint8)
+    for row, losses in zip(grades, alpha, strict=True):
+        row[:] = np.minimum(np.searchsorted(levels, losses), len(levels) - 1)
+        if not np.array_equal(levels[row], losses):
+            return alpha
+    return GradedLosses(levels, grades)
+
+
 def map_from_bytes(data: bytes) -> RiskMap:
     """Return the map in the content of an npz file that ``npz_bytes`` has made."""
     return _read_npz(BytesIO(data), None)
 
 
 def npz_bytes(risk_map: RiskMap) -> bytes:
-    """Return the content of an npz file of a map."""
-    stream = BytesIO()
-    np.savez_compressed(stream, **{name: value for name, value in vars(risk_map).items()
-                                   if value is not None})
+    """Return the content of an npz file of a map; graded losses are ``levels`` and ``grades``."""
+    stream, graded = BytesIO(), risk_map.graded
+    content = {each.name: value for each in fields(RiskMap)
+               if (value := getattr(risk_map, each.name)) is not None}
+    if graded:
+        del content['alpha']
+        content |= {name: getattr(graded, name) for name in _GRADED}
+    np.savez_compressed(stream, **content)
     return stream.getvalue()
 
 

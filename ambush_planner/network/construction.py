@@ -235,7 +235,7 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     spacing, roads = options.spacing, options.roads
     length = road_length(roads_on_map(roads, risk_map)) if roads else 0.0
     if spacing is None:
-        free_area = float((~risk_map.obstacles).sum()) * risk_map.resolution**2
+        free_area = np.count_nonzero(~risk_map.obstacles) * risk_map.resolution**2
         spacing = length / options.target_nodes if roads else math.sqrt(
             free_area / options.target_nodes)
         spacing = max(risk_map.resolution, spacing)

@@ -65,9 +65,11 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
                wanted: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Nodes (K, 2) in map axes along the middle of all passes that the lattice may miss.
 
-    Those are narrower than ``MAX_NODE_DISTANCE`` times the spacing that is ``wanted`` on each side.
+    Those are narrower than ``MAX_NODE_DISTANCE`` times the spacing that is ``wanted`` on each side,
+    and wider than a block of cells (``obstacle_blocks``).
     """
-    passable = np.pad(~risk_map.obstacles, 1, constant_values=not field.clear_of_edge)
+    obstacles, block = risk_map.obstacle_blocks
+    passable = np.pad(~obstacles, 1, constant_values=not field.clear_of_edge)
     distance, nearest = distance_transform_edt(passable, return_indices=True)
     ridge = passable & ~binary_opening(passable, np.ones((2, 2)))  # one cell wide
     for axis in (0, 1):
@@ -78,8 +80,8 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
         ridge[one] |= far & (distance[one] >= distance[other])
         ridge[other] |= far & (distance[one] < distance[other])
     cells = np.argwhere(ridge[1:-1, 1:-1])
-    uv = _centres(risk_map, cells)
-    margin = (distance[1:-1, 1:-1][tuple(cells.T)] - 0.5) * risk_map.resolution - clearance
+    uv, side = block * _centres(risk_map, cells), block * risk_map.resolution
+    margin = (distance[1:-1, 1:-1][tuple(cells.T)] - 0.5) * side - clearance
     narrow = (margin > 0.0) & (margin < MAX_NODE_DISTANCE * wanted(uv))
     order = np.flatnonzero(narrow)[np.argsort(-margin[narrow], kind='stable')]
     uv, chosen = uv[order], np.ones(len(order), dtype=bool)

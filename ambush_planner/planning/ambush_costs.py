@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray
+from ..arrays import ROUNDING, BoolArray, FloatArray
 from ..game.hits import largest_product
 from ..game.legs import exposed_legs
 from ..game.strategy import TripStrategy
@@ -72,10 +72,8 @@ def cost_raster(trip: TripStrategy, risk_map: RiskMap, most: int) -> CostRaster:
     Without a reach, an ambusher waits at the nearest node.
     """
     block = math.ceil(max(risk_map.alpha.shape) / most)
-    hides = trip.game.options.ambush_in_obstacles
-    cells = CellLosses(risk_map, hides)
-    no_place = -1.0 * (risk_map.obstacles & (not hides))
-    dearest, loss = _dearest_cells(cells.of_blocks(1) + no_place, block)
+    cells = CellLosses(risk_map, trip.game.options.ambush_in_obstacles)
+    dearest, loss = cells.dearest_cells(block)
     points, shape = cells.centres(dearest.reshape(-1, 2), 1), dearest.shape[:2]
     loss, secured = loss.ravel(), trip.game.secured.covers(points)
     cost = np.full(len(loss), np.nan)
@@ -83,21 +81,6 @@ def cost_raster(trip: TripStrategy, risk_map: RiskMap, most: int) -> CostRaster:
     costs = _costs_at_cells if holds_at_cells(trip) else _costs_at_nodes
     cost[waits] = costs(trip, points[waits], loss[waits])
     return CostRaster(cost.reshape(shape), secured.reshape(shape), block)
-
-
-def _dearest_cells(loss: FloatArray, block: int) -> tuple[IndexArray, FloatArray]:
-    """Row and column (H, W, 2) of the dearest cell of each block of an array, and its loss (H, W).
-
-    Of equally dear cells it is the one nearest to the block's centre.
-    """
-    padded = np.pad(loss, [(0, -size % block) for size in loss.shape], constant_values=-1.0)
-    rows, columns = (size // block for size in padded.shape)
-    blocks = padded.reshape(rows, block, columns, block).swapaxes(1, 2).reshape(rows, columns, -1)
-    inside = np.argwhere(np.ones((block, block), bool))
-    central = np.argsort(np.hypot(*(inside - (block - 1) / 2.0).T), kind='stable')
-    found = central[blocks[:, :, central].argmax(axis=2)]
-    corner = np.moveaxis(np.indices((rows, columns)), 0, 2) * block
-    return corner + inside[found], np.take_along_axis(blocks, found[..., None], axis=2)[..., 0]
 
 
 def _costs_at_cells(trip: TripStrategy, points: FloatArray, loss: FloatArray) -> FloatArray:

@@ -76,7 +76,7 @@ class PlannedNetwork:
         """Return alpha (N,) of the nodes."""
         if self.hiding:
             losses = self._losses.on(newest, self._occupancy, True)
-            alpha = losses.in_cells(np.stack(self._cells, axis=1))
+            alpha = losses.in_blocks(np.stack(self._cells, axis=1))
         else:
             values = newest.values[self._cells][None, :]
             alpha = risk_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()

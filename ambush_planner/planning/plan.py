@@ -76,7 +76,8 @@ class PlanRequest:
 class Plan(Shown):
     """The strategies for a map, a start, stops and a goal, with everything that departures need.
 
-    ``corridors`` are the space around the routes of each leg that the driven path may use.
+    ``corridors`` are the space around the routes of each leg that the driven path may use; () if
+    they are measured for each route that is drawn (``measured_corridors``).
     ``spacing`` is the distance of the network's nodes, at least the map's resolution [m].
     ``seconds`` is the planning time. ``risk_map`` is the map if the plan was made in this process,
     else None. ``few`` is the mixture of few routes that departures draw from, None if they draw
@@ -319,13 +320,20 @@ def path_lengths(paths: Sequence[FloatArray]) -> FloatArray:
 def make_plan(risk_map: RiskMap, trip: TripStrategy, options: PlanningOptions,
               begin: float | None = None) -> Plan:
     """The plan that follows from strategies; planning began at ``begin`` (``time.monotonic``)."""
-    corridors = tuple(leg_corridors(leg, risk_map, options) for leg in trip.legs)
-    seconds = time.monotonic() - begin if begin is not None else 0.0
-    return Plan(trip, corridors, options, node_spacing(risk_map, options.network), seconds,
-                risk_map)
+    plan = Plan(trip, (), options, node_spacing(risk_map, options.network), 0.0, risk_map)
+    made = replace(plan, corridors=measured_corridors(plan))
+    return replace(made, seconds=time.monotonic() - begin) if begin is not None else made
 
 
-def leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
+def measured_corridors(plan: Plan, among: Sequence[IndexArray | None] = ()
+                       ) -> tuple[Corridors, ...]:
+    """The corridors of all routes, or of routes ``among`` some nodes (K,) of each leg."""
+    return tuple(_leg_corridors(leg, plan.own_map, plan.options, nodes)
+                 for leg, nodes in zip(plan.legs, among or [None] * len(plan.legs), strict=True))
+
+
+def _leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions,
+                   among: IndexArray | None) -> Corridors:
     """The corridors of a leg's network; on roads, and without a reach, no corners are cut."""
     spacing, game = node_spacing(risk_map, options.network), strategy.game
     limit, most = tube(options, spacing), np.inf
@@ -336,7 +344,7 @@ def leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOption
         reach = 0.0
     return make_corridors(strategy.network, risk_map, options.network.clearance, limit,
                           options.network.clear_of_edge, most, reach,
-                          game.secured.shrunk(game.options.tube))
+                          game.secured.shrunk(game.options.tube), among)
 
 
 def draw_routes(plan: Plan, n: int, rng: np.random.Generator) -> list[Route]:
@@ -356,8 +364,9 @@ def departure_path(plan: Plan, route: Route, spacing: float, ends: Ends | None =
     places = [*plan.ends_xy]
     if ends is not None:
         places[0], places[-1] = ends
-    legs = [driven_path(corridors, nodes, spacing, radius, own) for corridors, nodes, own in zip(
-        plan.corridors, route, pairwise(places), strict=True)]
+    corridors = plan.corridors or measured_corridors(plan, route)
+    legs = [driven_path(each, nodes, spacing, radius, own) for each, nodes, own in zip(
+        corridors, route, pairwise(places), strict=True)]
     return joined(legs)
 
 
@@ -365,6 +374,10 @@ def departure_paths(plan: Plan, n: int, spacing: float,
                     rng: np.random.Generator) -> list[FloatArray]:
     """Draw ``n`` departures and return their paths, as ``departure_path`` does."""
     radius, routes = plan.options.drive.turning_radius, draw_routes(plan, n, rng)
-    legs = [driven_paths(corridors, list(own), spacing, radius) for corridors, own in zip(
-        plan.corridors, zip(*routes, strict=True), strict=True)] if n else []
+    if not n:
+        return []
+    by_leg = list(zip(*routes, strict=True))
+    corridors = plan.corridors or measured_corridors(plan, [np.concatenate(own) for own in by_leg])
+    legs = [driven_paths(each, list(own), spacing, radius)
+            for each, own in zip(corridors, by_leg, strict=True)]
     return [joined(each) for each in zip(*legs, strict=True)]

@@ -47,10 +47,13 @@ def path_message(rows: FloatArray, frame: str, stamp_ns: int) -> RecordedMessage
 
 def grid_values(risk_map: RiskMap, options: OccupancyOptions) -> npt.NDArray[np.int8]:
     """The values (H, W) of an occupancy grid, -1 to 100, whose losses are nearest to the map's."""
-    most = options.obstacle_threshold - 1
+    graded = risk_map.graded
+    alpha = graded.levels if graded else risk_map.alpha
     span = (options.alpha_max - options.alpha_min) or 1.0
-    share = (np.nan_to_num(risk_map.alpha) - options.alpha_min) / span
-    values = np.clip(np.rint(100.0 * share), 0, most).astype(np.int8)
+    share = (np.nan_to_num(alpha) - options.alpha_min) / span
+    values = np.clip(np.rint(100.0 * share), 0, options.obstacle_threshold - 1).astype(np.int8)
+    if graded:
+        values = values[graded.grades]
     values[risk_map.obstacles] = OBSTACLE
     if risk_map.unknown is not None:
         values[risk_map.unknown] = UNKNOWN

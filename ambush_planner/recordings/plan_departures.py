@@ -13,7 +13,7 @@ import re
 import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from uuid import uuid4
@@ -24,8 +24,8 @@ from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
 from .encoding import encode
 from .metadata import Metadata, RecordedCall, RecordedDay, RecordedTrip
-from .plain_messages import map_message, path_message, pose_message
-from .plan_file import SavedPlan, attachments_of, recorded_plan, recorded_trip
+from .plain_messages import path_message, pose_message
+from .plan_file import SavedPlan, ground_of_plan, recorded_plan, recorded_trip
 from .recording_errors import NoPermission, part
 from .recording_file import read_recording
 from .versions import software_versions
@@ -77,10 +77,11 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     ``previous`` is the id of the departure before, ``replaces`` that of an earlier one for the same
     day that was not driven, and ``why``.
     """
-    plan, trip = saved.plan, recorded_trip(saved.plan, saved.names)
+    trip = recorded_trip(saved.plan, saved.names)
     covered = saved.slots.covered if saved.slots and drawn.slot_drawn else 1.0
+    ground, files = ground_of_plan(saved)
     roles = {
-        'map': map_message(plan.own_map, saved.parameters.occupancy, saved.frame, stamp_ns),
+        'map': replace(ground, stamp_ns=stamp_ns),
         'start': pose_message('/start_pose', trip.start, saved.frame, stamp_ns),
         'goal': pose_message('/goal_pose', trip.goal, saved.frame, stamp_ns),
         'path': path_message(drawn.poses, saved.frame, stamp_ns),
@@ -93,8 +94,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
         day=RecordedDay(date, drawn.slot, drawn.slot_drawn, replaces, why,
                         local_zone(date, drawn.slot)))
-    return said.departure_id, encode(list(roles.values()), said.entries(),
-                                     attachments_of(plan, plan.own_map.crs), 'zstd')
+    return said.departure_id, encode(list(roles.values()), said.entries(), files, 'zstd')
 
 
 def local_zone(date: str, slot: str) -> str:
@@ -135,7 +135,7 @@ def last_id(folder: Path) -> str:
 
 
 def _metadata_of(path: Path) -> Metadata:
-    return part(path, 'metadata', lambda: read_recording(path).metadata)
+    return part(path, 'metadata', lambda: read_recording(path, False).metadata)
 
 
 def earlier_departures(saved: SavedPlan, folder: Path,

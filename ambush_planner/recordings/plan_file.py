@@ -9,7 +9,8 @@ if there are any. A departure that is drawn from it has the same, and its route.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -20,7 +21,8 @@ from ..network.road_network import in_map_frame
 from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
-from ..planning.plan import Plan, make_plan
+from ..planning.options import node_spacing
+from ..planning.plan import Plan
 from .attachments import (
     FEW_FILE,
     MAP_FILE,
@@ -36,6 +38,7 @@ from .attachments import (
     strategy_from_file,
 )
 from .encoding import encode
+from .messages import RecordedMessage
 from .metadata import PlanMetadata, RecordedPlan, RecordedTrip, typed
 from .plain_messages import map_message
 from .recorded_departure import BEYOND, typed_values
@@ -51,7 +54,9 @@ KIND = 'plan'
 class SavedPlan:
     """A plan with its map, and what the node's parameters would be for it.
 
-    ``names`` are those of start and goal, '' if they have none.
+    ``names`` are those of start and goal, '' if they have none. Of a plan from a file, ``files``
+    are its attachments and ``map_message`` is its map, both as they are there: departures have the
+    same.
     """
 
     plan: Plan
@@ -62,6 +67,8 @@ class SavedPlan:
     names: tuple[str, str] = ('', '')
     id: str = ''
     made_ns: int = 0
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+    map_message: RecordedMessage | None = field(default=None, repr=False)
 
     @property
     def value(self) -> float:
@@ -104,12 +111,19 @@ def parameter_values(plan: Plan, occupancy: OccupancyOptions) -> dict[str, Any]:
 
 def plan_bytes(saved: SavedPlan) -> bytes:
     """The content of a plan file; write it with mode 0600."""
-    plan = saved.plan
-    message = map_message(plan.own_map, saved.parameters.occupancy, saved.frame, saved.made_ns)
+    plan, (message, files) = saved.plan, ground_of_plan(saved)
     said = PlanMetadata(KIND, saved.frame, dict(saved.parameters.values),
                         dict(software_versions()), {'map': message.topic},
                         recorded_trip(plan, saved.names), recorded_plan(saved))
-    return encode([message], asdict(said), attachments_of(plan, plan.own_map.crs), 'zstd')
+    return encode([message], asdict(said), files, 'zstd')
+
+
+def ground_of_plan(saved: SavedPlan) -> tuple[RecordedMessage, Mapping[str, bytes]]:
+    """The map of a plan as a message, and its attachments."""
+    plan = saved.plan
+    return (saved.map_message or map_message(plan.own_map, saved.parameters.occupancy, saved.frame,
+                                             saved.made_ns),
+            saved.files or attachments_of(plan, plan.own_map.crs))
 
 
 def recorded_plan(saved: SavedPlan) -> RecordedPlan:
@@ -139,6 +153,8 @@ def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
 def read_plan(path: Path | str) -> SavedPlan:
     """Read a plan file, and check that its numbers are those of its strategy.
 
+    Corridors are left to be measured for what is drawn.
+
     Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
     departure.
     """
@@ -163,11 +179,13 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     for name, number, found in misstated(trip, stated):
         raise UnreadableRecording(file.path, f'it was edited: its {name} is stated as '
                                   f'{number:.9g}, its strategies have {found:.9g}; plan again')
-    plan = replace(make_plan(risk_map, trip, planning), seconds=about.seconds)
+    plan = Plan(trip, (), planning, node_spacing(risk_map, planning.network), about.seconds,
+                risk_map)
     if FEW_FILE in files:
         few, value = few_from_file(files[FEW_FILE], plan)
         if problems := misstated_few(few, value):
             raise UnreadableRecording(file.path, f'it was edited: {problems[0]}; plan again')
         plan = replace(plan, few=few)
+    message = next(each for each in file.messages if each.topic == said.topics['map'])
     return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, said.trip.names,
-                     about.id, about.made_ns)
+                     about.id, about.made_ns, files, message)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile, is_zipfile
 
 from ..parameters.table import PARAMETERS
-from .encoding import FORMAT, MAGIC, METADATA_RECORD
+from .encoding import FORMAT, MAGIC, METADATA_RECORD, packed_part
 from .messages import RecordedMessage
 from .metadata import Metadata, typed
 from .recording_errors import UnreadableRecording, bytes_in, check_size
@@ -61,9 +61,9 @@ class RecordingFile:
         return self.definitions[message.type], message.type, message.data
 
 
-def read_recording(path: Path | str) -> RecordingFile:
-    """Read a file and check its CRCs; raises UnreadableRecording."""
-    from mcap.records import DataEnd, Message, Metadata
+def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFile:
+    """Read a file and check its CRCs, by default also its messages; raises UnreadableRecording."""
+    from mcap.records import Chunk, DataEnd, Message, Metadata
     from mcap.stream_reader import StreamReader
 
     path = Path(path)
@@ -73,8 +73,17 @@ def read_recording(path: Path | str) -> RecordingFile:
         # The summary repeats schemas and channels.
         packed = list(takewhile(lambda each: not isinstance(each, DataEnd), packed))
         _check_summary(data)
+        if not with_messages:
+            packed = [each for each in packed if not isinstance(each, Chunk)]
         check_size(path, sum(map(_unpacked_size, packed)))
-        found = [each for record in packed for each in _unpacked(record)]
+        found: list[McapRecord] = []
+        parts: dict[int, bytes] = {}
+        for record in packed:
+            found += _unpacked(record)
+            last = found[-1]
+            if isinstance(record, Chunk) and isinstance(last, Message):
+                part = packed_part(record.data, record.uncompressed_size, last.data)
+                parts |= {len(found) - 1: part} if part else {}
     except UnreadableRecording:
         raise
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
@@ -103,7 +112,7 @@ def read_recording(path: Path | str) -> RecordingFile:
         entries = {name: json.loads(text) for name, text in texts.items()}
         if texts['format'] == _BEFORE:
             entries = _by_leg(path, entries)
-        return _contents(path, found, entries)
+        return _contents(path, found, entries, parts)
     except (ValueError, LookupError, RecursionError) as error:
         raise UnreadableRecording(
             path, f'its records are inconsistent ({type(error).__name__})'
@@ -185,19 +194,21 @@ def decode(definition: str, kind: str, data: bytes) -> Any:
     return _decoder(definition, kind)(data)
 
 
-def _contents(path: Path, found: Sequence[McapRecord],
-              entries: Mapping[str, Any]) -> RecordingFile:
+def _contents(path: Path, found: Sequence[McapRecord], entries: Mapping[str, Any],
+              parts: Mapping[int, bytes]) -> RecordingFile:
+    """``parts`` has the compressed data of some messages by their numbers among the records."""
     from mcap import records
 
     schemas = {each.id: each for each in found if isinstance(each, records.Schema)}
     channels = {each.id: each for each in found if isinstance(each, records.Channel)}
     messages = []
-    for each in found:
+    for k, each in enumerate(found):
         if isinstance(each, records.Message):
             channel = channels[each.channel_id]
-            messages.append(RecordedMessage(channel.topic, schemas[channel.schema_id].name,
-                                            each.data, channel.metadata['offered_qos_profiles'],
-                                            each.log_time))
+            messages.append(RecordedMessage(
+                channel.topic, schemas[channel.schema_id].name, each.data,
+                channel.metadata['offered_qos_profiles'], each.log_time,
+                [each.data, parts[k]] if k in parts else []))
     return RecordingFile(
         path, tuple(sorted(messages, key=lambda each: each.stamp_ns)), entries,
         {each.name: each.data for each in found if isinstance(each, records.Attachment)},

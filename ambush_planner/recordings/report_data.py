@@ -28,8 +28,7 @@ from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
-# Maximum number of cells of a map in each direction; of larger maps blocks of cells show their
-# worst loss.
+# Maximum number of cells of a map in each direction, or blocks of cells.
 MAX_CELLS = 2000
 # Number of obstacle cells; smaller numbers are indices into the losses.
 OBSTACLE = 255
@@ -154,25 +153,19 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
 
 def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:
     """Return cells as indices of losses, the losses, and the edge of a cell [m]."""
-    block = math.ceil(max(risk_map.alpha.shape) / MAX_CELLS)
-    alpha = _blocks(np.maximum, np.where(risk_map.obstacles, 0.0, risk_map.alpha), block)
-    obstacles = _blocks(np.logical_and, risk_map.obstacles, block)
+    shown = risk_map.coarser(MAX_CELLS)
+    alpha, obstacles = np.asarray(shown.alpha), shown.obstacles
     levels = np.unique(alpha[~obstacles]) if not obstacles.all() else np.zeros(1)
     if len(levels) > OBSTACLE:
         levels = np.linspace(levels[0], levels[-1], OBSTACLE)
     middle = (levels[1:] + levels[:-1]) / 2.0
     index = np.where(obstacles, OBSTACLE, np.searchsorted(middle, alpha))
-    return index.astype(np.uint8), levels.tolist(), block * risk_map.resolution
+    return index.astype(np.uint8), levels.tolist(), shown.resolution
 
 
 def packed(array: npt.ArrayLike, kind: str) -> str:
     """Return an array of a kind such as ``<f4`` as deflated base64."""
     return b64encode(zlib.compress(np.ascontiguousarray(array, kind).tobytes())).decode('ascii')
-
-
-def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDArray[Any]:
-    row, column = (np.arange(0, size, block) for size in cells.shape)
-    return function.reduceat(function.reduceat(cells, row, axis=0), column, axis=1)
 
 
 def _sites(trip: TripStrategy) -> FloatArray:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..errors import InvalidOption
 from ..maps.occupancy import risk_from_occupancy
 from ..parameters.table import PARAMETERS, is_planned
 from ..parameters.values import NodeParameters
+from ..planning.plan import measured_corridors
 from ..recordings import UnreadableRecording
 from ..recordings.plain_messages import grid_values
 from ..recordings.plan_file import SavedPlan, read_plan
@@ -23,7 +25,7 @@ from .trip import TripRequest
 
 
 def read_plan_for_node(path: str) -> SavedPlan:
-    """Read a plan file that the node can draw from; raises InvalidOption."""
+    """Read a plan file that the node can draw from, with corridors; raises InvalidOption."""
     try:
         saved = read_plan(path)
     except UnreadableRecording as error:
@@ -40,7 +42,7 @@ def read_plan_for_node(path: str) -> SavedPlan:
             and np.allclose(again.alpha[free], risk_map.alpha[free], rtol=1e-9)):
         raise InvalidOption(f'plan {path} has a map whose losses an occupancy grid cannot hold; '
                             'plan on the .yaml or .tif file of ambush risk')
-    return saved
+    return replace(saved, plan=replace(plan, corridors=measured_corridors(plan)))
 
 
 def planned_parameters(saved: SavedPlan) -> dict[str, Any]:

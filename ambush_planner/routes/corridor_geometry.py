@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, members
@@ -23,6 +22,8 @@ OBSTACLE_MARGIN = 1e-5
 NEAREST = 12
 # How far chords at corners may be from the corner's edges [reaches]; 0.29 for a right angle.
 STRIP_SHARE = 0.3
+# Side of the squares in which obstacle cells are looked for [cells].
+_SQUARE = 64
 # Corners of a unit cell around 0, in order.
 CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
@@ -79,11 +80,14 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
 def limit_to_map(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, risk_map: RiskMap,
                  clearance: float, clear_of_edge: bool) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from obstacles and, if asked, the map's edge."""
-    margin = (clearance if clear_of_edge else 0.0) + OBSTACLE_MARGIN * risk_map.resolution
+    resolution = risk_map.resolution
+    margin = (clearance if clear_of_edge else 0.0) + OBSTACLE_MARGIN * resolution
     strips, quarters = _map_edge_limits(uv, pairs, np.array(risk_map.size), margin)
     inside = CorridorWidths(np.minimum(corridors.widths, strips),
                             np.minimum(corridors.radii, quarters))
-    return limit_to_cells(inside, uv, pairs, rim_cells(risk_map), clearance, risk_map.resolution)
+    far = _frame(uv, pairs)[2] + inside.widths.max(axis=1) + clearance + 2.0 * resolution
+    cells = rim_cells(risk_map, uv[np.unique(pairs)], float(far.max(initial=0.0)))
+    return limit_to_cells(inside, uv, pairs, cells, clearance, resolution)
 
 
 def limit_to_cells(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray,
@@ -100,11 +104,15 @@ def limit_to_cells(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray,
     return CorridorWidths(np.maximum(widths, 0.0), np.maximum(radii, 0.0))
 
 
-def open_ground(uv: FloatArray, risk_map: RiskMap, clearance: float,
-                clear_of_edge: bool) -> FloatArray:
-    """Radii (N,) around places that keep the clearance from obstacles and, if asked, the edge."""
+def open_ground(uv: FloatArray, risk_map: RiskMap, clearance: float, clear_of_edge: bool,
+                most: float) -> FloatArray:
+    """Radii (N,) around places that keep the clearance from obstacles and, if asked, the edge.
+
+    They are at most ``most`` [m].
+    """
     to_edge = np.minimum(uv, np.array(risk_map.size) - uv).min(axis=1)
-    far = clear_of_cells(uv, rim_cells(risk_map), clearance, risk_map.resolution)
+    cells = rim_cells(risk_map, uv, most + clearance + risk_map.resolution)
+    far = np.minimum(clear_of_cells(uv, cells, clearance, risk_map.resolution), most)
     return np.minimum(far, to_edge - (clearance if clear_of_edge else 0.0))
 
 
@@ -131,11 +139,27 @@ def _local_coordinates(vector: FloatArray, direction: FloatArray) -> tuple[Float
     return progress, lateral
 
 
-def rim_cells(risk_map: RiskMap) -> FloatArray:
-    """Centres (C, 2) in map axes of the obstacle cells that touch free ground."""
-    inner = binary_erosion(risk_map.obstacles, border_value=1)
-    cells = np.argwhere(risk_map.obstacles & ~inner)
-    return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
+def rim_cells(risk_map: RiskMap, uv: FloatArray, reach: float) -> FloatArray:
+    """Centres (C, 2) in map axes of the obstacle cells that touch free ground near places (K, 2).
+
+    They are all those within ``reach`` [m] of a place, and some others.
+    """
+    obstacles, step = risk_map.obstacles, risk_map.resolution
+    rows, columns = obstacles.shape
+    low, left = (np.arange(0, size, _SQUARE) for size in (rows, columns))
+    squares = (np.stack(np.meshgrid(left, low), axis=-1) + 0.5 * _SQUARE) * step
+    near = cKDTree(uv).query(squares)[0] <= reach + _SQUARE * step
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for row, some in zip(low.tolist(), near, strict=True):
+        if some.any():
+            # Beyond the map's edge nothing is free.
+            each = obstacles[np.clip(np.arange(row - 1, row + _SQUARE + 1), 0, rows - 1)]
+            each, inner = each[1:-1][:rows - row], (each[:-2] & each[2:])[:rows - row]
+            inner[:, 1:] &= each[:, :-1]
+            inner[:, :-1] &= each[:, 1:]
+            rim = each & ~inner & np.repeat(some, _SQUARE)[:columns]
+            found.append(np.argwhere(rim) + (row, 0))
+    return np.asarray((np.concatenate(found)[:, ::-1] + 0.5) * step, dtype=np.float64)
 
 
 class _CellIndex:

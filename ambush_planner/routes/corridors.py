@@ -71,7 +71,8 @@ class Corridors:
     secured
         Discs in map axes; parts of drawn routes in them are not hit.
     open_ground : (N,) float
-        Radius around each place that is free of obstacles [m]; at most the truth.
+        Radius around each place that is free of obstacles, as far as corners are cut [m]; at most
+        the truth.
     """
 
     network: Network
@@ -125,7 +126,8 @@ class Corridors:
 def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
                    tube: float | None = None, clear_of_edge: bool = True,
                    most: float = np.inf, reach: float = 0.0,
-                   secured: SecuredArea = NOTHING_SECURED) -> Corridors:
+                   secured: SecuredArea = NOTHING_SECURED,
+                   among: IndexArray | None = None) -> Corridors:
     """Measure the strips and quarters of a network on its map.
 
     Parameters
@@ -139,6 +141,8 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     reach, secured
         With a tube: the distance within which ambushes hit drawn routes [m], tube included, and the
         discs in which they do not. Corners are cut where no ambush gains by it.
+    among
+        Only between these nodes (K,), for routes that use no others; None: all.
 
     Raises InvalidOption if the tube is negative or not finite.
     """
@@ -149,11 +153,15 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     uv = risk_map.to_map_axes(network.points)
     edges = np.unique(np.sort(network.edges, axis=1), axis=0)
     secured = secured_in_map_axes(secured, risk_map.origin)
+    nodes = np.arange(len(uv)) if among is None else np.unique(among)
+    included = np.zeros(len(uv), dtype=bool)
+    included[nodes] = True
     shortcuts = tube == most == np.inf
     if shortcuts:
         field = ObstacleField(risk_map, clear_of_edge)
-        pairs, measured = _with_shortcuts(uv, edges, field, clearance)
+        pairs, measured = _with_shortcuts(uv, edges, included, field, clearance)
     else:
+        edges = edges[included[edges].all(axis=1)]
         pairs, measured = edges, largest_widths(uv, edges, tube, reach)
         if tube == np.inf:
             measured = CorridorWidths(np.minimum(measured.widths, most),
@@ -165,9 +173,12 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     widths = np.concatenate((measured.widths, measured.widths[:, ::-1]))[order]
     radii = np.concatenate((measured.radii, measured.radii[:, ::-1, ::-1]))[order]
     links = links[order]
+    still = np.zeros(len(uv))
+    if reach > 0.0:
+        still[nodes] = open_ground(uv[nodes], risk_map, clearance, clear_of_edge,
+                                   reach + 2.0 * tube)
     return Corridors(network, risk_map.origin, uv, links, widths, radii,
-                     np.full(len(links), shortcuts), tube, reach, secured,
-                     open_ground(uv, risk_map, clearance, clear_of_edge))
+                     np.full(len(links), shortcuts), tube, reach, secured, still)
 
 
 def secured_in_map_axes(secured: SecuredArea, origin: tuple[float, float, float]) -> SecuredArea:
@@ -181,10 +192,14 @@ def link_keys(links: IndexArray, count: int) -> IndexArray:
     return keys
 
 
-def _with_shortcuts(uv: FloatArray, edges: IndexArray, field: ObstacleField,
+def _with_shortcuts(uv: FloatArray, edges: IndexArray, included: BoolArray, field: ObstacleField,
                     clearance: float) -> tuple[IndexArray, CorridorWidths]:
-    """Add the shortcuts that keep clear of obstacles and of all other nodes to the edges."""
+    """Edges and the shortcuts that keep clear of obstacles and of all other nodes.
+
+    Both only between the nodes that are ``included`` (N,).
+    """
     more = _shortcuts(uv, edges)
+    edges, more = (each[included[each].all(axis=1)] for each in (edges, more))
     more = more[field.clear_segments(uv[more[:, 0]], uv[more[:, 1]], clearance)]
     pairs = np.concatenate((edges, more))
     measured = widths_between_nodes(uv, pairs)
