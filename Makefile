@@ -60,7 +60,7 @@ lint: $(VENV)/.test
 
 # A missed target does not stop the benchmarks that follow.
 benchmark: $(VENV)/.test
-	$(BIN)/python benchmarks/solver.py --early --changes 50 --peers
+	$(BIN)/python benchmarks/solver.py --changes 50 --peers
 	$(BIN)/python benchmarks/ground.py
 	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/random_games.py --count 200

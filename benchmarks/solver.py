@@ -35,8 +35,6 @@ SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds
 PLACES = 500, 2500  # smallest and largest number of places of a trip
 TRIP_FAMILIES = ('hills-coarse', 'hills-obstacles', 'hills-fine', 'city', 'maze')
 WITHIN = 0.0101  # gap that counts as closed, for a slack of 0.01
-USABLE = 0.1  # gap of a first strategy
-EARLY = 1 / 3  # its time limit, as a share of the median of its size
 SHIFT = 1.0  # s, of the geometric means
 SAME_VALUE = 1e-5  # relative difference by which HiGHS' value may be outside bound and value
 # There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
@@ -44,9 +42,9 @@ REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlo
 OBSTACLE = 3  # cells along a side of what appears on the map
 
 
-def planned(name: str, time_limit: float = math.inf) -> Answer:
-    """A plan within a time limit [s]."""
-    problem = draw(name, time_limit)
+def planned(name: str) -> Answer:
+    """A plan without a time limit."""
+    problem = draw(name)
     return timed(problem, lambda: planned_on(problem).trip)
 
 
@@ -159,15 +157,6 @@ def measure(name: str, checkout: Path, options: Any) -> Answer:
     return ours
 
 
-def first_strategies(rows: list[Answer], checkout: Path, options: Any) -> None:
-    """Plan again within a share of the median time; the answers are added to their rows."""
-    solved = [row for row in rows if 'failed' not in row]
-    soon = EARLY * float(np.median([row['seconds'] for row in solved])) if solved else math.nan
-    for row in solved:
-        row['early'] = run('solver.planned', row['name'], options.limit, checkout,
-                           time_limit=soon)
-
-
 def after_changes(rows: list[Answer], checkout: Path, options: Any) -> None:
     """Plan again on changed maps, ``--changes`` of them on all problems of a size together."""
     solved = [row for row in rows if 'failed' not in row]
@@ -193,10 +182,6 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
         'not ended': str(len(asked) - len(solved)),
         'the slowest': f"`{worst['name']}` {worst.get('words', worst['status'])}",
     }
-    early = [row['early'] for row in solved if 'early' in row]
-    if early:
-        usable = np.mean([answer.get('gap', math.inf) <= USABLE for answer in early])
-        found['10 % gap after a third of the median'] = f'{usable:.0%}'
     again = [row['replanned'] for row in solved if 'replanned' in row]
     ended = [answer for answer in again if 'warm' in answer]
     if ended:
@@ -227,8 +212,6 @@ def main() -> None:
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
     parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plan and nodes')
     parser.add_argument('--checkout', type=Path, nargs='+', default=[HERE], metavar='FOLDER')
-    parser.add_argument('--early', action='store_true',
-                        help='plan again within a third of the median time, on an idle machine')
     parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
     parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
     options = parser.parse_args()
@@ -241,8 +224,6 @@ def main() -> None:
                 for own, checkout in zip(rows, options.checkout, strict=True):
                     own.append(measure(name, checkout, options))
             for own, checkout, label in zip(rows, options.checkout, labels, strict=True):
-                if options.early and kind == 'plan':
-                    first_strategies(own, checkout, options)
                 if options.changes and kind == 'plan':
                     after_changes(own, checkout, options)
                 where = f'{kind} {size or ""}'.strip()

@@ -21,7 +21,7 @@ SCRIPTS = {
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 4',
     'solver': '--kinds plan nodes --sizes 100 --each 1 --families gates --seed 1 --limit 60 '
-              '--early --changes 1 --peers',
+              '--changes 1 --peers',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3',
