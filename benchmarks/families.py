@@ -43,8 +43,8 @@ class Problem:
     words: str
 
 
-def draw(name: str, time_limit: float = math.inf) -> Problem:
-    """The problem ``kind:family:nodes:seed``, within a time limit [s]."""
+def draw(name: str) -> Problem:
+    """The problem ``kind:family:nodes:seed``, without a time limit."""
     kind, family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
     fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
@@ -60,7 +60,7 @@ def draw(name: str, time_limit: float = math.inf) -> Problem:
                                spacing=spacing, refine=0),
         game=GameOptions(ambush_radius=reach * spacing,
                          secured_radius=None if secured < 0.0 else secured * spacing),
-        strategy=StrategyOptions(max_detour=detour, time_limit=time_limit), max_gap=math.inf)
+        strategy=StrategyOptions(max_detour=detour, time_limit=math.inf), max_gap=math.inf)
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {secured:.2g} detour {detour:.3g} '
              f'stops {count}')

@@ -4,19 +4,12 @@
 The kinds of problems are in families.py; ``nodes`` is ``solve`` without a reach, next to HiGHS'
 dual simplex method for the value alone. Seeds are new in each run and printed; ``--seed`` repeats a
 run. ``--checkout A B`` measures the packages of several checkouts on the same problems, in turns.
-
-``--limits`` measures instead by how much solves pass their time limits. A limit is of the wall
-clock, but what a solve does after it is counted in processor seconds, so that the numbers are those
-of an idle machine. At most 1 s or 5 % of the limit is allowed.
 """
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import math
 import subprocess
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,7 +24,7 @@ from peers import highs
 from report import conditions, publish, quantiles, table
 from scipy.sparse import csr_matrix
 
-from ambush_planner import AmbushPlannerError, Network, Plan, RiskMap, TimeLimit, plan_trip
+from ambush_planner import AmbushPlannerError, Network, Plan, RiskMap, plan_trip
 from ambush_planner.arrays import FloatArray
 from ambush_planner.game.game import make_games
 from ambush_planner.game.solver import solve_legs
@@ -42,21 +35,16 @@ SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds
 PLACES = 500, 2500  # smallest and largest number of places of a trip
 TRIP_FAMILIES = ('hills-coarse', 'hills-obstacles', 'hills-fine', 'city', 'maze')
 WITHIN = 0.0101  # gap that counts as closed, for a slack of 0.01
-USABLE = 0.1  # gap of a first strategy
-EARLY = 1 / 3  # its time limit, as a share of the median of its size
 SHIFT = 1.0  # s, of the geometric means
 SAME_VALUE = 1e-5  # relative difference by which HiGHS' value may be outside bound and value
 # There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
 REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlocked'
 OBSTACLE = 3  # cells along a side of what appears on the map
-# Of problems with time limits: nodes, and the time after the limit that is allowed [s], or as a
-# share of it.
-LIMITED, ALLOWED, SHARE = 2500, 1.0, 0.05
 
 
-def planned(name: str, time_limit: float = math.inf) -> Answer:
-    """A plan within a time limit [s]."""
-    problem = draw(name, time_limit)
+def planned(name: str) -> Answer:
+    """A plan without a time limit."""
+    problem = draw(name)
     return timed(problem, lambda: planned_on(problem).trip)
 
 
@@ -169,15 +157,6 @@ def measure(name: str, checkout: Path, options: Any) -> Answer:
     return ours
 
 
-def first_strategies(rows: list[Answer], checkout: Path, options: Any) -> None:
-    """Plan again within a share of the median time; the answers are added to their rows."""
-    solved = [row for row in rows if 'failed' not in row]
-    soon = EARLY * float(np.median([row['seconds'] for row in solved])) if solved else math.nan
-    for row in solved:
-        row['early'] = run('solver.planned', row['name'], options.limit, checkout,
-                           time_limit=soon)
-
-
 def after_changes(rows: list[Answer], checkout: Path, options: Any) -> None:
     """Plan again on changed maps, ``--changes`` of them on all problems of a size together."""
     solved = [row for row in rows if 'failed' not in row]
@@ -203,10 +182,6 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
         'not ended': str(len(asked) - len(solved)),
         'the slowest': f"`{worst['name']}` {worst.get('words', worst['status'])}",
     }
-    early = [row['early'] for row in solved if 'early' in row]
-    if early:
-        usable = np.mean([answer.get('gap', math.inf) <= USABLE for answer in early])
-        found['10 % gap after a third of the median'] = f'{usable:.0%}'
     again = [row['replanned'] for row in solved if 'replanned' in row]
     ended = [answer for answer in again if 'warm' in answer]
     if ended:
@@ -223,37 +198,6 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
     return found
 
 
-def overrun(name: str, time_limit: float) -> Answer:
-    """Processor seconds of a plan after its time limit [s]; 0 if it ends before."""
-    planned_on(draw('plan:hills-coarse:100:0'))  # loads all libraries
-    problem, late = draw(name, time_limit), [0.0]
-    clock = threading.Timer(time_limit, lambda: late.insert(0, time.process_time()))
-    clock.start()
-    with contextlib.suppress(TimeLimit):
-        planned_on(problem)
-    clock.cancel()
-    return {'seconds': time.process_time() - late[0] if late[0] else 0.0, 'status': 'ended'}
-
-
-def limits(options: Any) -> str:
-    """The table of solves that pass their time limits."""
-    rows, seeds = [], range(options.seed, options.seed + options.each)
-    kinds = [kind for kind in options.kinds if kind != 'nodes']
-    for limit, kind in itertools.product(options.limits, kinds):
-        names = [f'{kind}:{family}:{LIMITED}:{seed}' for family in options.families
-                 if family in TRIP_FAMILIES for seed in seeds]
-        answers = [run('solver.overrun', name, options.limit, time_limit=limit) for name in names]
-        late = {each['name']: each['seconds'] for each in answers if 'failed' not in each}
-        worst = max(late, key=late.__getitem__, default='-')
-        over = sum(seconds > max(ALLOWED, SHARE * limit) for seconds in late.values())
-        rows.append([f'{limit:g} s', kind, str(len(late)), str(sum(map(bool, late.values()))),
-                     str(over), f'{late.get(worst, 0.0):.2f} s', f'`{worst}`'])
-    head = ('limit', 'kind', 'problems', 'late', 'more than allowed', 'worst overrun', 'of')
-    return (f'Seeds from {options.seed}, about {LIMITED} nodes a leg. Processor seconds after the '
-            f'limit; at most {ALLOWED:g} s or {SHARE:.0%} are allowed. {conditions("highspy")}.\n\n'
-            + table(head, rows))
-
-
 def shifted_mean(seconds: list[float]) -> float:
     return math.exp(float(np.mean(np.log(np.array(seconds) + SHIFT)))) - SHIFT
 
@@ -268,16 +212,9 @@ def main() -> None:
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
     parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plan and nodes')
     parser.add_argument('--checkout', type=Path, nargs='+', default=[HERE], metavar='FOLDER')
-    parser.add_argument('--early', action='store_true',
-                        help='plan again within a third of the median time, on an idle machine')
     parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
     parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
-    parser.add_argument('--limits', type=float, nargs='+', metavar='SECONDS',
-                        help='time limits that solves may pass')
     options = parser.parse_args()
-    if options.limits:
-        publish(options.results, 'limits', limits(options))
-        return
     first, sections = options.seed, []
     seeds, labels = range(first, first + options.each), [commit(c) for c in options.checkout]
     for kind in options.kinds:
@@ -287,8 +224,6 @@ def main() -> None:
                 for own, checkout in zip(rows, options.checkout, strict=True):
                     own.append(measure(name, checkout, options))
             for own, checkout, label in zip(rows, options.checkout, labels, strict=True):
-                if options.early and kind == 'plan':
-                    first_strategies(own, checkout, options)
                 if options.changes and kind == 'plan':
                     after_changes(own, checkout, options)
                 where = f'{kind} {size or ""}'.strip()

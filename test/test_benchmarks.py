@@ -17,10 +17,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
     'ground': '--family yard --seed 3 --ways default --shifts 2',
+    'limits': '--families gates --each 1 --limits 300 --busy 1 --seed 1',
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 4',
     'solver': '--kinds plan nodes --sizes 100 --each 1 --families gates --seed 1 --limit 60 '
-              '--early --changes 1 --peers',
+              '--changes 1 --peers',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3',

@@ -75,5 +75,5 @@ def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
     parser.add_argument('--all-lines-are-roads', action='store_true', help='no column says which')
     parser.add_argument('--two-way', action='store_true', help='no road is one-way, whatever a '
                         'column that is not known may say')
-    parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
+    parser.add_argument('--set', nargs='+', action='extend', default=[], metavar='NAME=VALUE',
                         help='other options: network.spacing=50 strategy.time_limit=300')

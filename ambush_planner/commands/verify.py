@@ -129,7 +129,7 @@ def _value(verdict: Verdict, said: Metadata) -> str:
         return f'{verdict.value:.6g}'
     if not said.day.slot_drawn:
         return f'{verdict.value:.4g} at a known time'
-    return f'{verdict.plan_value:.4g} ({verdict.value:.4g} if he knows the time)'
+    return f'{verdict.value:.4g} ({verdict.value / verdict.covered:.4g} if he knows the time)'
 
 
 def _is_blocked(verdict: Verdict) -> bool:

@@ -49,8 +49,8 @@ from .value.linear_program import linear_program_strategy
 from .value.potential import Potential
 from .value.routes import ROUTES, Routes
 
-# Least share of the routes that is called every route.
-ALL_ROUTES = 0.99
+# Least share of the routes that is every route, up to rounding.
+ALL_ROUTES = 1.0 - NEGLIGIBLE
 
 
 class Stages(NamedTuple):
@@ -141,7 +141,7 @@ def solve(network: Network, game: GameOptions | None = None,
 
 
 def certain_sites(strategy: Strategy) -> IndexArray:
-    """The nodes (K,) where the ambusher waits and (nearly) every route is hit."""
+    """The nodes (K,) where the ambusher waits and every route is hit."""
     game = strategy.game
     rows = np.flatnonzero(strategy.ambush_probability[game.sites] > 0.0)
     hits = strategy.law.meets(game.entering[rows])

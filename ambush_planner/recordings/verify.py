@@ -56,9 +56,8 @@ class Verdict:
     ``problems`` do not hold, and each begins with the part of the recording that it concerns;
     if the file is ``denied``, the user may not read it. ``notes`` are other remarks. ``route`` and
     ``drawn`` are nodes as in ``RecordedDeparture``; the strategies are not kept, since a folder may
-    hold thousands. ``value`` is that of the strategies, or of few routes, if the time of departure
-    is known. ``now`` is the file on new ground, if that is asked for; ``plan`` is set if the file
-    is a plan.
+    hold thousands. ``value`` and ``covered`` are those of ``RecordedDeparture``. ``now`` is the
+    file on new ground, if that is asked for; ``plan`` is set if the file is a plan.
     """
 
     path: Path
@@ -71,6 +70,7 @@ class Verdict:
     drawn: tuple[tuple[int, ...], ...] = field(default=(), repr=False)
     nodes: int = 0
     value: float = math.nan
+    covered: float = 1.0
     now: Now | None = field(default=None, repr=False)
     plan: PlanMetadata | None = field(default=None, repr=False)
 
@@ -83,7 +83,7 @@ class Verdict:
     def plan_value(self) -> float:
         """The value of the plan, whose ambusher must choose one of its times, too."""
         slots = self.metadata and self.metadata.plan and self.metadata.plan.slots
-        return self.value * (slots.covered if slots else 1.0)
+        return self.value / self.covered * (slots.covered if slots else 1.0)
 
 
 class Verifier:
@@ -137,7 +137,7 @@ class Verifier:
         verdict.metadata = departure.metadata
         verdict.route, verdict.drawn = map(_numbers, (departure.route, departure.drawn))
         verdict.nodes = departure.trip.game.node_count
-        verdict.value = departure.departed_on.value
+        verdict.value, verdict.covered = departure.value, departure.covered
         if departure.parameters.values['seed'] >= 0:
             verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
         wide = gap_problems(departure.trip, departure.parameters.planning)
