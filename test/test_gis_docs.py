@@ -35,13 +35,13 @@ def sources(kind):
 
 
 def coarse(text):
-    """The same on terrain with cells of twice the size, without refinement there.
+    """The same on open terrain with cells of twice the size, without refinement there.
 
-    With more time for ``hold``, which takes nearly its limit, on a machine that does other things.
+    With more time for ``hold`` on a machine that does other things.
     """
-    text = text.replace('--radius 4 -k 2', '--radius 4 -k 2 --set strategy.time_limit=600')
+    text = text.replace('-k 2 --', '-k 2 --set strategy.time_limit=600 --')
     text = text.replace('--resolution 90', '--resolution 180')
-    return text.replace('--held 2000', '--held 2000 --set network.refine=0')
+    return re.sub(r'(?<=--held 2000)$', ' --set network.refine=0', text, flags=re.MULTILINE)
 
 
 @pytest.mark.slow
@@ -52,11 +52,10 @@ def test_every_command_of_the_page_works(tmp_path):
     (tmp_path / 'docs').symlink_to(DOCS)
     done = run_script(coarse(''.join(map(script_of, PAGES))), tmp_path, TIMEOUT)
     assert done.returncode == 0, done.stderr
-    lines = (r'(?m)^(?:left out: .*|driven .*|reweighted +[.\d]+|optimal .*|'
-             r'none held .*| \d .* (?:gate|post) .*)')
+    lines = r'(?m)^(?:driven .*|reweighted +[.\d]+|optimal .*|none held .*| \d .* Bridge .*)'
     pages = ''.join((ROOT / page).read_text() for page in PAGES)
     shown, printed = (re.findall(lines, text) for text in (pages, done.stdout))
-    assert shown[:4] == printed[:4] and len(shown) == 11
+    assert len(shown) == 6
     for one, other in zip(shown, printed, strict=True):
         assert words(one) == words(other)
         rest, _, bound = one.partition('stay above')
