@@ -146,7 +146,7 @@ class Game:
         """(S, M) of 0 and 1: the edges by which a route enters each site's reach.
 
         These are the edges into the node if the reach is 0, else those that enter the disc. So
-        ``entering @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
+        ``entering @ p`` are mean entries; hits are at most that.
         """
         if self.reach > 0.0:
             return self.exposed().entering(self.network.points[self.sites], self.reach)
