@@ -163,16 +163,6 @@ class Game:
         return ExposedEdges(network.points, network.edges, self.secured.shrunk(self.options.tube),
                             np.array([network.source]), edges)
 
-    def site_losses(self, p: FloatArray) -> FloatArray:
-        """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
-        losses: FloatArray = self.loss[self.sites] * (self.entering @ p)
-        return losses
-
-    def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
-        """``D' q`` (M,): mean loss of each edge's entries against the ambusher's q (N,)."""
-        on_edges: FloatArray = self.entering.T @ (self.loss * q)[self.sites]
-        return on_edges
-
     def visits(self, p: FloatArray) -> FloatArray:
         """Expected visits x (N,) of each node; 1 at the source."""
         x = sums(self.network.heads, p, self.node_count)

@@ -99,4 +99,4 @@ def largest_product(loss: FloatArray, rows: csr_matrix, law: Law) -> tuple[float
 
 def entry_value(game: Game, p: FloatArray) -> float:
     """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
-    return float(game.site_losses(p).max(initial=0.0))
+    return float((game.loss[game.sites] * (game.entering @ p)).max(initial=0.0))

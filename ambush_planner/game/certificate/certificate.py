@@ -108,7 +108,7 @@ def leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float = 
 def entry_bound(game: Game, budget: Budget, q: FloatArray, price: float) -> float:
     """The same if every entry is counted: one shortest path."""
     weights, worth = _paid(game, budget, price)
-    weights = weights + game.mean_loss_on_edges(q)
+    weights = weights + game.entering.T @ (game.loss * q)[game.sites]
     return float(game.distances_from_source(weights)[game.network.target]) - worth
 
 
