@@ -16,7 +16,7 @@ from ambush_planner.game.distribution.acyclic import acyclic_subnetwork, positio
 from ambush_planner.game.distribution.chain import MarkovChain
 from ambush_planner.game.distribution.gibbs import acyclic_network
 from ambush_planner.game.game import make_game
-from ambush_planner.game.hits import hit_probabilities
+from ambush_planner.game.hits import law_of
 from ambush_planner.game.value.face_flows import quiet_model
 from ambush_planner.network.network import Network
 
@@ -89,7 +89,7 @@ def test_hits_entropy_and_derivatives_are_those_of_all_routes(case):
     assert (most <= np.minimum(case.entering @ p, 1.0) + 1e-12).all()
     whole = np.zeros(len(case.game.network.edges))
     whole[case.network.edge] = p
-    assert hit_probabilities(case.game, whole) == pytest.approx(by_hand, abs=1e-12)
+    assert law_of(case.game, whole).meets(case.game.entering) == pytest.approx(by_hand, abs=1e-12)
     hits, rows = chain.hits_with_derivatives(case.entering)
     assert hits == pytest.approx(by_hand, abs=1e-12)
     assert rows @ p == pytest.approx(hits, abs=1e-12)

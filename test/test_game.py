@@ -59,7 +59,7 @@ def road(alpha=(0, 1, 1, 1, 0), aside=(9.0,)) -> Network:
 def losses_at(network, **options) -> dict[int, float]:
     """Loss of an ambush on the only route, by site."""
     game = make_game(network, GameOptions(**options))
-    losses = game.site_losses(np.where(game.playable, 1.0, 0.0))
+    losses = game.loss[game.sites] * (game.entering @ np.where(game.playable, 1.0, 0.0))
     return dict(zip(game.sites.tolist(), losses.tolist(), strict=True))
 
 

@@ -24,7 +24,7 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from test_routes import legs_on
+from test_routes import legs_on, worst_loss
 from test_trip import roads_of
 
 from ambush_planner import GameOptions, Network, SolverFailed, TimeLimit
@@ -33,7 +33,6 @@ from ambush_planner.game.budget import length_budget, shortest_length
 from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
-from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.legs import Legs
 from ambush_planner.game.value.face_flows import FaceFlows
 from ambush_planner.game.value.potential import POTENTIAL, Potential

@@ -60,7 +60,8 @@ def test_a_file_imports_only_from_rooms_before_its_own_and_ros_in_its_room_only(
 # The files of the game's room, and its own rooms, in their order.
 GAME = (('discs', 'game', 'budget', 'legs', 'tolerance'), ('distribution',),
         ('route_sampler', 'faces', 'ambusher'), ('hits',), ('certificate',),
-        ('strategy',), ('value',), ('search',), ('solver',), ('revaluation', 'bottleneck'))
+        ('strategy',), ('value',), ('search',), ('value_search',), ('distribution_search', 'proof'),
+        ('solver',), ('revaluation', 'bottleneck'))
 
 
 def test_a_file_of_the_game_imports_only_from_those_before_its_own():

@@ -16,11 +16,16 @@ from ambush_planner import GameOptions, Network, NoRoute, TimeLimit
 from ambush_planner.game.budget import length_budget
 from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.game import make_game, make_games
-from ambush_planner.game.hits import worst_loss
+from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.legs import Legs
 from ambush_planner.game.value.routes import Routes
 
 GAP = 1e-3
+
+
+def worst_loss(game, p):
+    """Mean loss of the best ambush against p of one leg."""
+    return largest_product(game.loss[game.sites], game.entering, law_of(game, p))[0]
 
 
 def least_value(legs, entering, loss):

@@ -146,7 +146,7 @@ class Game:
         """(S, M) of 0 and 1: the edges by which a route enters each site's reach.
 
         These are the edges into the node if the reach is 0, else those that enter the disc. So
-        ``entering @ p`` are mean entries; ``hits.hit_probabilities`` are at most that.
+        ``entering @ p`` are mean entries; hits are at most that.
         """
         if self.reach > 0.0:
             return self.exposed().entering(self.network.points[self.sites], self.reach)
@@ -162,16 +162,6 @@ class Game:
         network = self.network
         return ExposedEdges(network.points, network.edges, self.secured.shrunk(self.options.tube),
                             np.array([network.source]), edges)
-
-    def site_losses(self, p: FloatArray) -> FloatArray:
-        """``D p`` (S,): the mean loss at each site if every entry counts, so an upper bound."""
-        losses: FloatArray = self.loss[self.sites] * (self.entering @ p)
-        return losses
-
-    def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
-        """``D' q`` (M,): mean loss of each edge's entries against the ambusher's q (N,)."""
-        on_edges: FloatArray = self.entering.T @ (self.loss * q)[self.sites]
-        return on_edges
 
     def visits(self, p: FloatArray) -> FloatArray:
         """Expected visits x (N,) of each node; 1 at the source."""

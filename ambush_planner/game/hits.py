@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
 from .distribution.acyclic import is_acyclic
 from .distribution.chain import chain_of
 from .game import Game
@@ -97,17 +97,6 @@ def largest_product(loss: FloatArray, rows: csr_matrix, law: Law) -> tuple[float
     return value, worst
 
 
-def worst_loss(game: Game, p: FloatArray) -> float:
-    """Mean loss of the best ambush against p (M,) of one leg."""
-    return largest_product(game.loss[game.sites], game.entering, law_of(game, p))[0]
-
-
-def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None) -> FloatArray:
-    """P(hit) (K,) of the sites in ``rows`` (default: all) against p (M,) of one leg."""
-    own = game.entering if rows is None else game.entering[rows]
-    return np.asarray(own @ p) if game.no_reentry else law_of(game, p).meets(own)
-
-
 def entry_value(game: Game, p: FloatArray) -> float:
     """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
-    return float(game.site_losses(p).max(initial=0.0))
+    return float((game.loss[game.sites] * (game.entering @ p)).max(initial=0.0))

@@ -19,7 +19,7 @@ from .ambusher import Ambush
 from .distribution.route_distribution import RouteDistribution
 from .hits import Law, largest_product
 from .legs import Legs
-from .tolerance import Reason
+from .tolerance import MIN_TOLERANCE, Reason
 
 
 class FoundSites(NamedTuple):
@@ -65,6 +65,11 @@ class SearchProblem:
     site_search: SiteSearch | None = None
     certificate_deadline: float = math.inf
     first_value: float = math.inf
+
+    @property
+    def search_tolerance(self) -> float:
+        """The tolerance with which the search ends, so that the certificate's is kept."""
+        return max(self.tolerance, MIN_TOLERANCE)
 
     @property
     def out_of_time(self) -> bool:
@@ -132,8 +137,9 @@ class Search:
     how many Gibbs distributions were computed.
     """
 
-    def __init__(self, problem: SearchProblem, program: Program, tolerance: float) -> None:
-        self.problem, self.program, self.tolerance = problem, program, tolerance
+    def __init__(self, problem: SearchProblem, program: Program) -> None:
+        self.problem, self.program = problem, program
+        self.tolerance = problem.search_tolerance
         self.legs = legs = problem.legs
         self.points, self.loss, self.entering = legs.site_points, legs.loss, legs.entering
         self.evaluations = 0

@@ -20,7 +20,7 @@ from ..notebook import Shown
 from ..option_checks import allowed, check_options
 from .ambusher import Ambusher
 from .budget import Budget
-from .certificate.certificate import Certificate, check_strategy
+from .certificate.certificate import Certificate, Certified, check_strategy
 from .distribution.chain import RouteMixture
 from .game import Game
 from .hits import Law, LegLaws, largest_product, law_of
@@ -83,7 +83,7 @@ class StrategyOptions:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Strategy(Shown):
+class Strategy(Certified, Shown):
     """A mixed strategy of one leg with its certificate.
 
     Attributes
@@ -117,25 +117,6 @@ class Strategy(Shown):
     iterations: int = 0
     entropy_bound: float = math.nan
     reason: Reason = 'complete'
-
-    @property
-    def value(self) -> float:
-        """z(p): mean loss of the best ambush.
-
-        A route counts once per site, however often it comes back into the site's reach. If p has
-        cycles, every entry counts: an upper bound.
-        """
-        return self.certificate.value
-
-    @property
-    def lower_bound(self) -> float:
-        """No strategy within the budget has a smaller value, counted in the same way."""
-        return self.certificate.bound
-
-    @property
-    def gap(self) -> float:
-        """Value minus lower bound."""
-        return self.value - self.lower_bound
 
     @cached_property
     def law(self) -> Law:
@@ -259,7 +240,7 @@ class Strategy(Shown):
 
 
 @dataclass(frozen=True, eq=False)
-class TripStrategy:
+class TripStrategy(Certified):
     """The strategies of a trip's ``legs``, drawn one by one, and what an ambusher does to all.
 
     The ``certificate`` is of the sums over the legs: the largest mean loss at a place, and the
@@ -270,21 +251,6 @@ class TripStrategy:
     certificate: Certificate
     entropy_bound: float = math.nan
     reason: Reason = 'complete'
-
-    @property
-    def value(self) -> float:
-        """Mean loss by the best ambush at one place, added up over the legs."""
-        return self.certificate.value
-
-    @property
-    def lower_bound(self) -> float:
-        """No strategies within the budgets have a smaller value."""
-        return self.certificate.bound
-
-    @property
-    def gap(self) -> float:
-        """Value minus lower bound."""
-        return self.value - self.lower_bound
 
     @property
     def game(self) -> Game:

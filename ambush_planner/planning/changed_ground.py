@@ -158,13 +158,6 @@ class ChangedGround:
                                               strict=True))
         return with_certificate(replace(trip, legs=drawn), certificate)
 
-    def is_clear(self, route: Route, newest: OccupancyMap) -> bool:
-        """Return whether a route is clear on the newest map."""
-        lost = self.compare(newest).lost
-        return not lost.any() or not any(
-            own[route_edges(leg.network, nodes)].any()
-            for leg, nodes, own in zip(self.plan.legs, route, self.by_leg(lost), strict=True))
-
     def connects(self, newest: OccupancyMap, ends: Ends) -> bool:
         """Return whether all first and last edges in use can be driven from start and to goal.
 

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 from ..arrays import FloatArray
 from ..game.game import Game, GameOptions, make_games
 from ..game.search import Search
-from ..game.solver import find_value, finish, make_problem, search_ends, solve_legs, tighten
+from ..game.solver import finish, make_problem, search_ends, solve_legs
 from ..game.strategy import TripStrategy
+from ..game.value_search import find_value, tighten
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import hiding_places, with_places
 from ..network.network import Network

@@ -50,6 +50,31 @@ class Certificate:
         object.__setattr__(self, 'bound', min(self.bound, self.value))
 
 
+class Certified:
+    """Strategies with a ``certificate``."""
+
+    certificate: Certificate
+
+    @property
+    def value(self) -> float:
+        """Mean loss by the best ambush at one place, added up over the legs of a trip.
+
+        A route counts once per site, however often it comes back into the site's reach. If a
+        strategy has cycles, every entry counts: an upper bound.
+        """
+        return self.certificate.value
+
+    @property
+    def lower_bound(self) -> float:
+        """No strategies within the budgets have a smaller value, counted in the same way."""
+        return self.certificate.bound
+
+    @property
+    def gap(self) -> float:
+        """Value minus lower bound."""
+        return self.value - self.lower_bound
+
+
 def lower_bounds(legs: Legs, ambusher: Ambusher, deadline: float = math.inf,
                  targets: FloatArray | None = None) -> FloatArray:
     """The least loss of each leg (legs,) against the ambusher; their sum bounds the value.
@@ -83,7 +108,7 @@ def leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float = 
 def entry_bound(game: Game, budget: Budget, q: FloatArray, price: float) -> float:
     """The same if every entry is counted: one shortest path."""
     weights, worth = _paid(game, budget, price)
-    weights = weights + game.mean_loss_on_edges(q)
+    weights = weights + game.entering.T @ (game.loss * q)[game.sites]
     return float(game.distances_from_source(weights)[game.network.target]) - worth
 
 

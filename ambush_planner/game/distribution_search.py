@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The third stage of a solve: the law of greatest entropy within the tolerance of the bound.
+
+One Markov chain for each leg, found in rounds around the program's flow; sites that cost it more
+join. Where no chain is within the tolerance, whole routes are drawn.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..arrays import NEGLIGIBLE, FloatArray
+from .distribution.acyclic import acyclic_subnetwork, order_potential, topological_order
+from .distribution.gibbs import acyclic_network, in_series
+from .distribution.route_distribution import DISTRIBUTION, RouteDistribution
+from .game import Game
+from .hits import largest_product
+from .search import Incumbent, Search
+from .tolerance import ROUNDS, ceiling, within
+from .value.potential import Potential
+from .value.routes import ROUTES, Routes
+from .value_search import ROUTES_GAP, find_sites, flow_law
+
+# Share of the tolerance that a program's strategies may use; a distribution may use the rest.
+FLOW_TOLERANCE = 0.5
+# Share of the tolerance beyond which sites join a distribution.
+JOINING = 0.8
+# Least relative growth of the entropy for another round: what a rough one may miss.
+GROWTH = DISTRIBUTION.early_accuracy.missing
+# Share of the time until the deadline after which the flow is improved, if no distribution is
+# within the tolerance by then.
+ROUNDS_END = 0.8
+# Level lines of each leg with which whole routes begin.
+LINES = 64
+
+
+def find_distribution(search: Search) -> Incumbent:
+    """Find the law of greatest entropy within the tolerance, or of least value if none is.
+
+    One chain for each leg is within the tolerance without a reach, and mostly with one. Whole
+    routes may cost less, as they remember which sites they met.
+    """
+    best = find_chain(search)
+    if best is None:
+        law = flow_law(search)
+        best = Incumbent(law, largest_product(search.loss, search.entering, law)[0])
+    if best.good or search.legs.no_reentry or search.problem.out_of_time:
+        return best
+    mixture = find_mixture(search)
+    return mixture if mixture.value < best.value else best
+
+
+def find_chain(search: Search) -> Incumbent | None:
+    """The chains of most entropy within the tolerance, else of least value; None if none is.
+
+    They are found in rounds around the program's flow; each strategy on the way counts. Rounds can
+    lead to chains from which no distribution keeps the limits of sites that joined: then they begin
+    again.
+    """
+    program, distribution, before = search.program, _around_flow(search), 0.0
+    best: Incumbent | None = None
+    end, begin = search.deadline, time.monotonic()
+    latest = begin + ROUNDS_END * (end - begin)
+    if search.problem.site_search is None:  # otherwise other sites may cost the flow more
+        best = search.better(best, distribution)
+    for _ in range(ROUNDS):
+        distribution.deadline = end if best and best.good else latest
+        if time.monotonic() > distribution.deadline:
+            search.reason = 'time'
+            break
+        found, feasible = None, distribution.round()
+        search.evaluations += distribution.evaluations
+        if not feasible and not distribution.rounds:
+            break
+        if feasible:
+            threshold = ceiling(program.bound, JOINING * search.tolerance)
+            found = search.add_violated_sites(distribution.chain, threshold, ROUTES.apart)
+        if found:
+            distribution.add_sites(found.entering, found.alpha)
+            search.solve_program()
+        if not feasible or (found and program.bound == 0.0):
+            # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
+            # without edges that they hit.
+            distribution = _around_flow(search)
+            continue
+        distribution.measure(_cap(search))
+        best = search.better(best, distribution)
+        grew = distribution.entropy > before * (1.0 + GROWTH)
+        before = distribution.entropy
+        kept = best is not None and best.good  # one that was over a budget is not
+        if distribution.good and (distribution.exact or kept and not grew):
+            break
+    if best and not best.good:
+        find_sites(search, ROUNDS)
+        best = search.better(best, _around_flow(search))
+    return best
+
+
+def _cap(search: Search) -> float:
+    """The mean loss that each site may cause, without the tolerance."""
+    program = search.program
+    if isinstance(program, Routes):
+        least = ceiling(program.value, FLOW_TOLERANCE * search.tolerance)
+        return max(program.bound, least / ceiling(1.0, search.tolerance))
+    return program.bound
+
+
+def _around_flow(search: Search) -> RouteDistribution:
+    """The program's flow as the first strategy of rounds."""
+    legs, bound = search.legs, search.program.bound
+    flow = search.program.flow
+    safe = legs.avoiding(search.entering) if bound == 0.0 else None
+    parts = []
+    for k, (game, p) in enumerate(zip(legs.games, legs.split(flow), strict=True)):
+        game = _within_margin(game, legs.budgets[k].used_margin, p)
+        if safe and not p[~safe.games[k].playable].any():  # no route is hit at all
+            game = safe.games[k]
+        position = topological_order(game, p, order_potential(game))
+        part = acyclic_subnetwork(game, position)
+        assert part is not None  # it contains the flow
+        parts.append(acyclic_network(game.network, np.flatnonzero(part.playable), position))
+    network = in_series(parts, legs.first)
+    distribution = RouteDistribution(network, flow[network.edge], legs, search.tolerance,
+                                     search.deadline)
+    distribution.add_sites(search.entering, search.loss)
+    distribution.measure(_cap(search))
+    return distribution
+
+
+def _within_margin(game: Game, used_margin: FloatArray, p: FloatArray) -> Game:
+    """The game without edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes.
+
+    So all best routes for a budget that allows no others are in one order of the nodes.
+    """
+    used = game.least_weights(used_margin) <= 1.0 / NEGLIGIBLE
+    return game.restricted_to(used | (p > 0.0)) or game
+
+
+def find_mixture(search: Search) -> Incumbent:
+    """Mixtures of whole routes of least value, at the sites that matter for them."""
+    if isinstance(search.program, Potential):
+        potential = search.program
+        search.earlier.append(potential.ambush)
+        routes = Routes(search.legs, ROUTES_GAP * search.tolerance)
+        known = len(routes.loss)
+        routes.add_sites(csr_matrix(search.entering[known:]), search.loss[known:])
+        routes.bound = potential.bound
+        for leg, lines in enumerate(potential.level_lines(LINES)):
+            for line in lines:
+                routes.add_route(leg, line)
+        search.program = routes
+    find_sites(search, ROUNDS)
+    program = search.program
+    assert isinstance(program, Routes)
+    good = within(program.value, program.bound, search.tolerance)
+    return Incumbent(program.mixture, program.value, rating=(good, -program.value))

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first two stages of a solve: the least value, and the sites that decide it.
+
+A program finds the value with the sites known so far (``value``); with a reach, the places of the
+map that cost its strategies most join it, until none does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..arrays import FloatArray
+from .ambusher import Ambush
+from .distribution.chain import MarkovChain, chain_of_legs
+from .faces import Faces, make_faces
+from .hits import Law
+from .legs import Legs
+from .search import Search, SearchProblem
+from .tolerance import ROUNDS, ceiling
+from .value.cut import solve_by_min_cut
+from .value.potential import Potential
+from .value.routes import ROUTES, Routes
+
+# Optimality gaps of a program in potentials, and of one over routes [tolerances].
+POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
+# The gap of one in potentials that only says where a network is to be refined [tolerances].
+ROUGH_GAP = 0.5
+# How often sites join before the distribution is sought; more often while the value is 0. In the
+# last of these rounds and later, sites may be as near to each other as the program allows.
+SWEEPS = 3
+
+
+def find_value(problem: SearchProblem, rough: bool = False) -> Search:
+    """Find the least value within the budgets, and an ambusher who nearly proves it.
+
+    A ``rough`` search is less precise, until it is finished (``tighten``).
+    """
+    tolerance, legs = problem.search_tolerance, problem.legs
+    faces, gap = planar_faces(legs), ROUGH_GAP if rough else POTENTIAL_GAP
+    program = (Potential(legs, faces, gap * tolerance, problem.first_value)
+               if faces else Routes(legs, ROUTES_GAP * tolerance))
+    search = Search(problem, program)
+    find_sites(search)
+    return search
+
+
+def find_value_by_max_flow(problem: SearchProblem) -> Search | None:
+    """The same for a leg without a reach, if the flow that attains the value keeps the budget."""
+    legs = problem.legs
+    if not legs.no_reentry or len(legs.games) > 1:
+        return None
+    (game,), (budget,) = legs.games, legs.budgets
+    cut = solve_by_min_cut(game)
+    if not budget.keeps(cut.p):
+        return None
+    ambush = Ambush(cut.q[game.sites], np.zeros(1))
+    return Search(problem, Solved(cut.value, cut.p, ambush))
+
+
+class Solved(NamedTuple):
+    """A value, strategies (M,) that attain it, and the ambusher: nothing is left to solve."""
+
+    bound: float
+    flow: FloatArray
+    ambush: Ambush
+    apart: float = 0.0
+
+    @property
+    def value(self) -> float:
+        """The cost of the strategies."""
+        return self.bound
+
+    def solve(self, deadline: float) -> None:
+        """Do nothing: it is solved."""
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Do nothing: all sites are nodes of the network."""
+
+
+def tighten(search: Search) -> None:
+    """Find the value of a rough search precisely."""
+    if isinstance(search.program, Potential):
+        search.program.tighten(POTENTIAL_GAP * search.tolerance)
+        search.solve_program()
+
+
+def planar_faces(legs: Legs) -> list[Faces]:
+    """The faces of all legs; empty if a network is not planar, or costs differ by direction."""
+    found = []
+    for game, budget in zip(legs.games, legs.budgets, strict=True):
+        faces = make_faces(game)
+        if faces is None or not faces.same_both_ways(budget.cost):
+            return []
+        found.append(faces)
+    return found
+
+
+def find_sites(search: Search, sweeps: int = SWEEPS) -> None:
+    """Constraint generation: solve the program, add the most violated sites, repeat."""
+    for sweep in range(ROUNDS):
+        search.solve_program()
+        if search.problem.out_of_time or (sweep >= sweeps and search.program.bound > 0.0):
+            break
+        apart = ROUTES.apart if sweep < sweeps - 1 else 0.0
+        threshold = ceiling(search.program.bound, search.tolerance)
+        if search.add_violated_sites(program_law(search), threshold, apart) is None:
+            break
+
+
+def program_law(search: Search) -> Law:
+    """Return the law by which the program's strategies are drawn."""
+    if isinstance(search.program, Routes):
+        return search.program.mixture
+    return flow_law(search)
+
+
+def flow_law(search: Search) -> MarkovChain:
+    """The chains of the program's flow."""
+    networks = [game.network for game in search.legs.games]
+    return chain_of_legs(networks, search.program.flow, search.legs.first)
