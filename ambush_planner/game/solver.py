@@ -195,6 +195,14 @@ def finish(search: Search) -> TripStrategy:
     return certify(search, find_distribution(search))
 
 
+def finish_flow(search: Search) -> TripStrategy:
+    """Strategies of least value, not those of the greatest entropy among them."""
+    tighten(search)
+    find_sites(search, ROUNDS)
+    law = program_law(search)
+    return certify(search, Incumbent(law, largest_product(search.loss, search.entering, law)[0]))
+
+
 def _by_max_flow(problem: SearchProblem) -> TripStrategy | None:
     """The solution without a reach, if the flow that attains the value keeps the budget."""
     legs = problem.legs
