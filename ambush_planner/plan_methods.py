@@ -66,7 +66,7 @@ def frontier(plan: Plan, detours: Sequence[float] | None,
     return trip_frontier(plan.own_map, plan.start_xy, plan.goal_xy, plan.options,
                          DETOURS if detours is None else detours,
                          SLACKS if slacks is None else slacks,
-                         stops=plan.stops_xy, refined=plan.network.refined)
+                         stops=plan.stops_xy, planned=plan.trip)
 
 
 def few_routes(plan: Plan, most: int, rng: Random, end: float) -> FewRoutes:

@@ -119,11 +119,11 @@ def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, ste
     ends, begin = [], time.monotonic()
 
     class Until(Ground):
-        def solve(self, networks, end, warm=None):
+        def compare(self, networks, end, warm=None):
             if len(ends) == games:
                 raise TimeLimit('the time is up')
             ends.append(end)
-            return super().solve(networks, end, warm)
+            return super().compare(networks, end, warm)
 
     monkeypatch.setattr(operation, 'Ground', Until)
     options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=1000.0))

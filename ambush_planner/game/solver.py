@@ -28,12 +28,14 @@ from ..network.network import Network
 from .budget import length_budget
 from .distribution_search import find_distribution
 from .game import Game, GameOptions, make_games
+from .hits import largest_product
 from .legs import Legs
 from .proof import certify
-from .search import Search, SearchProblem, SiteSearch
+from .search import Incumbent, Search, SearchProblem, SiteSearch
 from .strategy import Strategy, StrategyOptions, TripStrategy
+from .tolerance import ROUNDS
 from .value.linear_program import linear_program_strategy
-from .value_search import find_value, find_value_by_max_flow
+from .value_search import find_sites, find_value, find_value_by_max_flow, program_law, tighten
 
 # Least share of the routes that is every route, up to rounding.
 ALL_ROUTES = 1.0 - NEGLIGIBLE
@@ -157,6 +159,14 @@ def solve_problem(problem: SearchProblem) -> TripStrategy:
 def finish(search: Search) -> TripStrategy:
     """The strategies of a search whose value has been found."""
     return certify(search, find_distribution(search))
+
+
+def finish_flow(search: Search) -> TripStrategy:
+    """Strategies of least value, not those of the greatest entropy among them."""
+    tighten(search)
+    find_sites(search, ROUNDS)
+    law = program_law(search)
+    return certify(search, Incumbent(law, largest_product(search.loss, search.entering, law)[0]))
 
 
 def _in_time(strategy: TripStrategy, options: StrategyOptions) -> TripStrategy:

@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy.typing as npt
 
-from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions, make_games
 from ..game.solver import solve_legs
@@ -18,7 +16,7 @@ from ..game.strategy import StrategyOptions, TripStrategy
 from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
-from ..planning.options import PlanningOptions, is_graded
+from ..planning.options import PlanningOptions
 from ..planning.solving import Ground, WarmStart
 from ..planning.trip import Trip, plan_trip
 
@@ -77,7 +75,7 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     """
     games = make_games((network,), game or GameOptions())
 
-    def solved(budgets: StrategyOptions, _: TripStrategy | None) -> TripStrategy:
+    def solved(budgets: StrategyOptions) -> TripStrategy:
         return solve_legs(games, budgets)
 
     return _rows(solved, detours, slacks, options or StrategyOptions(), on_row)
@@ -88,41 +86,43 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
                   slacks: Sequence[float] = SLACKS,
                   on_row: Callable[[FrontierRow], None] | None = None, *,
                   stops: Sequence[npt.ArrayLike] = (),
-                  refined: FloatArray | None = None) -> tuple[FrontierRow, ...]:
+                  planned: TripStrategy | None = None) -> tuple[FrontierRow, ...]:
     """The rows of ``frontier`` for the plans of a trip: their values are those of ``plan_trip``.
 
-    ``stops`` are as in ``Plan.stops_xy``, ``refined`` as in ``Network``; by
-    default, it is that of the plan. Raises the errors of ``plan_trip``.
+    ``stops`` are as in ``Plan.stops_xy``. All rows are on the network of the strategy that was
+    ``planned`` with the options, by default now; it is one of them. Raises the errors of
+    ``plan_trip``.
     """
-    if refined is None and is_graded(options):
-        refined = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops).network.refined
-    networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(refined)
+    if planned is None:
+        planned = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops).trip
+    ground = Ground.of(risk_map, options)
+    networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(
+        planned.game.network.refined)
+    games, site_search = ground.played(networks, WarmStart.of(planned))
 
-    def solved(budgets: StrategyOptions, before: TripStrategy | None) -> TripStrategy:
-        warm = WarmStart.of(before) if before else None
-        ground = Ground.of(risk_map, replace(options, strategy=budgets))
-        return ground.solve(networks, time.monotonic() + budgets.time_limit, warm)
+    def solved(budgets: StrategyOptions) -> TripStrategy:
+        return solve_legs(games, budgets, site_search and site_search.on(ground.cells))
 
-    return _rows(solved, detours, slacks, options.strategy, on_row)
+    return _rows(solved, detours, slacks, options.strategy, on_row, planned)
 
 
-def _rows(solved: Callable[[StrategyOptions, TripStrategy | None], TripStrategy],
-          detours: Sequence[float], slacks: Sequence[float], options: StrategyOptions,
-          on_row: Callable[[FrontierRow], None] | None) -> tuple[FrontierRow, ...]:
+def _rows(solved: Callable[[StrategyOptions], TripStrategy], detours: Sequence[float],
+          slacks: Sequence[float], options: StrategyOptions,
+          on_row: Callable[[FrontierRow], None] | None,
+          planned: TripStrategy | None = None) -> tuple[FrontierRow, ...]:
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
     tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
-    # Looser budgets make the better warm start.
+    # The loosest first.
     looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
     rows: dict[int, FrontierRow] = {}
     known: dict[StrategyOptions, FrontierRow] = {}
-    before: TripStrategy | None = None
     for k in order:
         swept, budgets = tasks[k]
         row = FrontierRow(swept, budgets.max_detour, budgets.risk_slack)
         if budgets not in known:  # both sweeps may contain the budgets of ``options``
             try:
-                before = found = solved(budgets, before)
+                found = planned if planned and budgets == options else solved(budgets)
                 row = replace(row, **{name: getattr(found, name) for name in MEASURED})
             except (BudgetInfeasible, TimeLimit) as error:
                 row = replace(row, error=str(error))

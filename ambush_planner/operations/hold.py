@@ -29,8 +29,8 @@ from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
 from ..planning.cell_losses import thinned
 from ..planning.options import PlanningOptions
-from ..planning.solving import Ground, WarmStart
-from ..planning.trip import Position, Trip, plan_trip
+from ..planning.solving import Ground, WarmStart, time_left
+from ..planning.trip import Position, Trip, plan_quietly, plan_trip
 
 # Candidates of one step if none are given, and their least distance, as a share of the radius.
 MAX_CANDIDATES, APART = 16, 0.7
@@ -45,8 +45,8 @@ class Held:
     """A place to hold, with the strategy if it and all places before it are held.
 
     ``name`` is its candidate's, '' if none were given, and ``xy`` its position [m]. With any other
-    candidate instead, the value is at least ``others``; inf if there was none. ``solved`` of the
-    ``candidates`` were solved; the bounds rule out the others.
+    candidate instead, the value on the network before is at least ``others``; inf if there was
+    none. ``solved`` of the ``candidates`` were solved; the bounds rule out the others.
     """
 
     name: str
@@ -94,17 +94,23 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     """
     _check(risk_map, radius, count, candidates or {})
     options, begin = options or PlanningOptions(), time.monotonic()
-    limit = options.strategy.time_limit
+    limit, stops = options.strategy.time_limit, list(stops)
     end = begin + limit
     first = replace(options, strategy=replace(options.strategy, time_limit=PLANNED * limit))
-    plan = plan_trip(risk_map, start_xy, goal_xy, first, stops=(stops := list(stops)))
-    networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(plan.network.refined)
+    plan = plan_trip(risk_map, start_xy, goal_xy, first, stops=stops)
 
-    def solved(held: tuple[SecuredPlace, ...], after: TripStrategy | None = None) -> TripStrategy:
-        warm = WarmStart.of(after) if after else None
-        game = replace(options.game, held_places=held)
-        ground = Ground.of(risk_map, replace(options, game=game))
-        return ground.solve(networks, end, warm)
+    def with_held(held: tuple[SecuredPlace, ...]) -> PlanningOptions:
+        return replace(options, game=replace(options.game, held_places=held),
+                       strategy=replace(options.strategy, time_limit=time_left(end)))
+
+    def planned(held: tuple[SecuredPlace, ...]) -> TripStrategy:
+        return plan_quietly(risk_map, start_xy, goal_xy, with_held(held), stops).trip
+
+    def compared(held: tuple[SecuredPlace, ...], before: TripStrategy,
+                 after: TripStrategy) -> TripStrategy:
+        networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(
+            before.game.network.refined)
+        return Ground.of(risk_map, with_held(held)).compare(networks, end, WarmStart.of(after))
 
     before = strategy = plan.trip
     steps: list[Held] = []
@@ -115,8 +121,8 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
             each for each in candidates.items() if each[0] not in taken]
         if not (places := _by_site_price(strategy, given, radius)):
             break
-        step, complete = _best_of(places, radius, strategy, options.strategy.tolerance, solved, end,
-                                  partial(progress, len(steps) + 1))
+        step, complete = _best_of(places, radius, strategy, options.strategy.tolerance, compared,
+                                  planned, end, partial(progress, len(steps) + 1))
         if step:
             steps.append(step)
             strategy = step.strategy
@@ -124,9 +130,11 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
 
 
 def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tolerance: float,
-             solved: Callable[..., TripStrategy], end: float,
-             progress: Callable[[int], None]) -> tuple[Held | None, bool]:
+             compared: Callable[..., TripStrategy], planned: Callable[..., TripStrategy],
+             end: float, progress: Callable[[int], None]) -> tuple[Held | None, bool]:
     """The place of least value if it is held, too; of those within the slack of it, the first.
+
+    Places are ``compared`` on one network; the best one is ``planned``.
 
     Also returns whether it was found before ``end`` (``time.monotonic``); else it is the best of
     those solved by then, None if none of them is better than holding no other place.
@@ -142,7 +150,7 @@ def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tole
                 break
             progress(len(left))
             k = min(left, key=lambda each: float(bounds[each]))
-            last = strategies[k] = solved(held[k], last)
+            last = strategies[k] = compared(held[k], before, last)
             values[k], bounds[k] = last.value, last.lower_bound
             for j in set(left) - {k}:
                 bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
@@ -150,10 +158,9 @@ def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tole
         return None, False
     best = next(k for k, value in enumerate(values) if within(value, values.min(), tolerance))
     strategy = strategies[best]
-    with suppress(TimeLimit):
-        # Without a warm start, which would lead to slightly other numbers than those of plan_trip.
-        cold = strategy if left else solved(held[best])
-        strategy = cold if within(cold.value, strategy.value, tolerance) else strategy
+    if not left:
+        with suppress(TimeLimit):
+            strategy = planned(held[best])
     others = float(np.delete(bounds, best).min(initial=np.inf))
     return Held(*places[best], strategy, others, len(strategies), len(held)), not left
 

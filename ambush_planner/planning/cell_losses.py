@@ -32,6 +32,9 @@ from .options import parts_of_cells
 NOBODY = -1.0
 # A block of cells is divided into this many along each side.
 _DIVISION = 4
+# Maximum share of the edges that a law uses, such as that of a program's flow, for a search among
+# these alone: their rows are found fast, but serve no other law.
+_FEW = 0.3
 # Maximum share of changed cells; beyond it losses are computed from the whole map.
 _MAX_CHANGED = 0.05
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
@@ -134,14 +137,14 @@ class CellSearch:
 
     def __init__(self, cells: CellLosses, games: Sequence[Game],
                  used: BoolArray | None = None) -> None:
-        game = games[0]
-        self._cells, self._game, self._legs = cells, game, len(games)
-        self._exposed, self._widened = exposed_legs(games, used), game.options.widened
-        self._parts = parts_of_cells(cells.resolution, game.options)
+        self._cells, self._games, self._game = cells, games, games[0]
+        self._used = (np.concatenate([each.playable for each in games]) if used is None else used)
+        self._exposed, self._widened = exposed_legs(games, self._used), games[0].options.widened
+        self._parts = parts_of_cells(cells.resolution, self._game.options)
         self._kept: dict[float, _KeptRows] = {}
-        self._returned = np.zeros(0, dtype=np.int64)  # rows of the parts
+        self._returned = np.zeros(0, dtype=np.int64)  # keys of parts
         self._first = 1
-        while self._first * _DIVISION * cells.resolution <= game.reach:
+        while self._first * _DIVISION * cells.resolution <= self._game.reach:
             self._first *= _DIVISION
 
     def on(self, cells: CellLosses) -> CellSearch:
@@ -156,20 +159,27 @@ class CellSearch:
         Of each cell only the worst part is returned that was not returned before, and none within
         ``apart`` [m] of a worse one. Without ``among`` (K, 2) all cells count.
         """
+        search, used = self, law.uses(len(self._used)) > 0.0
+        if used.sum() < _FEW * self._used.sum():
+            search = CellSearch(self._cells, self._games, used)
         side = self._first if among is None else 1
         blocks = self._cells.dear_blocks(side) if among is None else among
         while True:
-            blocks = self._above(blocks, side, law, above)
+            blocks = search._above(blocks, side, law, above)
             if side == 1:
                 break
             blocks = self._cells.divided(blocks, side)
             side //= _DIVISION
-        return self._of_parts(blocks, law, above, apart)
+        search._returned = self._returned
+        parts, points, loss, losses = search._of_parts(blocks, law, above, apart)
+        self._returned = np.append(self._returned, _keys(parts))
+        rows, row = self._rows(parts, 1.0 / self._parts)
+        return FoundSites(points, loss, losses, csr_matrix(rows[row]))
 
     def _above(self, blocks: IndexArray, side: int, law: Law, above: float) -> IndexArray:
         """Blocks (K, 2) in which a place may cost more."""
         loss = self._cells.in_blocks(blocks, side)
-        some = loss * self._legs > above
+        some = loss * len(self._games) > above
         blocks, loss = blocks[some], loss[some]
         rows, row = self._rows(blocks, side)
         most = loss * law.meets_at_most(rows)[row]
@@ -179,8 +189,12 @@ class CellSearch:
         return np.asarray(blocks[loss * law.meets(rows[row]) > above])
 
     def _of_parts(self, cells: IndexArray, law: Law,
-                  above: float, apart: float) -> FoundSites:
-        """The worst part of each cell (K, 2) in which one costs more than ``above``."""
+                  above: float, apart: float
+                  ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray]:
+        """The worst part of each cell (K, 2) in which one costs more than ``above``.
+
+        Returned are the parts (L, 2), their positions, losses and mean losses.
+        """
         loss, n = self._cells.in_blocks(cells), self._parts
         parts, which = cells, np.arange(len(cells))
         if n > 1:
@@ -191,16 +205,14 @@ class CellSearch:
         parts, which, points = parts[out], which[out], points[out]
         rows, row = self._rows(parts, 1.0 / n)
         most = loss[which] * law.meets_at_most(rows)[row]
-        some = np.flatnonzero((most > above) & ~np.isin(row, self._returned))
-        which, points, row = which[some], points[some], row[some]
+        some = np.flatnonzero((most > above) & ~np.isin(_keys(parts), self._returned))
+        which, parts, points, row = which[some], parts[some], points[some], row[some]
         losses = loss[which] * law.meets(rows[row])
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)
         found = thinned(points, order[np.sort(first)], apart)
-        self._returned = np.append(self._returned, row[found])
-        return FoundSites(points[found], loss[which[found]], losses[found],
-                          csr_matrix(rows[row[found]]))
+        return parts[found], points[found], loss[which[found]], losses[found]
 
     def _rows(self, blocks: IndexArray, side: float) -> tuple[csr_matrix, IndexArray]:
         """Rows of edges that enter the discs of blocks, and those of ``blocks`` (K, 2) in them."""
@@ -225,6 +237,11 @@ def thinned(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
     return np.array(kept)
 
 
+def _keys(blocks: IndexArray) -> IndexArray:
+    """A number for each of the blocks (K, 2) of one side."""
+    return np.asarray((blocks[:, 0] << 32) + blocks[:, 1])
+
+
 class _KeptRows:
     """Rows of edges that enter the discs around blocks of one side, found once."""
 
@@ -236,7 +253,7 @@ class _KeptRows:
     def find(self, blocks: IndexArray,
              centres: Callable[[IndexArray], FloatArray]) -> tuple[csr_matrix, IndexArray]:
         """All rows so far, and those of the blocks (K, 2)."""
-        keys = (blocks[:, 0] << 32) + blocks[:, 1]
+        keys = _keys(blocks)
         at = np.searchsorted(self._keys, keys)
         known = at < len(self._keys)
         known[known] = self._keys[at[known]] == keys[known]

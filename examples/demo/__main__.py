@@ -88,7 +88,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     rows = trip_frontier(section.risk_map, said.start, said.goal, planning, DETOURS, SLACKS,
                          lambda row: console.step(
                              f'detour {row.max_detour:g}, slack {row.risk_slack:g}: '
-                             f'value {row.value:.4g}'), refined=trip.game.network.refined)
+                             f'value {row.value:.4g}'), planned=trip)
     write_frontier([folder / 'frontier.csv', folder / 'frontier.png'], rows, budgets.max_detour,
                    budgets.risk_slack)
     total = console.seconds

@@ -389,7 +389,9 @@ class Potential:
         count, points = len(self._legs), self._points
         losses = self._loss * np.stack([point.hits for point in points], axis=1)  # legs, points, S
         near, value = losses.max(axis=1).sum(axis=0), losses.sum(axis=0).max(axis=1, initial=0.0)
-        rows = np.flatnonzero(near >= POTENTIAL.near * value.min())
+        # At others, no mixture costs as much.
+        rows = np.flatnonzero(near >= max(self.bound * (1.0 - ROUNDING),
+                                          POTENTIAL.near * value.min()))
         used = np.stack([point.used for point in points], axis=1)
         size = used.size
         unit = float(near.max(initial=0.0)) or 1.0
