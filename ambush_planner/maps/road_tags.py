@@ -94,10 +94,10 @@ def select_roads(path: str, lines: GeoDataFrame, road_column: str = '',
         roads = [kinds[k] for k in tags.groupby([*tags], sort=False).ngroup()]
         _warn_of_others(path, roads)
         keep = np.array([not road.problem for road in roads])
-        limits = {key: int(((texts[columns[key]] != '') & keep).sum())
+        counts = {key: int(((texts[columns[key]] != '') & keep).sum())
                   for key in schemas.LIMITS if key in columns}
-        if unread := [f'{key} {count}' for key, count in limits.items() if count]:
-            warn(f'{path}: limits of its roads are not read: {", ".join(unread)}')
+        if limits := [f'{key} {count}' for key, count in counts.items() if count]:
+            warn(f'{path}: limits of its roads are not read: {", ".join(limits)}')
     return (lines[keep], [road for road in roads if not road.problem],
             [name for name, kept in zip(_names(texts), keep, strict=True) if kept])
 

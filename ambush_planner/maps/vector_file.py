@@ -31,7 +31,7 @@ from .coordinates import (
 )
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, find_column, prefixed_errors, read_numbers, read_table
+from .tables import InvalidFeatures, find_column, plain, prefixed_errors, read_numbers, read_table
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -45,6 +45,11 @@ _USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
 # Columns of positions, north and east: in degrees, or in metres.
 _DEGREES = ('lat', 'latitude'), ('lon', 'lng', 'long', 'longitude')
 _METRES = ('y', 'northing'), ('x', 'easting')
+# Columns that name the coordinate system of positions in metres, and their values.
+_SYSTEM, _ZONE = re.compile('(utm)?zone|epsg(code)?|srid|crs'), re.compile(r'(?i)(epsg:)?\d+ ?\w?')
+# Codes of a drawing's unit that are not the metre, and a remark of Overpass on what it left out.
+_UNIT = re.compile(rb'\$INSUNITS\s+70\s+(?!0\s|6\s)(\d+)')
+_REMARK = re.compile(rb'<remark>\s*(runtime error.*?)\s*</remark>', re.DOTALL)
 # Objects that an editor of OpenStreetMap has deleted, but not yet uploaded.
 _DELETED = re.compile(rb"""\s(action\s*=\s*['"]delete|visible\s*=\s*['"]false)['"]""")
 
@@ -143,6 +148,9 @@ def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
         if len(fit) > 1:
             raise InvalidFeatures(f'which layer? Write {path.name}|layername=NAME, with NAME one '
                                   f'of {", ".join(fit)}')
+        if driver == 'DXF' and (unit := _UNIT.search(path.read_bytes())):
+            raise InvalidFeatures(f'the unit of the drawing ($INSUNITS {int(unit[1])}) is not the '
+                                  'metre; scale it, and set the unit to metres')
         frame = pyogrio.read_dataframe(path, layer=fit[0])
     return _without_deleted(path, fit[0], frame) if driver == 'OSM' else frame
 
@@ -161,6 +169,9 @@ def _gdal(path: Path) -> Iterator[None]:
             yield
     except InvalidFeatures:
         raise
+    except UnicodeDecodeError as error:
+        raise InvalidFeatures('its texts are not in the encoding that its .cpg file names, or '
+                              'UTF-8; correct that file') from error
     except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
         reason = str(error).split('; ')[0].removesuffix('.')
         raise InvalidFeatures(
@@ -188,7 +199,11 @@ def _check_parts(path: Path) -> None:
 
 def _without_deleted(path: Path, layer: str, frame: GeoDataFrame) -> GeoDataFrame:
     """Leave out what an OpenStreetMap file marks as deleted."""
-    if path.suffix.lower() != '.osm' or not _DELETED.search(path.read_bytes()):
+    text = path.read_bytes() if path.suffix.lower() == '.osm' else b''
+    if remark := _REMARK.search(text):
+        raise InvalidFeatures(f'Overpass did not finish it: {remark[1].decode(errors="replace")}; '
+                              'ask again, for a smaller area')
+    if not _DELETED.search(text):
         return frame
     gone = {(each.tag, each.get('id')) for _, each in ElementTree.iterparse(path)
             if each.get('action') == 'delete' or each.get('visible') == 'false'}
@@ -217,6 +232,12 @@ def read_positions(path: Path) -> GeoDataFrame:
             if len(xy) and not np.isfinite(xy).all(axis=1).any():
                 raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
                                       f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
+            systems = [name for name in rows if _SYSTEM.fullmatch(plain(name))
+                       and rows[name].map(_ZONE.fullmatch).notna().all()]
+            if systems and north is _METRES[0]:
+                raise InvalidFeatures(f'its column {systems[0]!r} may name another coordinate '
+                                      "system than the map's; convert its positions to lat and "
+                                      'lon, or remove it')
             return with_positions(rows.drop(columns=columns), xy, in_degrees=north is _DEGREES[0])
     raise InvalidFeatures('the columns x and y [m], or lat and lon [degrees], are needed; there '
                           f'are {", ".join(rows) or "none"}')
