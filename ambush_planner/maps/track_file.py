@@ -16,14 +16,16 @@ from ..errors import shown, warn
 from .coordinates import from_system
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, find_column, plain, prefixed_errors, read_dates
-from .vector_file import (
-    file_and_layer,
-    placement_hint,
-    read_features,
+from .tables import (
+    InvalidFeatures,
+    find_column,
+    plain,
+    prefixed_errors,
+    read_dates,
     read_positions,
     with_positions,
 )
+from .vector_file import file_and_layer, placement_hint, read_features
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame

@@ -31,7 +31,7 @@ from .coordinates import (
 )
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, find_column, plain, prefixed_errors, read_numbers, read_table
+from .tables import InvalidFeatures, find_column, prefixed_errors, read_numbers, read_positions
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -42,11 +42,6 @@ _DRIVERS = ('ESRI Shapefile', 'DXF', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSO
 _CONVERT = 'convert it to GeoPackage or GeoJSON'
 # Layers of OSM and GPX files that are meant if none is named.
 _USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
-# Columns of positions, north and east: in degrees, or in metres.
-_DEGREES = ('lat', 'latitude'), ('lon', 'lng', 'long', 'longitude')
-_METRES = ('y', 'northing'), ('x', 'easting')
-# Columns that name the coordinate system of positions in metres, and their values.
-_SYSTEM, _ZONE = re.compile('(utm)?zone|epsg(code)?|srid|crs'), re.compile(r'(?i)(epsg:)?\d+ ?\w?')
 # Codes of a drawing's unit that are not the metre, and a remark of Overpass on what it left out.
 _UNIT = re.compile(rb'\$INSUNITS\s+70\s+(?!0\s|6\s)(\d+)')
 _REMARK = re.compile(rb'<remark>\s*(runtime error.*?)\s*</remark>', re.DOTALL)
@@ -216,50 +211,6 @@ def _without_deleted(path: Path, layer: str, frame: GeoDataFrame) -> GeoDataFram
         warn(f'{path}: {deleted.sum()} of {len(frame)} features are deleted in the file, and are '
              'left out')
     return frame[~deleted]
-
-
-def read_positions(path: Path) -> GeoDataFrame:
-    """Read a CSV file with a position in each row (``read_table``); raises InvalidFeatures.
-
-    Its columns are lat and lon [degrees, WGS 84] or x and y [m], in any case. A position that is no
-    number, or in degrees (0, 0) or not on the Earth, has no geometry.
-    """
-    rows = read_table(path)
-    for north, east in (_DEGREES, _METRES):
-        columns = [find_column(rows, *names) for names in (east, north)]
-        if None not in columns:
-            xy = np.stack([read_numbers(rows[name], name) for name in columns], axis=1)
-            if len(xy) and not np.isfinite(xy).all(axis=1).any():
-                raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
-                                      f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
-            systems = [name for name in rows if _SYSTEM.fullmatch(plain(name))
-                       and rows[name].map(_ZONE.fullmatch).notna().all()]
-            if systems and north is _METRES[0]:
-                raise InvalidFeatures(f'its column {systems[0]!r} may name another coordinate '
-                                      "system than the map's; convert its positions to lat and "
-                                      'lon, or remove it')
-            return with_positions(rows.drop(columns=columns), xy, in_degrees=north is _DEGREES[0])
-    raise InvalidFeatures('the columns x and y [m], or lat and lon [degrees], are needed; there '
-                          f'are {", ".join(rows) or "none"}')
-
-
-def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
-    """A table with positions (L, 2) as points; those without a fix are missing.
-
-    Raises InvalidFeatures if latitude and longitude are swapped for certain.
-    """
-    import geopandas
-
-    fixed = np.asarray(np.isfinite(xy).all(axis=1))
-    if in_degrees:
-        on_earth, turned = ((np.abs(each) <= (360.0, 90.0)).all(axis=1)
-                            for each in (xy, xy[:, ::-1]))
-        if (fixed & turned).any() and not (fixed & on_earth).any():
-            raise InvalidFeatures('latitudes are beyond 90 degrees: lat and lon are swapped')
-        fixed &= on_earth & (np.abs(xy) > 1e-6).any(axis=1)
-    points = geopandas.GeoSeries.from_xy(*np.nan_to_num(xy).T, index=rows.index,
-                                         crs=WGS84 if in_degrees else None)
-    return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
 def placement_hint(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
