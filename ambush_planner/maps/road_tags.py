@@ -208,7 +208,8 @@ def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], s
     for name in others:
         if schemas.SPEED_NAMES.fullmatch(plain(name)):
             warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
-        if schemas.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1:
+        if schemas.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1 and (
+                columns.keys().isdisjoint(schemas.LEVELS)):
             warn(f'{path}: its attribute {name!r} is not read; bridges, tunnels and levels must be '
                  'in bridge, tunnel and layer')
     if not directed and schema not in (schemas.OPENSTREETMAP, schemas.GEOFABRIK):
