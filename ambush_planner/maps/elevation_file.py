@@ -26,26 +26,23 @@ from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
 from .coordinates import agree, metric_system, resolve_system
 from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
+from .raster_units import (
+    DEPTH,
+    check_axes,
+    metres_in,
+    metres_per_unit,
+    tags_of,
+    unit_of,
+    vertical_axis,
+)
 from .risk_map import LOSSES
 
 HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
 # GDAL's drivers of rasters that can be heights or risk.
 _DRIVERS = ('GTiff', 'VRT', 'AAIGrid', 'SRTMHGT', 'DTED', 'USGSDEM', 'HFA', 'EHdr', 'ENVI', 'ERS',
             'GPKG', 'netCDF', 'XYZ', 'GSAG', 'GSBG', 'GS7BG', 'SAGA', 'JP2OpenJPEG')
-# Units of heights, without spaces and other signs, in metres.
-_METRES = {name: metres for names, metres in (
-    ('m metre metres meter meters', 1.0), ('dm decimetre decimetres decimeter decimeters', 0.1),
-    ('cm centimetre centimetres centimeter centimeters', 0.01), ('mm millimetre millimeter', 1e-3),
-    ('km kilometre kilometres kilometer kilometers', 1e3), ('yd yard yards', 0.9144),
-    ('ft foot feet internationalfoot internationalfeet', 0.3048), ('fathom fathoms', 1.8288),
-    ('usft ftus footus ussurveyfoot ussurveyfeet usfoot usfeet surveyfoot', 1200.0 / 3937.0),
-) for name in names.split()}
-# Tags that name a unit of heights, and the line of a .prj file in the old form of ESRI that does.
-_UNIT_TAG = re.compile(r'(band|data|value|(z|alt|elev|height|vert)[a-z]*)?[_ ]?unit(s|_?type)?')
-_Z_UNITS = re.compile(r'(?im)^\s*zunits\s+(?!no\b)(\w+)')
-_DEPTH = re.compile(r'(?i)depth|bathymetr|sounding')
 _HEIGHTS_BY_NAME = re.compile(
-    rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{_DEPTH.pattern[4:]}')
+    rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{DEPTH.pattern[4:]}')
 # Range of heights on Earth outside the sea [m].
 LOWEST, HIGHEST = -430.0, 9000.0
 # A hole has at least this many cells of one exact value, this far from all others [m].
@@ -120,8 +117,8 @@ def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
     _check(path, dataset, name)
     system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
-    _check_axes(path, _tags(dataset), system)
-    metres = _metres_per_unit(path, dataset) if name == 'elevation' else 1.0
+    check_axes(path, tags_of(dataset), system)
+    metres = metres_per_unit(path, dataset) if name == 'elevation' else 1.0
     bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]
     if name == 'elevation':
         _fill_holes(path, bands[0])
@@ -163,19 +160,6 @@ def _check(path: Path, dataset: Any, name: str) -> None:
                              'east; convert the raster with gdalwarp')
 
 
-def _check_axes(path: Path, tags: dict[str, str], system: Any) -> None:
-    """Raise InvalidTerrain if the unit of a NetCDF file's coordinates is not its system's."""
-    factor = system.axis_info[0].unit_conversion_factor if system else 1.0
-    for name, unit in ((key[:-6], each) for key, each in tags.items() if key.endswith('#units')):
-        if system is None and 'degree' in unit:
-            raise InvalidTerrain(f'{path}: its cells are in degrees, but its coordinate system is '
-                                 'unknown; add --crs EPSG:4326, if it is that')
-        if tags.get(f'{name}#standard_name', '').startswith('projection_') and not math.isclose(
-                _metres(unit) or 0.0, factor, rel_tol=1e-4):
-            raise InvalidTerrain(f'{path}: its coordinates are in {unit!r}, but the unit of its '
-                                 f'coordinate system is {factor:.4g} m; correct one of them')
-
-
 def _band(dataset: Any, number: int, factor: float) -> HeightArray:
     """The values (H, W) of a band times ``factor``, the north first; NaN if masked or nodata."""
     from rasterio.windows import Window
@@ -199,91 +183,6 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
                              'crop the raster')
 
 
-def _unit(dataset: Any) -> str:
-    """The unit of the values by the band, a tag, the old form of a .prj file, or the description.
-
-    A tag names it as ``units``, or as those of heights, such as ``z_units``.
-    """
-    found = dataset.units[0] or next((value for key, value in _tags(dataset).items()
-                                      if _UNIT_TAG.fullmatch(key)), '')
-    for file in map(Path, dataset.files):
-        if file.suffix.lower() == '.prj' and (named := _Z_UNITS.search(file.read_text('latin-1'))):
-            found = found or named[1]
-    return str(found or _unit_among(dataset.descriptions[0] or '')).strip()
-
-
-def _unit_among(text: str) -> str:
-    """The first unit of length in a text, such as "Elevation (US ft)" but not "DEM 10 m"."""
-    words = re.findall('[a-z]+|[0-9]+', text.lower())
-    for begin in range(len(words)):
-        for end in range(begin + 3, begin, -1):
-            unit = ' '.join(words[begin: end])
-            if _metres(unit) and not (begin and words[begin - 1].isdigit()):
-                return unit
-    return ''
-
-
-def _tags(dataset: Any) -> dict[str, str]:
-    """The tags of the file and its band, and those of ENVI's header, in small letters."""
-    tags = dataset.tags(ns='ENVI') | dataset.tags() | dataset.tags(1)
-    return {key.lower(): value for key, value in tags.items()}
-
-
-def _metres(unit: str) -> float | None:
-    return _METRES.get(re.sub('[^a-z]', '', unit.lower()))
-
-
-def _vertical_axis(dataset: Any) -> Any:
-    """The third axis of the coordinate system (pyproj), or None."""
-    from pyproj import CRS
-
-    axes = CRS.from_wkt(dataset.crs.to_wkt()).axis_info if dataset.crs else ()
-    return axes[2] if len(axes) > 2 else None
-
-
-def _metres_per_unit(path: Path, dataset: Any) -> float:
-    """Metres per unit of the heights, negative for depths; raises InvalidTerrain if unknown."""
-    unit, axis = _unit(dataset), _vertical_axis(dataset)
-    metres = _metres(unit) if unit else axis.unit_conversion_factor if axis else 1.0
-    if metres is None:
-        raise InvalidTerrain(f'{path}: the unit of the heights, {unit!r}, is not known; convert '
-                             'them to metres, or name it with gdal_edit.py -units')
-    if axis and not math.isclose(axis.unit_conversion_factor, metres, rel_tol=1e-4):
-        raise InvalidTerrain(f'{path}: its heights are in {unit!r} by the band, in '
-                             f'{axis.unit_name!r} by the vertical system; correct one of them')
-    if not (unit or axis) and dataset.crs and dataset.crs.is_projected and (
-            factor := dataset.crs.linear_units_factor[1]) != 1.0:
-        warn(f'{path}: heights are taken as metres, though {factor:.4g} m are the unit of its '
-             'coordinate system; if they have it, too, say so with gdal_edit.py -units')
-    sign = -1.0 if _is_depth(path, dataset, axis) else 1.0
-    if (sign, metres) != (1.0, 1.0):
-        kind = 'depths' if sign < 0.0 else 'heights'
-        warn(f'{path}: {kind} in {unit or (axis.unit_name if axis else "metres")} are read as '
-             'heights in metres')
-    return sign * metres
-
-
-def _is_depth(path: Path, dataset: Any, axis: Any) -> bool:
-    """Return whether values grow downwards, by vertical system, tag ``positive`` or name.
-
-    Raises InvalidTerrain if these differ, or if only a name that can mean both says so.
-    """
-    tags = _tags(dataset)
-    standard = tags.get('standard_name', '').lower()
-    said = {axis.direction} if axis else set()
-    if 'positive' in tags:
-        said.add(tags['positive'].lower())
-    if standard:
-        said.add('down' if _DEPTH.search(standard) else 'up')
-    name = next((each for each in (tags.get('long_name'), dataset.descriptions[0],
-                                   tags.get('netcdf_varname')) if _DEPTH.search(each or '')), '')
-    if len(said) > 1 or not said <= {'up', 'down'} or name and not said:
-        what = ' and '.join(sorted(said)) or f'called {name!r}'
-        raise InvalidTerrain(f'{path}: its values are {what}: do they grow upwards or downwards? '
-                             'Say so with gdal_translate -mo positive=up, or positive=down')
-    return said == {'down'}
-
-
 def _fill_holes(path: Path, heights: HeightArray) -> None:
     """Set heights [m] to NaN where they can be none: impossible ones, and undeclared nodata."""
     odd = np.isinf(heights) | (heights < LOWEST) | (heights > HIGHEST)
@@ -305,12 +204,12 @@ def _fill_holes(path: Path, heights: HeightArray) -> None:
 
 def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
     """Raise InvalidRiskMap if the values of a risk map are rather heights, or shares."""
-    unit, about = _unit(dataset), dataset.descriptions[0] or ''
+    unit, about = unit_of(dataset), dataset.descriptions[0] or ''
     known = values[np.isfinite(values)]
     reason = ''
-    if _metres(unit):
+    if metres_in(unit):
         reason = f'its unit is {unit!r}'
-    elif _vertical_axis(dataset):
+    elif vertical_axis(dataset):
         reason = 'its coordinate system has heights'
     elif _HEIGHTS_BY_NAME.search(about):
         reason = f'its band is called {about!r}'

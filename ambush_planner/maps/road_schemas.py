@@ -45,14 +45,14 @@ SPEEDS = {'speed_kph': 1 / 3.6, 'speed_kmh': 1 / 3.6, 'speed_mph': 0.44704, 'spe
 UNITS = {'km/h': 1 / 3.6, 'kmh': 1 / 3.6, 'kph': 1 / 3.6, 'mph': 0.44704, 'm/s': 1.0}
 # Levels of the first and the last vertex in navigation data.
 FIRST_LEVEL, LAST_LEVEL = ('f_zlev', 'f_elev', 'from_zlev'), ('t_zlev', 't_elev', 'to_zlev')
+LEVELS = ('bridge', 'tunnel', 'layer', *FIRST_LEVEL, *LAST_LEVEL)
 NAMES = ('ref', 'name')
 # Limits of OpenStreetMap that are counted, and not read.
 LIMITS = (*(f'{key}:conditional' for key in (*ACCESS, 'oneway')), 'maxweight', 'maxheight',
           'maxwidth', 'ford')
 KEYS = tuple(dict.fromkeys((
     *(key for each in SCHEMAS for key in each), *OTHER_WAYS, *UNFINISHED, *UNUSABLE, *ACCESS,
-    *DIRECTIONS, RESTRICTIONS, *SPEEDS, *FIRST_LEVEL, *LAST_LEVEL, *LIMITS, 'junction', 'bridge',
-    'tunnel', 'layer')))
+    *DIRECTIONS, RESTRICTIONS, *SPEEDS, *LEVELS, *LIMITS, 'junction')))
 
 # Plain names, and values, of columns that may say a direction or a speed.
 DIRECTION_NAMES = re.compile(

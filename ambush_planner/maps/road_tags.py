@@ -94,10 +94,10 @@ def select_roads(path: str, lines: GeoDataFrame, road_column: str = '',
         roads = [kinds[k] for k in tags.groupby([*tags], sort=False).ngroup()]
         _warn_of_others(path, roads)
         keep = np.array([not road.problem for road in roads])
-        limits = {key: int(((texts[columns[key]] != '') & keep).sum())
+        counts = {key: int(((texts[columns[key]] != '') & keep).sum())
                   for key in schemas.LIMITS if key in columns}
-        if unread := [f'{key} {count}' for key, count in limits.items() if count]:
-            warn(f'{path}: limits of its roads are not read: {", ".join(unread)}')
+        if limits := [f'{key} {count}' for key, count in counts.items() if count]:
+            warn(f'{path}: limits of its roads are not read: {", ".join(limits)}')
     return (lines[keep], [road for road in roads if not road.problem],
             [name for name, kept in zip(_names(texts), keep, strict=True) if kept])
 
@@ -208,7 +208,8 @@ def _warn_of_columns(path: str, others: DataFrame, columns: Mapping[str, str], s
     for name in others:
         if schemas.SPEED_NAMES.fullmatch(plain(name)):
             warn(f'{path}: its attribute {name!r} is not read; speeds must be in speed_kph')
-        if schemas.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1:
+        if schemas.LEVEL_NAMES.fullmatch(plain(name)) and others[name].nunique() > 1 and (
+                columns.keys().isdisjoint(schemas.LEVELS)):
             warn(f'{path}: its attribute {name!r} is not read; bridges, tunnels and levels must be '
                  'in bridge, tunnel and layer')
     if not directed and schema not in (schemas.OPENSTREETMAP, schemas.GEOFABRIK):

@@ -15,8 +15,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidCoordinates
+from .coordinates import WGS84
 
 if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
     from pandas import DataFrame, Series
 
 # Other characters between fields, and their names.
@@ -27,6 +29,12 @@ _ZONE = r'\s?(Z|[+-]\d\d(:?\d\d)?)?'
 _ISO_8601 = re.compile(
     rf'\d{{4}}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d+)?)?{_ZONE})?|'
     rf'\d{{8}}(T\d{{4}}(\d\d([.,]\d+)?)?{_ZONE})?', re.IGNORECASE)
+# Columns of positions, north and east: in degrees, or in metres.
+_DEGREES = ('lat', 'latitude'), ('lon', 'lng', 'long', 'longitude')
+_METRES = ('y', 'northing'), ('x', 'easting')
+# Columns that name the coordinate system of positions in metres, and their values.
+_SYSTEM = re.compile('(utm)?zone|epsg(code)?|srid|crs')
+_SYSTEM_NUMBER = re.compile(r'(?i)(epsg:)?\d+ ?\w?')
 # First year of a date, and the days that it may lie ahead.
 _FIRST_YEAR, _AHEAD = 1900, 366
 
@@ -128,3 +136,47 @@ def read_dates(values: Series, name: str) -> Series:
         raise InvalidFeatures(f'{name} has {texts[bad].iloc[0]!r}, which is before {_FIRST_YEAR} '
                               'or over a year ahead')
     return dates
+
+
+def read_positions(path: Path) -> GeoDataFrame:
+    """Read a CSV file with a position in each row (``read_table``); raises InvalidFeatures.
+
+    Its columns are lat and lon [degrees, WGS 84] or x and y [m], in any case. A position that is no
+    number, or in degrees (0, 0) or not on the Earth, has no geometry.
+    """
+    rows = read_table(path)
+    for north, east in (_DEGREES, _METRES):
+        columns = [find_column(rows, *names) for names in (east, north)]
+        if None not in columns:
+            xy = np.stack([read_numbers(rows[name], name) for name in columns], axis=1)
+            if len(xy) and not np.isfinite(xy).all(axis=1).any():
+                raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
+                                      f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
+            systems = [name for name in rows if _SYSTEM.fullmatch(plain(name))
+                       and rows[name].map(_SYSTEM_NUMBER.fullmatch).notna().all()]
+            if systems and north is _METRES[0]:
+                raise InvalidFeatures(f'its column {systems[0]!r} may name another coordinate '
+                                      "system than the map's; convert its positions to lat and "
+                                      'lon, or remove it')
+            return with_positions(rows.drop(columns=columns), xy, in_degrees=north is _DEGREES[0])
+    raise InvalidFeatures('the columns x and y [m], or lat and lon [degrees], are needed; there '
+                          f'are {", ".join(rows) or "none"}')
+
+
+def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
+    """A table with positions (L, 2) as points; those without a fix are missing.
+
+    Raises InvalidFeatures if latitude and longitude are swapped for certain.
+    """
+    import geopandas
+
+    fixed = np.asarray(np.isfinite(xy).all(axis=1))
+    if in_degrees:
+        on_earth, turned = ((np.abs(each) <= (360.0, 90.0)).all(axis=1)
+                            for each in (xy, xy[:, ::-1]))
+        if (fixed & turned).any() and not (fixed & on_earth).any():
+            raise InvalidFeatures('latitudes are beyond 90 degrees: lat and lon are swapped')
+        fixed &= on_earth & (np.abs(xy) > 1e-6).any(axis=1)
+    points = geopandas.GeoSeries.from_xy(*np.nan_to_num(xy).T, index=rows.index,
+                                         crs=WGS84 if in_degrees else None)
+    return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))

@@ -16,14 +16,16 @@ from ..errors import shown, warn
 from .coordinates import from_system
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, find_column, plain, prefixed_errors, read_dates
-from .vector_file import (
-    file_and_layer,
-    placement_hint,
-    read_features,
+from .tables import (
+    InvalidFeatures,
+    find_column,
+    plain,
+    prefixed_errors,
+    read_dates,
     read_positions,
     with_positions,
 )
+from .vector_file import file_and_layer, placement_hint, read_features
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -71,17 +73,23 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
         if hint := placement_hint(points, crs, risk_map):
             raise InvalidFeatures(f'nothing in it lies on the map: {hint}')
         xy = points if crs is None else from_system(points, crs, risk_map.crs)
-    tracks, ignored = [], 0
+    tracks, ignored, turned = [], 0, 0
     for name in dict.fromkeys(names.tolist()):
-        own, when = names == name, None
+        own, when = np.flatnonzero(names == name), None
         if times is not None and np.isfinite(times[own]).all() and np.ptp(times[own]) > 0.0 and (
                 times[own].min() >= FIRST_DATE and times[own].min() // 86400.0 not in _FIRST_DAYS):
+            order = np.argsort(times[own], kind='stable')
+            turned += bool((np.diff(order) < 0).any())
+            own = own[order]
             when = times[own]
         ignored += times is not None and when is None
         tracks.append(Track(shown(f'track {name} of {path.name}'), xy[own], when))
     if ignored:
         warn(f'{path}: the times of {ignored} of {len(tracks)} tracks are ignored: they are '
              'missing, all equal, or from before 1990')
+    if turned:
+        warn(f'{path}: {turned} of {len(tracks)} tracks are not in the order of their times, and '
+             'are read in it')
     return tracks
 
 

@@ -31,7 +31,7 @@ from .coordinates import (
 )
 from .file_kinds import refuse_other_kinds
 from .risk_map import RiskMap
-from .tables import InvalidFeatures, find_column, prefixed_errors, read_numbers, read_table
+from .tables import InvalidFeatures, find_column, prefixed_errors, read_numbers, read_positions
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -42,9 +42,9 @@ _DRIVERS = ('ESRI Shapefile', 'DXF', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSO
 _CONVERT = 'convert it to GeoPackage or GeoJSON'
 # Layers of OSM and GPX files that are meant if none is named.
 _USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
-# Columns of positions, north and east: in degrees, or in metres.
-_DEGREES = ('lat', 'latitude'), ('lon', 'lng', 'long', 'longitude')
-_METRES = ('y', 'northing'), ('x', 'easting')
+# Codes of a drawing's unit that are not the metre, and a remark of Overpass on what it left out.
+_UNIT = re.compile(rb'\$INSUNITS\s+70\s+(?!0\s|6\s)(\d+)')
+_REMARK = re.compile(rb'<remark>\s*(runtime error.*?)\s*</remark>', re.DOTALL)
 # Objects that an editor of OpenStreetMap has deleted, but not yet uploaded.
 _DELETED = re.compile(rb"""\s(action\s*=\s*['"]delete|visible\s*=\s*['"]false)['"]""")
 
@@ -143,6 +143,9 @@ def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
         if len(fit) > 1:
             raise InvalidFeatures(f'which layer? Write {path.name}|layername=NAME, with NAME one '
                                   f'of {", ".join(fit)}')
+        if driver == 'DXF' and (unit := _UNIT.search(path.read_bytes())):
+            raise InvalidFeatures(f'the unit of the drawing ($INSUNITS {int(unit[1])}) is not the '
+                                  'metre; scale it, and set the unit to metres')
         frame = pyogrio.read_dataframe(path, layer=fit[0])
     return _without_deleted(path, fit[0], frame) if driver == 'OSM' else frame
 
@@ -161,6 +164,9 @@ def _gdal(path: Path) -> Iterator[None]:
             yield
     except InvalidFeatures:
         raise
+    except UnicodeDecodeError as error:
+        raise InvalidFeatures('its texts are not in the encoding that its .cpg file names, or '
+                              'UTF-8; correct that file') from error
     except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
         reason = str(error).split('; ')[0].removesuffix('.')
         raise InvalidFeatures(
@@ -188,7 +194,11 @@ def _check_parts(path: Path) -> None:
 
 def _without_deleted(path: Path, layer: str, frame: GeoDataFrame) -> GeoDataFrame:
     """Leave out what an OpenStreetMap file marks as deleted."""
-    if path.suffix.lower() != '.osm' or not _DELETED.search(path.read_bytes()):
+    text = path.read_bytes() if path.suffix.lower() == '.osm' else b''
+    if remark := _REMARK.search(text):
+        raise InvalidFeatures(f'Overpass did not finish it: {remark[1].decode(errors="replace")}; '
+                              'ask again, for a smaller area')
+    if not _DELETED.search(text):
         return frame
     gone = {(each.tag, each.get('id')) for _, each in ElementTree.iterparse(path)
             if each.get('action') == 'delete' or each.get('visible') == 'false'}
@@ -201,44 +211,6 @@ def _without_deleted(path: Path, layer: str, frame: GeoDataFrame) -> GeoDataFram
         warn(f'{path}: {deleted.sum()} of {len(frame)} features are deleted in the file, and are '
              'left out')
     return frame[~deleted]
-
-
-def read_positions(path: Path) -> GeoDataFrame:
-    """Read a CSV file with a position in each row (``read_table``); raises InvalidFeatures.
-
-    Its columns are lat and lon [degrees, WGS 84] or x and y [m], in any case. A position that is no
-    number, or in degrees (0, 0) or not on the Earth, has no geometry.
-    """
-    rows = read_table(path)
-    for north, east in (_DEGREES, _METRES):
-        columns = [find_column(rows, *names) for names in (east, north)]
-        if None not in columns:
-            xy = np.stack([read_numbers(rows[name], name) for name in columns], axis=1)
-            if len(xy) and not np.isfinite(xy).all(axis=1).any():
-                raise InvalidFeatures('no row has numbers of a position, such as 48.84; '
-                                      f'{columns[1]} has {rows[columns[1]].iloc[0]!r}')
-            return with_positions(rows.drop(columns=columns), xy, in_degrees=north is _DEGREES[0])
-    raise InvalidFeatures('the columns x and y [m], or lat and lon [degrees], are needed; there '
-                          f'are {", ".join(rows) or "none"}')
-
-
-def with_positions(rows: Any, xy: FloatArray, in_degrees: bool) -> GeoDataFrame:
-    """A table with positions (L, 2) as points; those without a fix are missing.
-
-    Raises InvalidFeatures if latitude and longitude are swapped for certain.
-    """
-    import geopandas
-
-    fixed = np.asarray(np.isfinite(xy).all(axis=1))
-    if in_degrees:
-        on_earth, turned = ((np.abs(each) <= (360.0, 90.0)).all(axis=1)
-                            for each in (xy, xy[:, ::-1]))
-        if (fixed & turned).any() and not (fixed & on_earth).any():
-            raise InvalidFeatures('latitudes are beyond 90 degrees: lat and lon are swapped')
-        fixed &= on_earth & (np.abs(xy) > 1e-6).any(axis=1)
-    points = geopandas.GeoSeries.from_xy(*np.nan_to_num(xy).T, index=rows.index,
-                                         crs=WGS84 if in_degrees else None)
-    return geopandas.GeoDataFrame(rows, geometry=points.where(fixed))
 
 
 def placement_hint(points: FloatArray, crs: Any, risk_map: RiskMap) -> str:
