@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -58,8 +59,9 @@ def test_a_worker_that_cannot_be_forked_is_not_said_to_have_been_killed():
         def fork(self, connection):
             """As when the system allows no more processes."""
 
-    with pytest.raises(WorkerFailed, match='could not be started; check the limits'):
-        WorkerProcess(NoRoom()).solve(request())
+    with (closing(WorkerProcess(NoRoom())) as worker,
+          pytest.raises(WorkerFailed, match='could not be started; check the limits')):
+        worker.solve(request())
 
 
 @pytest.fixture

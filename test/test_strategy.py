@@ -269,7 +269,7 @@ def test_all_shortest_routes_are_drawn_alike_if_the_budget_allows_no_others():
     links = [(a, b) for a in range(16) for b in range(16)
              if np.abs(points[a] - points[b]).sum() == 1.0]
     alpha = np.append(np.append(0.0, np.ones(14)), 0.0)
-    network = Network(points, alpha, links, 0, 15)
+    network = quiet_network(points, alpha, links, 0, 15)
     strategy = solve(network, options=StrategyOptions(max_detour=1.0, risk_slack=10.0))
     assert strategy.route_entropy == pytest.approx(math.log(20.0), rel=1e-3)
 

@@ -25,7 +25,7 @@ from .risk_map import GRADES, GradedLosses, RiskMap, to_map_axes
 _UNKNOWN = 255  # in a GeoTIFF
 # Graded losses in an npz file, instead of ``alpha``.
 _GRADED = ('levels', 'grades')
-# One of so many rows of losses is looked at first, whether they are few.
+# Rows from one to the next of those that say first whether there are few different losses.
 _SAMPLED = 50
 
 
