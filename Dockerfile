@@ -4,12 +4,12 @@ FROM ros:jazzy
 SHELL ["/bin/bash", "-o", "pipefail", "-c"]
 WORKDIR /ws
 COPY . src/ambush_planner
-# highspy, for faster plans, and mcap-ros2-support, for recordings, are not in apt.
+# highspy, for faster plans, mcap-ros2-support, for recordings, and threadpoolctl are not in apt.
 # hadolint ignore=DL3008,DL3013
 RUN apt-get update \
     && apt-get install -y --no-install-recommends python3-pip \
     && rosdep install -y --from-paths src --ignore-src --dependency-types exec \
-    && pip install --break-system-packages --no-cache-dir highspy mcap-ros2-support \
+    && pip install --break-system-packages --no-cache-dir highspy mcap-ros2-support threadpoolctl \
     && source /opt/ros/jazzy/setup.bash \
     && colcon build \
     && rm -rf /var/lib/apt/lists/* build log

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import reduce
 from io import BytesIO
 from pathlib import Path
@@ -12,7 +12,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError:  # apt and rosdep lack it; the node's worker has one thread anyway
+    threadpool_limits = None
 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
@@ -29,7 +33,7 @@ NEGLIGIBLE = 1e-7
 @contextmanager
 def single_thread() -> Iterator[None]:
     """Let BLAS use one thread: the matrices are small, and more threads wait for each other."""
-    with threadpool_limits(1, user_api='blas'):
+    with threadpool_limits(1, user_api='blas') if threadpool_limits else nullcontext():
         yield
 
 

@@ -148,3 +148,13 @@ def test_a_checkout_without_metadata_can_be_imported(tmp_path):
                'def version(name): raise m.PackageNotFoundError(name)\n'
                'm.version = version; import ambush_planner as a; print(a.__version__)')
     assert run_python(without).stdout.strip() == 'unknown'
+
+
+def test_the_node_starts_where_only_rosdep_has_installed():
+    """Without the libraries that only pip has, it can be imported."""
+    missing = {*FROM_PIP, 'highspy', 'threadpoolctl'}
+    done = run_python(f'import sys; sys.modules.update(dict.fromkeys({missing!r}))\n'
+                      'from ambush_planner.arrays import single_thread\n'
+                      'import ambush_planner.ros.planner_node, ambush_planner.worker.child\n'
+                      'with single_thread(): print("ready")')
+    assert done.stdout == 'ready\n', done.stderr
