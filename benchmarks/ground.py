@@ -9,12 +9,11 @@ that are there are not planned again; ``--report`` plans nothing.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import secrets
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -23,7 +22,7 @@ import numpy as np
 from families import FAMILIES, Problem
 from one_run import Answer, run
 from report import conditions, new_parser, publish, table
-from scenarios import Scenario, across, terrain
+from scenarios import across, terrain
 from scipy.ndimage import gaussian_filter
 
 from ambush_planner import (
@@ -46,7 +45,6 @@ WAYS = ('default', 'fine', 'uniform', 'plain')
 BEFORE = 'before'  # by default, by another checkout
 FINE, NODES = 10_000, 30_000  # of the first network if it is fine, and of a uniform one
 TUBE = 0.1  # of the reach, with a uniform network
-SHIFTS = 10
 # Names of families here, and of those of ``families`` that they are.
 DRAWN = {'hills': 'hills-obstacles', 'rough': 'rough-obstacles', 'open': 'hills-coarse',
          'corridor': 'corridor', 'walls': 'building', 'city': 'city', 'maze': 'maze'}
@@ -97,25 +95,7 @@ def _slow_map(family: str, rng: np.random.Generator) -> RiskMap:
     return RiskMap(1.0 + 9.0 * (risk - risk.min()) / np.ptp(risk), obstacles, 1.0)
 
 
-def shifted(scenario: Scenario, number: int, spacing: float) -> Scenario:
-    """The scenario with obstacle cells added on the left and below, which shifts the lattice.
-
-    Shift 0 is the scenario itself; the others are less than a spacing [m], at random.
-    """
-    if number == 0:
-        return scenario
-    plain = scenario.risk_map
-    most = max(2, math.ceil(spacing / plain.resolution))
-    below, left = np.random.default_rng(number).integers(0, most, 2)
-    pad = ((below, 0), (left, 0))
-    x, y = plain.to_world(np.array([-left, -below]) * plain.resolution).tolist()
-    risk_map = RiskMap(np.pad(plain.alpha, pad, constant_values=1.0),
-                       np.pad(plain.obstacles, pad, constant_values=True),
-                       plain.resolution, (x, y, plain.origin[2]))
-    return replace(scenario, risk_map=risk_map)
-
-
-def planned(name: str, way: str, shift: int) -> Answer:
+def planned(name: str, way: str) -> Answer:
     """Value, bound and processor seconds of the game ``family:seed``, planned in one way."""
     family, seed = name.rsplit(':', 1)
     ground = draw(family, int(seed))
@@ -130,65 +110,50 @@ def planned(name: str, way: str, shift: int) -> Answer:
         spacing = max(plain.resolution, math.sqrt(free / NODES))
         network, drive = NetworkOptions(spacing=spacing, refine=0), DriveOptions(tube=tube)
         options = replace(options, network=network, drive=drive)
-    coarse = math.sqrt(free / NetworkOptions.target_nodes)
-    scenario = shifted(ground.scenario, shift, min(coarse, options.game.ambush_radius))
     begin = time.process_time()
-    plan = plan_trip(scenario.risk_map, scenario.start, scenario.goal, options)
+    plan = plan_trip(plain, ground.scenario.start, ground.scenario.goal, options)
     return {'seconds': time.process_time() - begin, 'value': plan.value, 'words': ground.words,
             'bound': plan.lower_bound, 'entropy': plan.trip.route_entropy,
             'nodes': len(plan.network.points),
             'status': f'value {plan.value:.4g}, {len(plan.network.points)} nodes'}
 
 
-def rows_in(file: Path) -> dict[tuple[str, str, int], Answer]:
-    """The rows of a file by game, way and shift."""
+def rows_in(file: Path) -> dict[tuple[str, str], Answer]:
+    """The rows of a file by game and way."""
     lines = file.read_text().splitlines() if file.exists() else []
-    return {(row['name'], row['way'], row['shift']): row for row in map(json.loads, lines)}
+    return {(row['name'], row['way']): row for row in map(json.loads, lines)}
 
 
-def work(options: argparse.Namespace) -> Iterator[tuple[str, str, int]]:
-    """The plans to make: game, way and shift."""
-    seeds = range(options.seed, options.seed + options.count)
-    for family, seed in product(options.family, seeds):
-        for way in [*options.ways, *[BEFORE] * (options.before is not None)]:
-            yield f'{family}:{seed}', way, 0
-        for shift in range(1, options.shifts):
-            yield f'{family}:{seed}', 'default', shift
-
-
-def summary(rows: dict[tuple[str, str, int], Answer]) -> str:
+def summary(rows: dict[tuple[str, str], Answer]) -> str:
     """A row for each game and for all of them."""
-    names = sorted({name for name, _, shift in rows if shift == 0})
+    names = sorted({name for name, _ in rows})
     lines, columns = [], []
     for name in names:
-        found = {way: rows.get((name, way, 0), {}) for way in WAYS}
+        found = {way: rows.get((name, way), {}) for way in WAYS}
         values = {way: row['value'] for way, row in found.items() if 'value' in row}
         default = found['default']
         if 'value' not in default:
-            lines.append([name, default.get('words', 'not planned'), *[''] * 6])
+            lines.append([name, default.get('words', 'not planned'), *[''] * 7])
             continue
         over = default['value'] / min(values.values())
         gap = 1.0 - default['bound'] / default['value'] if default['value'] else 0.0
-        same = [rows[key]['value'] for key in rows
-                if key[:2] == (name, 'default') and 'value' in rows[key]]
-        spread = np.ptp(same) / np.median(same) if len(same) > 1 else math.nan
-        columns.append((over, default['seconds'], gap, spread))
+        columns.append((over, default['seconds'], gap))
         lines.append([name, default['words'], *(f'{values.get(way, math.nan):.4g}' for way in WAYS),
-                      f'{over:.3f}', f"{default['seconds']:.1f}", f'{gap:.1%}', f'{spread:.1%}'])
+                      f'{over:.3f}', f"{default['seconds']:.1f}", f'{gap:.1%}'])
     figures = np.array(columns)
-    for what, of in (('median', np.nanmedian), ('worst', np.nanmax)) if columns else ():
-        over, seconds, gap, spread = of(figures, axis=0)
+    for what, of in (('median', np.median), ('worst', np.max)) if columns else ():
+        over, seconds, gap = of(figures, axis=0)
         lines.append([f'**{what}**', f'{len(figures)} of {len(names)}', *[''] * len(WAYS),
-                      f'**{over:.3f}**', f'**{seconds:.1f}**', f'{gap:.1%}', f'{spread:.1%}'])
-    head = ('game', 'options', *WAYS, 'default over the best', 's', 'gap', 'spread')
+                      f'**{over:.3f}**', f'**{seconds:.1f}**', f'{gap:.1%}'])
+    head = ('game', 'options', *WAYS, 'default over the best', 's', 'gap')
     return f'{conditions()}.\n\n{table(head, lines)}'
 
 
-def comparison(rows: dict[tuple[str, str, int], Answer]) -> str:
+def comparison(rows: dict[tuple[str, str], Answer]) -> str:
     """A row for each game that was also planned before, with medians and worst of all of them."""
     lines, columns = [], []
-    for name in sorted({name for name, way, _ in rows if way == BEFORE}):
-        before, after = rows[name, BEFORE, 0], rows.get((name, 'default', 0), {})
+    for name in sorted({name for name, way in rows if way == BEFORE}):
+        before, after = rows[name, BEFORE], rows.get((name, 'default'), {})
         if 'value' in before and 'value' in after:
             seconds = before['seconds'], after['seconds']
             gaps = [100.0 * (each['value'] / each['bound'] - 1.0) for each in (before, after)]
@@ -219,20 +184,22 @@ def main() -> None:
                         help='the first seed, new in each run')
     parser.add_argument('--count', type=int, default=1, help='games of each family')
     parser.add_argument('--ways', nargs='*', default=list(WAYS), choices=WAYS)
-    parser.add_argument('--shifts', type=int, default=1, help=f'of the lattice, such as {SHIFTS}')
     parser.add_argument('--before', type=Path, help='another checkout, to compare with')
     parser.add_argument('--limit', type=float, default=300.0, help='of each plan [processor s]')
     parser.add_argument('--rows', type=Path, default=ROWS, help='file to which rows are appended')
     parser.add_argument('--report', action='store_true', help='only make the table')
     options = parser.parse_args()
-    for name, way, shift in [] if options.report else work(options):
-        if (name, way, shift) in rows_in(options.rows):
+    seeds = range(options.seed, options.seed + options.count)
+    for family, seed, way in [] if options.report else product(
+            options.family, seeds, [*options.ways, *[BEFORE] * (options.before is not None)]):
+        name = f'{family}:{seed}'
+        if (name, way) in rows_in(options.rows):
             continue
-        answer = run('ground.planned', name, options.limit,
-                     options.before if way == BEFORE else None, way=way, shift=shift)
+        checkout = options.before if way == BEFORE else None
+        answer = run('ground.planned', name, options.limit, checkout, way=way)
         options.rows.parent.mkdir(exist_ok=True)
         with options.rows.open('a') as file:
-            print(json.dumps(answer | {'way': way, 'shift': shift}), file=file, flush=True)
+            print(json.dumps(answer | {'way': way}), file=file, flush=True)
     rows = rows_in(options.rows)
     publish(options.results, 'ground', summary(rows) + comparison(rows))
 

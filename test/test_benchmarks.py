@@ -16,7 +16,7 @@ TIMEOUT = 250  # s
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
-    'ground': '--family yard --seed 3 --ways default --shifts 2',
+    'ground': '--family yard --seed 3 --ways default',
     'limits': '--families gates --each 1 --limits 300 --busy 1 --seed 1',
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 4',

@@ -226,8 +226,8 @@ def test_departures_have_slots_and_files_name_them(plain, tmp_path):
         assert slots[name] == result[name], 'the number that the console prints'
     said = ' '.join(run_here(plan, plain, *ENDS, *SLOTS, '-o', tmp_path / 's.csv').out.split())
     hit = result['best_ambush']['hit']
-    words = f'the best ambush hits {of_departures(hit / 2)}, at '
-    assert words in said and f'({of_departures(hit)} if he' in said
+    words = f'the best ambush hits {of_departures(hit)}, at '
+    assert words in said and f'({of_departures(2 * hit)} if he' in said
     assert set(slots['drawn']) == {'08:00', '11:00'} and len(slots['drawn']) == 40
     assert list(geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')['slot']) == slots['drawn']
     assert list(pyogrio.read_dataframe(tmp_path / 'r.csv')['slot']) == slots['drawn']

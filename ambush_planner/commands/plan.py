@@ -142,10 +142,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if day:
         slots = () if few else [day.drawn(rng) for _ in drawn.paths]
         drawn = replace(drawn, slots=slots, covered=day.covered)
-    plans = [path for path in output if path not in quick]
-    write_routes(output, drawn, saved_plan(
-        plan, of_map, day, sources_of(plans[0].parent, arguments.map, planning.network.graph),
-        (arguments.start_name, arguments.goal_name)) if plans else None)
     _tell(plan, day, arguments, console)
     if few:
         tell_few(plan, few, arguments.routes, day.covered if day else 1.0, console)
@@ -155,6 +151,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.warn(f'{"at a known time of departure, " * bool(day)}{text}')
     if find_one_place(plan):
         console.say(f'To find what to hold: {_hold_line(arguments, plan)}')
+    console.result['seconds'] = round(console.seconds, 1)
+    plans = [path for path in output if path not in quick]
+    write_routes(output, drawn, saved_plan(
+        plan, of_map, day, sources_of(plans[0].parent, arguments.map, planning.network.graph),
+        (arguments.start_name, arguments.goal_name)) if plans else None)
     if len(output) < len(arguments.output):
         console.error('no plan was saved: a much better one may exist; --accept-gap saves it '
                       'nevertheless')
@@ -241,7 +242,6 @@ def _tell(plan: Plan, day: Slots | None, arguments: argparse.Namespace,
             console.fact('assumption', text)
     console.result = {
         'refinement': [each._asdict() for each in plan.refinement],
-        'seconds': round(console.seconds, 1),
         'value': value, 'lower_bound': bound,
         'best_ambush': best and {'xy': best.xy, 'hit': best.hit * covered},
         'expected_length': trip.expected_length, 'shortest_length': trip.shortest_length,

@@ -113,8 +113,8 @@ class Plan(Shown):
 
     def of_leg(self, number: int) -> Plan:
         """The plan of one leg alone."""
-        return replace(self, trip=self.legs[number].alone, corridors=(self.corridors[number],),
-                       few=None)
+        return replace(self, trip=self.legs[number].alone,
+                       corridors=self.corridors[number : number + 1], few=None)
 
     def legs_from(self, first: int) -> Plan:
         """The plan of the legs from ``first`` on."""
