@@ -47,13 +47,14 @@ TRIPS_SHOWN = 6
 PIXELS, STEPS, STEP_TIME, NIGHT, LAST = 1200, 4, 130, 500, 4000
 # The pictures that commands of the pages draw: the file, and for each block that is run, its page
 # and a part of it.
-_TERRAIN = (('gis.md', "'dem.tif', 'w'"), ('gis.md', 'ambush risk dem.tif'))
+_ROADS = (('gis.md', "'dem.tif', 'w'"), ('operations.md', "open('roads.osm', 'w')"),
+          ('operations.md', 'terrain: dem.tif'), ('operations.md', 'ambush risk layers.yaml'))
 _YARD = ('tutorial.md', "<<'EOF'")
 COMMANDS = {
-    'judge': ('judge.png', (('operations.md', '-o judge.png'),)),
-    'hold': ('hold.png', (('operations.md', '-o hold.png'),)),
-    'six': ('six.png', (*_TERRAIN, ('operations.md', '-o six.png'))),
-    'card': ('card.html', (*_TERRAIN, ('operations.md', '-o week.plan'),
+    'judge': ('judge.png', (*_ROADS, ('operations.md', '-o judge.png'))),
+    'hold': ('hold.png', (*_ROADS, ('operations.md', '-o hold.png'))),
+    'six': ('six.png', (*_ROADS, ('operations.md', '-o six.png'))),
+    'card': ('card.html', (*_ROADS, ('operations.md', '-o week.plan'),
                            ('operations.md', '-o card.html'))),
     'tutorial_frontier': ('frontier.png', (_YARD, ('tutorial.md', '-o frontier.csv'))),
     'tutorial_routes': ('plan.png', (_YARD, ('tutorial.md', '-o plan.png'))),
@@ -214,10 +215,11 @@ def by_commands(folder: Path, name: str) -> None:
     """Run the commands of the pages in a new folder, for their pictures."""
     file, wanted = COMMANDS[name]
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
-    runs = {'sh': '{}', 'python': "python - <<'END'\n{}END\n"}
+    runs = {'sh': '{}', 'python': "python - <<'END'\n{}END\n",
+            'yaml': "cat > layers.yaml <<'END'\n{}END\n"}
     script = ''
     for page, part in wanted:
-        blocks = re.findall(r'(?ms)^```(sh|python)\n(.*?)^```$', (DOCS / page).read_text())
+        blocks = re.findall(r'(?ms)^```(sh|python|yaml)\n(.*?)^```$', (DOCS / page).read_text())
         script += next(runs[kind].format(text) for kind, text in blocks if part in text)
     with TemporaryDirectory() as place:
         Path(place, 'docs').symlink_to(DOCS)

@@ -28,7 +28,7 @@ _KEY = Line2D([], [], linestyle='none', marker='o', markersize=12, color=HELD, a
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     """The places on the map, with the strategy if all are held, and below the value as a curve."""
     width, height = risk_map.size
-    figure = Figure(figsize=(map_figures.WIDTH, 4.0 + 4.0 * height / width), layout='compressed')
+    figure = Figure(figsize=(map_figures.WIDTH, 5.0 + 4.2 * height / width), layout='compressed')
     overview = figure.subplots()
     figures.draw_strategy(overview, found.strategies[-1], risk_map, key=[_KEY])
     held = f'{count(len(found.steps), "place")} held (green)'
@@ -43,7 +43,7 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
         spot = labels.beside(np.array(step.xy), size, 0.25 * float(size[0]), True)
         figures.number_badge(overview, k, np.array(step.xy), HELD, spot)
     entries = len(overview.get_legend().get_texts())
-    curve = overview.inset_axes((0.0, -figures.BELOW - 0.21 * entries - 0.6 - _TALL, 5.0, _TALL),
+    curve = overview.inset_axes((0.0, -figures.BELOW - 0.21 * entries - 0.35 - _TALL, 5.0, _TALL),
                                 transform=figures.inches(overview))
     style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
     curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',

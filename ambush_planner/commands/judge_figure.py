@@ -88,8 +88,16 @@ def _less(value: float, driven: float) -> str:
 
 
 def _draw_lines(axes: Axes, lines: list[FloatArray], shares: FloatArray, hit: BoolArray) -> None:
-    """Draw lines (L, 2) as wide as their shares, those that are hit in another colour."""
-    shown = [k for k in np.argsort(hit, kind='stable') if shares[k] >= MIN_SHARE]
+    """Draw lines (L, 2) as wide as their shares, those that are hit in another colour.
+
+    Equal lines are one, with the sum of their shares.
+    """
+    same: dict[bytes, list[int]] = {}
+    for k in np.argsort(hit, kind='stable').tolist():
+        same.setdefault(lines[k].round().tobytes(), []).append(k)
+    shown = [(numbers[0], share) for numbers in same.values()
+             if (share := float(shares[numbers].sum())) >= MIN_SHARE]
     axes.add_collection(LineCollection(
-        [lines[k] for k in shown], colors=[_HIT if hit[k] else _CONVOY for k in shown],
-        linewidths=0.6 + 6.0 * shares[shown], capstyle='round', joinstyle='round', zorder=2))
+        [lines[k] for k, _ in shown], colors=[_HIT if hit[k] else _CONVOY for k, _ in shown],
+        linewidths=[0.6 + 6.0 * share for _, share in shown], capstyle='round', joinstyle='round',
+        zorder=2))
