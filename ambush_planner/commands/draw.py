@@ -88,7 +88,6 @@ def _date(text: str) -> date:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..planning.concerns import wide_gap
     from ..recordings import plan_departures
     from ..recordings.plan_file import read_plan
 
@@ -100,6 +99,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if not _ground_is_the_same(arguments, saved, console):
         return cli.Exit.FINDING
     if saved.plan.gap_is_wide:
+        from ..planning.concerns import wide_gap
+
         console.warn(wide_gap(saved.plan))
     today = date.today()
     first = arguments.date or today

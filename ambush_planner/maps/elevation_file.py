@@ -213,7 +213,7 @@ def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
         reason = 'its coordinate system has heights'
     elif _HEIGHTS_BY_NAME.search(about):
         reason = f'its band is called {about!r}'
-    elif (np.abs(known - np.rint(known)) > 1e-6).any():
+    elif any((np.abs(part - np.rint(part)) > 1e-6).any() for part in np.array_split(known, _ROWS)):
         if known.min() >= 0.0 and known.max() <= 1.0:
             raise InvalidRiskMap(
                 f'{path}: risks from 0 to 1? A risk map has whole numbers from 0 to 100: multiply '

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label, maximum_filter1d
+import scipy  # loads ndimage when it is used
 
 from ..arrays import BoolArray, IndexArray
 from .elevation import Elevation, HeightArray, Raster
@@ -28,8 +28,8 @@ def slope(elevation: Elevation) -> HeightArray:
     """
     heights, unknown = elevation.heights, np.isnan(elevation.heights)
     if unknown.any():
-        heights = heights[tuple(distance_transform_edt(unknown, return_distances=False,
-                                                       return_indices=True))]
+        heights = heights[tuple(scipy.ndimage.distance_transform_edt(
+            unknown, return_distances=False, return_indices=True))]
     steepness = np.hypot(*np.gradient(heights, elevation.resolution))
     return np.where(unknown, np.nan, steepness).astype(np.float32)
 
@@ -71,7 +71,7 @@ def _uncrossed(passable: BoolArray, row: IndexArray, column: IndexArray) -> Bool
     spread = np.ix_(np.arange(len(row)) + row, np.arange(len(column)) + column)
     apart = np.zeros((len(row) + shape[0], len(column) + shape[1]), bool)
     apart[spread] = passable
-    part, count = label(apart)
+    part, count = scipy.ndimage.label(apart)
     owner = np.zeros(count + 1, np.int64)
     every_row, every_column = np.arange(len(row)), np.arange(len(column))
     for rows, columns in ((top, every_column), (bottom, every_column), (every_row, left),
@@ -109,8 +109,10 @@ def relative_depth(elevation: Elevation, radius: float) -> HeightArray:
     known = np.where(np.isnan(elevation.heights), -np.inf, elevation.heights)
     highest = known.copy()
     for rows, columns in disc_rectangles(radius / elevation.resolution):
-        window = maximum_filter1d(known, 2 * columns + 1, axis=1, mode='constant', cval=-np.inf)
-        window = maximum_filter1d(window, 2 * rows + 1, axis=0, mode='constant', cval=-np.inf)
+        window = known
+        for axis, size in enumerate((rows, columns)):
+            window = scipy.ndimage.maximum_filter1d(window, 2 * size + 1, axis, mode='constant',
+                                                    cval=-np.inf)
         np.maximum(highest, window, out=highest)
     return (highest - elevation.heights).astype(np.float32)
 

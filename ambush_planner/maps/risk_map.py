@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy  # loads ndimage when it is used
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, pooled
 from ..errors import InvalidRiskMap
@@ -207,11 +208,9 @@ class RiskMap(Shown):
 
     def nearest_free_alpha(self) -> FloatArray:
         """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
-        from scipy.ndimage import distance_transform_edt  # takes long to import, and few need it
-
         if self.obstacles.all():
             return np.zeros(self.alpha.shape)
-        nearest = distance_transform_edt(self.obstacles, return_distances=False,
+        nearest = scipy.ndimage.distance_transform_edt(self.obstacles, return_distances=False,
                                          return_indices=True)
         return np.asarray(self.alpha[tuple(nearest)])
 

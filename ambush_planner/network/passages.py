@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import binary_opening, distance_transform_edt, label
+import scipy  # loads ndimage when it is used
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
@@ -36,11 +36,11 @@ def widest_cell_path(risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArra
     free = _free_cells(risk_map, field, clearance)
     ends = np.stack(risk_map.cells(uv_ends), axis=1)
     free[tuple(ends.T)] = True
-    regions = label(free)[0]
+    regions = scipy.ndimage.label(free)[0]
     if regions[tuple(ends[0])] != regions[tuple(ends[1])]:
         return np.empty((0, 2)), np.empty(0)
     passable = np.pad(~risk_map.obstacles, 1, constant_values=not field.clear_of_edge)
-    margin = distance_transform_edt(passable)[1:-1, 1:-1] - 0.5
+    margin = scipy.ndimage.distance_transform_edt(passable)[1:-1, 1:-1] - 0.5
     margin = np.asarray(margin * risk_map.resolution - clearance, dtype=np.float64)
     cells = _cheapest_cell_path(regions == regions[tuple(ends[0])], margin, ends)
     return _centres(risk_map, cells), margin[tuple(cells.T)]
@@ -70,8 +70,8 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
     """
     obstacles, block = risk_map.obstacle_blocks
     passable = np.pad(~obstacles, 1, constant_values=not field.clear_of_edge)
-    distance, nearest = distance_transform_edt(passable, return_indices=True)
-    ridge = passable & ~binary_opening(passable, np.ones((2, 2)))  # one cell wide
+    distance, nearest = scipy.ndimage.distance_transform_edt(passable, return_indices=True)
+    ridge = passable & ~scipy.ndimage.binary_opening(passable, np.ones((2, 2)))  # one cell wide
     for axis in (0, 1):
         one, other = (tuple(slice(k, n - 1 + k) if each == axis else slice(None)
                             for each, n in enumerate(passable.shape)) for k in (0, 1))

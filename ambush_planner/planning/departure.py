@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..maps.occupancy import OccupancyMap
 from ..routes.driven_path import Ends
-from .changed_ground import ChangedGround
 from .plan import Plan, Route, departure_path
+
+if TYPE_CHECKING:
+    from .changed_ground import ChangedGround
 
 
 @dataclass(frozen=True, eq=False)

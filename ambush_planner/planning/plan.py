@@ -28,10 +28,10 @@ from ..routes.driven_path import Ends, driven_path, driven_paths, joined
 from ..words import distance
 from .few import FewRoutes
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
-from .solving import WarmStart
 
 if TYPE_CHECKING:
     from .refinement import Round
+    from .solving import WarmStart
 
 # A departure's route: the nodes (K,) of each leg.
 Route = tuple[IndexArray, ...]

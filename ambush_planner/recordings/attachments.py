@@ -31,7 +31,6 @@ from ..game.strategy import TripStrategy, make_strategies
 from ..game.tolerance import Reason
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
-from ..operations.few_routes import mixed
 from ..planning.few import FewRoutes
 from ..planning.plan import Plan
 
@@ -231,6 +230,8 @@ def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
 
     Their strategy is computed from paths and shares.
     """
+    from ..operations.few_routes import mixed
+
     content = arrays_in(BytesIO(data), _FEW)
     ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
               for name in _RAGGED}

@@ -12,10 +12,16 @@ from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from ..errors import AmbushPlannerError
+from ..gone import check_none_gone
 from ..operations.slots import Slots
+from ..parameters.table import PARAMETERS
 from .sources import Source
 
 Position = tuple[float, float]
+# Options that the node has no parameter for.
+BEYOND: Mapping[str, Any] = {
+    'game.held_places': tuple[tuple[float, float, float], ...],
+    'network.seed': int}
 _INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
 
 
@@ -221,3 +227,19 @@ def typed(value: Any, wanted: Any, name: str) -> Any:
             raise InvalidEntry(f'{name} is out of range')
         return value
     raise InvalidEntry(f'{name} is not of the type {getattr(kind, "__name__", kind)}')
+
+
+def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all parameters, and of others, each of the type that it should have.
+
+    Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
+    """
+    check_none_gone({**values, 'trip.order': 'given'})  # which says nothing of one leg
+    kinds: dict[str, Any] = {
+        name: list[str] if isinstance(each.default, list) else type(each.default)
+        for name, each in PARAMETERS.items()}
+    if missing := next((name for name in kinds if name not in values), ''):
+        raise InvalidEntry(f'{missing} is missing: the file is of another version of '
+                           'ambush_planner, or was edited')
+    kinds |= {name: kind for name, kind in BEYOND.items() if name in values}
+    return {name: typed(values[name], kind, name) for name, kind in kinds.items()}

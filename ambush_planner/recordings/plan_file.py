@@ -39,9 +39,8 @@ from .attachments import (
 )
 from .encoding import encode
 from .messages import RecordedMessage
-from .metadata import PlanMetadata, RecordedPlan, RecordedTrip, typed
+from .metadata import BEYOND, PlanMetadata, RecordedPlan, RecordedTrip, typed, typed_values
 from .plain_messages import map_message
-from .recorded_departure import BEYOND, typed_values
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, read_recording
 from .sources import Source

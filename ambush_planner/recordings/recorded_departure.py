@@ -15,13 +15,11 @@ import numpy as np
 from ..arrays import FloatArray, frozen_array
 from ..game.certificate.certificate import Certificate
 from ..game.strategy import TripStrategy, with_certificate
-from ..gone import check_none_gone
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import map_from_bytes
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..operations.slots import Slots
-from ..parameters.table import PARAMETERS
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
 from ..planning.few import FewRoutes
@@ -40,14 +38,9 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
-from .metadata import InvalidEntry, Metadata, typed
+from .metadata import Metadata, typed_values
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
-
-# Options that the node has no parameter for.
-BEYOND: Mapping[str, Any] = {
-    'game.held_places': tuple[tuple[float, float, float], ...],
-    'network.seed': int}
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,20 +212,6 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
                              file.defined(message), few=few, few_value=few_value)
 
 
-def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all parameters, and of others, each of the type that it should have.
-
-    Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
-    """
-    check_none_gone({**values, 'trip.order': 'given'})  # which says nothing of one leg
-    kinds: dict[str, Any] = {
-        name: list[str] if isinstance(each.default, list) else type(each.default)
-        for name, each in PARAMETERS.items()}
-    if missing := next((name for name in kinds if name not in values), ''):
-        raise InvalidEntry(f'{missing} is missing: the file is of another version of '
-                           'ambush_planner, or was edited')
-    kinds |= {name: kind for name, kind in BEYOND.items() if name in values}
-    return {name: typed(values[name], kind, name) for name, kind in kinds.items()}
 
 
 def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:

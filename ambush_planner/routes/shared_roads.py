@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import grey_opening
+import scipy  # loads ndimage when it is used
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
@@ -25,7 +25,7 @@ def stripes(paths: Sequence[FloatArray]) -> list[list[tuple[FloatArray, int]]]:
         over = np.zeros(len(path), dtype=int)
         for other in paths[k + 1 :]:
             over += cKDTree(other).query(path)[0] < near
-        over = grey_opening(over, MIN_SHARED)
+        over = scipy.ndimage.grey_opening(over, MIN_SHARED)
         runs = np.split(np.arange(len(path)), np.flatnonzero(np.diff(over)) + 1)
         found.append([(path[max(run[0] - 1, 0) : run[-1] + 1], int(over[run[0]])) for run in runs])
     return found
