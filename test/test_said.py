@@ -176,6 +176,15 @@ def test_a_wide_slack_does_not_make_an_ambush_certain():
     assert not any('every' in text for text in concerns(made))
 
 
+def test_an_ambush_that_misses_one_route_of_300_is_not_certain():
+    network = Network([(0, 0), (50, 9), (50, -9), (99, 0)], [0, 1, 300, 0],
+                      [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        found = solve(network, options=StrategyOptions(risk_slack=0.0))
+    assert found.visit_probability[1] == pytest.approx(300 / 301)
+
+
 def test_geojson_is_cut_at_180_degrees(tmp_path):
     geopandas = pytest.importorskip('geopandas', reason='GeoJSON takes the extra "gis"')
     import shapely

@@ -188,6 +188,7 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
     rounds = (Round(len(best.network.points), best.value, best.seconds), *rounds)
     if search is not None and search.program.value < best.value:
         progress('drawing the routes of the refined network', best.value)
+        reserve *= max(search.legs.games[0].node_count / best.trip.game.node_count, 1.0)
         with contextlib.suppress(AmbushPlannerError):  # then the best plan is the first one
             refined = ground.finish(search, end - reserve)
             if refined.value < best.value and not _gap_is_open(refined, options):
