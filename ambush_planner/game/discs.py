@@ -130,12 +130,12 @@ class ExposedEdges:
         """
         end = self._parts.end[part] - centre
         enters = inside(end, reach)
-        doubtful, around = part[unsure], centre[unsure]
-        enters[unsure] |= inside(self._parts.begin[doubtful] - around, reach)
+        doubtful, centres = part[unsure], centre[unsure]
+        enters[unsure] |= inside(self._parts.begin[doubtful] - centres, reach)
         others = np.flatnonzero(~enters)
         begin = self._parts.begin[part[others]] - centre[others]
         enters[others] = _crosses(begin, end[others], reach)
-        before = self._from_exposed[doubtful] & inside(self._tails[doubtful] - around, reach)
+        before = self._from_exposed[doubtful] & inside(self._tails[doubtful] - centres, reach)
         enters[unsure[before]] = False
         return enters
 
@@ -183,6 +183,6 @@ def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:
     along = end - begin
     squared = (along**2).sum(axis=1)
     projection = -(begin * along).sum(axis=1)
-    between = (projection > 0.0) & (projection < squared)
-    t = np.where(between, projection / np.where(between, squared, 1.0), 0.0)
-    return np.asarray(between & inside(begin + t[:, None] * along, reach))
+    inner = (projection > 0.0) & (projection < squared)
+    t = np.where(inner, projection / np.where(inner, squared, 1.0), 0.0)
+    return np.asarray(inner & inside(begin + t[:, None] * along, reach))

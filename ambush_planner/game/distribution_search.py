@@ -60,7 +60,7 @@ def find_chain(search: Search) -> Incumbent | None:
     lead to chains from which no distribution keeps the limits of sites that joined: then they begin
     again.
     """
-    program, distribution, before = search.program, _around_flow(search), 0.0
+    program, distribution, entropy = search.program, _around_flow(search), 0.0
     best: Incumbent | None = None
     end, begin = search.deadline, time.monotonic()
     latest = begin + ROUNDS_END * (end - begin)
@@ -88,8 +88,8 @@ def find_chain(search: Search) -> Incumbent | None:
             continue
         distribution.measure(_cap(search))
         best = search.better(best, distribution)
-        grew = distribution.entropy > before * (1.0 + GROWTH)
-        before = distribution.entropy
+        grew = distribution.entropy > entropy * (1.0 + GROWTH)
+        entropy = distribution.entropy
         kept = best is not None and best.good  # one that was over a budget is not
         if distribution.good and (distribution.exact or kept and not grew):
             break

@@ -26,15 +26,15 @@ class Discs(NamedTuple):
 
     The links that enter a disc connect a ``part`` of its rim; the secured area can cut it into
     several. Parts are numbered from 0, disc by disc. ``offset``, the winding offset, counts the
-    crossings of the reference route along the part. Every route meets the discs that are ``around``
-    (K,) one end.
+    crossings of the reference route along the part. Every route meets the ``unavoidable`` discs
+    (K,), which surround one end.
     """
 
     face: IndexArray
     disc: IndexArray
     offset: IndexArray
     part: IndexArray
-    around: BoolArray
+    unavoidable: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,8 @@ class Faces:
         right = np.searchsorted(key, first + self.right[link])
         joined = csr_matrix((np.ones(len(left)), (left, right)), (size, size))
         part = connected_components(joined, directed=False)[1].astype(np.int64)
-        offset, around = self._winding_offsets(link, left, right, part)
-        return Discs(face, disc, offset, part, np.isin(np.arange(rims.shape[0]), disc[around]))
+        offset, enclosing = self._winding_offsets(link, left, right, part)
+        return Discs(face, disc, offset, part, np.isin(np.arange(rims.shape[0]), disc[enclosing]))
 
     def same_both_ways(self, cost: FloatArray) -> bool:
         """Return whether each link costs the same both ways, from the costs (M,) of edges."""
@@ -115,12 +115,12 @@ class Faces:
         _, tree, _ = dijkstra(joined, indices=roots, min_only=True, return_predecessors=True,
                               unweighted=True)
         here = np.flatnonzero(tree >= 0)
-        before = np.where(tree >= 0, tree, np.arange(size))
+        predecessor = np.where(tree >= 0, tree, np.arange(size))
         step, which = np.unique(tail * size + head, return_index=True)
         offset = np.zeros(size, dtype=np.int64)
-        offset[here] = gain[which[np.searchsorted(step, before[here] * size + here)]]
-        while offset[before].any():  # each round doubles the part of the way that is added up
-            offset, before = offset + offset[before], before[before]
+        offset[here] = gain[which[np.searchsorted(step, predecessor[here] * size + here)]]
+        while offset[predecessor].any():  # each round doubles the part of the way that is added up
+            offset, predecessor = offset + offset[predecessor], predecessor[predecessor]
         return offset, tail[offset[head] != offset[tail] + gain]
 
 

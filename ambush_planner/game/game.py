@@ -181,9 +181,9 @@ class Game:
 
     def least_weights(self, weights: FloatArray) -> FloatArray:
         """Least weight (M,) of a route that uses each edge; inf if not playable."""
-        ahead = self.distances_from_source(weights)[self.network.tails]
-        behind = self.distances_to_target(weights)[self.network.heads]
-        return np.where(self.playable, ahead + weights + behind, np.inf)
+        first = self.distances_from_source(weights)[self.network.tails]
+        rest = self.distances_to_target(weights)[self.network.heads]
+        return np.where(self.playable, first + weights + rest, np.inf)
 
     def restricted_to(self, edges: BoolArray) -> Game | None:
         """The game on the routes that use only ``edges`` (M,); None if no route does."""

@@ -81,19 +81,19 @@ class Subnetwork:
         # The rounding of sums, added for each edge: of equal ways, that with fewest edges is taken.
         weights += self.count * np.finfo(float).eps * (float(weights.max()) or 1.0)
         graph = csr_matrix((weights, self.head, self.out), (self.count, self.count))
-        before = dijkstra(graph, indices=self.source, return_predecessors=True)[1]
+        predecessor = dijkstra(graph, indices=self.source, return_predecessors=True)[1]
         nodes = [self.target]
-        while before[nodes[-1]] >= 0:
-            nodes.append(int(before[nodes[-1]]))
+        while predecessor[nodes[-1]] >= 0:
+            nodes.append(int(predecessor[nodes[-1]]))
         step = np.array(nodes[:0:-1]) * self.count + nodes[-2::-1]
         return np.asarray(self.edge[np.searchsorted(self._key, step)])
 
     def least_cost(self, base: FloatArray, site_prices: FloatArray, searches: Searches,
                    deadline: float = math.inf,
-                   enough: float = math.inf) -> tuple[float, IndexArray | None]:
+                   target: float = math.inf) -> tuple[float, IndexArray | None]:
         """A lower bound of the least base cost (M,) plus site prices (S,), and a route near it.
 
-        A bound of ``enough`` ends the searches. The route is None if all were cut short, the last
+        A bound of ``target`` ends the searches. The route is None if all were cut short, the last
         one at ``deadline``.
         """
         if self.no_reentry:
@@ -104,7 +104,7 @@ class Subnetwork:
         for kept, comparisons in searches:
             bound, route = labels.search(kept, comparisons, deadline)
             least = max(least, bound)
-            if least >= enough or time.monotonic() > deadline:
+            if least >= target or time.monotonic() > deadline:
                 break
             if route is None:
                 continue
@@ -162,13 +162,13 @@ class _Labels:
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
-                after = cost + self._base[k] + self._with_prices(0.0, new)
+                total = cost + self._base[k] + self._with_prices(0.0, new)
                 both, there = met | new, settled.get(head, ())
                 comparisons -= len(there) + 1
-                if self._dominated(there, after, both):
+                if self._dominated(there, total, both):
                     continue
                 labels.append((number, k))
-                heapq.heappush(queue, (after + to_target[head], after, len(labels) - 1, head, both))
+                heapq.heappush(queue, (total + to_target[head], total, len(labels) - 1, head, both))
         return np.inf, None
 
     def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:

@@ -112,7 +112,7 @@ def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, row: IndexArray
         key = discs.disc * faces.count + discs.face
         wanted = disc.ravel()[pair] * faces.count + face[pair]
         at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
-        found = (key[at] == wanted) & ~discs.around[disc.ravel()[pair]]
+        found = (key[at] == wanted) & ~discs.unavoidable[disc.ravel()[pair]]
         at, pair = at[found], pair[found]
         tail = np.concatenate((tail, face[pair]))
         head = np.concatenate((head, faces.count + discs.part[at]))
@@ -124,7 +124,7 @@ def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, row: IndexArray
         np.where(forward, tail, head), np.where(forward, head, tail),
         np.where(forward, gain, -gain), size,
         np.append(link, np.full(len(of) - len(link), -1)), of)))
-    return arcs, rows[discs.around]
+    return arcs, rows[discs.unavoidable]
 
 
 class _RoutesAcross:

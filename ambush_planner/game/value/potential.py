@@ -87,7 +87,7 @@ class Potential:
         self.q, self.prices = np.zeros(0), np.zeros(count)
         self._circulations: tuple[Circulation, ...] = ()
         self._weights = np.full(count, 1.0 / count)
-        self._loss, self._around = np.zeros(0), np.zeros((count, 0), dtype=bool)
+        self._loss, self._unavoidable = np.zeros(0), np.zeros((count, 0), dtype=bool)
         self._entering = csr_matrix((0, legs.edge_count))
         # Pairs of a face and a part of a rim, part by part; the leg, site and row of each part.
         self._face, self._offset, self._part, self._first = (
@@ -116,7 +116,7 @@ class Potential:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
         known, count = len(self._loss), len(loss)
-        around = []
+        unavoidable = []
         for number, (leg, rows) in enumerate(zip(self._legs, self.legs.rows_by_leg(entering),
                                                  strict=True)):
             discs = leg.faces.discs(rows)
@@ -130,15 +130,15 @@ class Potential:
             self._part_leg = np.append(self._part_leg, np.full(len(first), number))
             self._part_site = np.append(self._part_site, known + discs.disc[order][first])
             self._part_row = np.append(self._part_row, self._flows.add_nodes(len(first)))
-            around.append(discs.around)
+            unavoidable.append(discs.unavoidable)
         self._loss, self.q = np.append(self._loss, loss), np.append(self.q, np.zeros(count))
-        self._around = np.hstack((self._around, around))
+        self._unavoidable = np.hstack((self._unavoidable, unavoidable))
         self._entering = csr_matrix(vstack((self._entering, entering)))
         self._site_column = np.append(self._site_column, np.full(count, -1))
         self._share_row = np.hstack((self._share_row, np.full((len(self._legs), count), -1)))
         self._points = [point._replace(hits=np.hstack((point.hits, self._hits(
             point.potential, known)))) for point in self._points]
-        certain = self._loss * self._around.sum(axis=0)  # all routes of these legs meet the site
+        certain = self._loss * self._unavoidable.sum(axis=0)  # all routes of these legs meet the site
         if certain.max(initial=0.0) > self.bound:
             self.bound, self.prices = float(certain.max()), np.zeros(len(self._legs))
             self._circulations = ()
@@ -262,7 +262,7 @@ class Potential:
             spread = self._spreads(self._heights(potential, at), self._first[parts] - at)
             np.maximum.at(hits, (self._part_leg[parts], self._part_site[parts] - first_site),
                           spread)
-        return np.where(self._around[:, first_site:], 1.0, hits)
+        return np.where(self._unavoidable[:, first_site:], 1.0, hits)
 
     def _join(self, z: float) -> int:
         """Add the extreme faces of the discs that exceed z, and those just too far apart.
@@ -273,10 +273,10 @@ class Potential:
         height = self._heights(self._potential)
         spread = self._spreads(height, self._first)
         hits = self._hits(self._potential)
-        site, fixed = self._part_site, self._around.sum(axis=0)
+        site, fixed = self._part_site, self._unavoidable.sum(axis=0)
         most = z * (1.0 + self._precision / 2.0) / self._loss
         over = (hits.sum(axis=0) > most + ROUNDING)[site] & (spread > ROUNDING)
-        over &= ~self._around[self._part_leg, site]
+        over &= ~self._unavoidable[self._part_leg, site]
         left = np.maximum(most - fixed, 0.0) / np.maximum(hits.sum(axis=0) - fixed, ROUNDING)
         last, pairs = np.append(self._first[1:], len(self._face)), []
         for part in np.flatnonzero(over).tolist():
@@ -334,7 +334,7 @@ class Potential:
         else:
             shared = np.flatnonzero(self._site_column >= 0)
             self._flows.change_costs(self._site_column[shared], z / self._loss[shared]
-                                     - self._around[:, shared].sum(axis=0))
+                                     - self._unavoidable[:, shared].sum(axis=0))
         found = self._flows.solve(deadline)
         if len(self._legs) == 1:
             flow = np.maximum(found.x[self._columns], 0.0) / 2.0
