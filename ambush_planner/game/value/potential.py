@@ -138,7 +138,7 @@ class Potential:
         self._share_row = np.hstack((self._share_row, np.full((len(self._legs), count), -1)))
         self._points = [point._replace(hits=np.hstack((point.hits, self._hits(
             point.potential, known)))) for point in self._points]
-        certain = self._loss * self._unavoidable.sum(axis=0)  # all routes of these legs meet the site
+        certain = self._loss * self._unavoidable.sum(axis=0)  # every route of a leg meets the site
         if certain.max(initial=0.0) > self.bound:
             self.bound, self.prices = float(certain.max()), np.zeros(len(self._legs))
             self._circulations = ()
