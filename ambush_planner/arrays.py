@@ -21,6 +21,7 @@ except ImportError:  # apt and rosdep lack it; the node's worker has one thread 
 FloatArray = npt.NDArray[np.float64]
 IndexArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Position = tuple[float, float]  # x, y [m]
 
 # Maximum size of what is read from a file, unpacked [bytes]: a map of 10^8 cells and its losses.
 MAX_BYTES = 1_200_000_000

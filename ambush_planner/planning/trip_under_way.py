@@ -28,11 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, Position
 from .options import strays
 from .plan import Plan, Route
-
-Position = tuple[float, float]
 
 # Nav2's trees take a stop off their list when the robot is within 0.7 m of it [m].
 _TAKEN_OFF = 1.0

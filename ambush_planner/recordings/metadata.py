@@ -11,13 +11,13 @@ from itertools import chain
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
+from ..arrays import Position
 from ..errors import AmbushPlannerError
 from ..gone import check_none_gone
 from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
 from .sources import Source
 
-Position = tuple[float, float]
 # Options that the node has no parameter for.
 BEYOND: Mapping[str, Any] = {
     'game.held_places': tuple[tuple[float, float, float], ...],

@@ -23,7 +23,7 @@ from ..planning.departure import draw_route
 from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
 from .encoding import encode
-from .metadata import Metadata, RecordedCall, RecordedDay, RecordedTrip
+from .metadata import Metadata, RecordedCall, RecordedDay
 from .plain_messages import path_message, pose_message
 from .plan_file import SavedPlan, ground_of_plan, recorded_plan, recorded_trip
 from .recording_errors import NoPermission, part
@@ -155,15 +155,11 @@ def earlier_departures(saved: SavedPlan, folder: Path,
                 if each == folder:
                     raise
     found = [(each.day, each) for each in said if each.day and (
-        (each.plan and each.plan.id == saved.id) or _is_same(each.trip, trip))]
+        (each.plan and each.plan.id == saved.id)
+        or max(math.dist(each.trip.start, trip.start),
+               math.dist(each.trip.goal, trip.goal)) <= SAME_PLACE)]
     replaced = {day.replaces for day, _ in found}
     return [(day, each) for day, each in found if each.departure_id not in replaced]
-
-
-def _is_same(one: RecordedTrip, other: RecordedTrip) -> bool:
-    """Return whether two trips lead from the same start to the same goal."""
-    return (math.dist(one.start, other.start) <= SAME_PLACE
-            and math.dist(one.goal, other.goal) <= SAME_PLACE)
 
 
 def file_name(number: int, date: str) -> str:

@@ -13,9 +13,9 @@ from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Header
 
+from ..arrays import Position
 from ..errors import AmbushPlannerError, InvalidPose, InvalidRiskMap
 from ..maps.ros_messages import pose_from_ros, position_from_ros
-from ..planning.trip_under_way import Position
 from .conversions import message_from, pose_to_ros
 from .current_map import CurrentMap, map_from
 from .error_codes import FrameMismatch, Refusal

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import Path
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Position
 from ..errors import InvalidPose
 from ..maps.ros_messages import path_from_ros
 from ..planning.clear_ground import WAY_OUT, ClearGround
-from ..planning.trip_under_way import Position
 from .conversions import installed_type
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch

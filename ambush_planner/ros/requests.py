@@ -42,8 +42,9 @@ class Requests:
                  dispatcher: Callable[[], Dispatcher]) -> None:
         self._node, self._error_boundary, self._dispatcher = node, error_boundary, dispatcher
         planning = MutuallyExclusiveCallbackGroup()
-        self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
-                    planning)
+        self._serve(Trigger, '~/new_route', lambda request: self._ask(
+            Trigger, '~/new_route', request, self._dispatcher().inputs.latest(), 'topics'),
+                    self._new_route_response, planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
                     lambda answer: GetPlan.Response(plan=answer.path.message), planning)
         self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(), _replan_response,
@@ -87,10 +88,6 @@ class Requests:
         service.send_response = lambda future, header: future.add_done_callback(
             partial(respond, header)
         )
-
-    def _start_new_route(self, request: Trigger.Request) -> Future[Answer]:
-        latest = self._dispatcher().inputs.latest()
-        return self._ask(Trigger, '~/new_route', request, latest, 'topics')
 
     def _cancel(self, _: Trigger.Request) -> Future[tuple[int, int]]:
         done: Future[tuple[int, int]] = Future()

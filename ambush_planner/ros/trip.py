@@ -11,12 +11,12 @@ from typing import Any
 
 from geometry_msgs.msg import PoseArray, PoseStamped
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Position
 from ..parameters.values import NodeParameters
 from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import REGION
 from ..planning.options import strays
-from ..planning.trip_under_way import Destination, Position
+from ..planning.trip_under_way import Destination
 from ..recordings.cdr import poses_along
 from .conversions import SentPath, row_of
 from .current_map import CurrentMap

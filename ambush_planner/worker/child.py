@@ -47,7 +47,8 @@ def main() -> None:
 def serve(connection: socket.socket) -> None:
     """Answer requests until the other side closes the socket, perhaps in the middle of one."""
     _die_with_parent()
-    _die_first()
+    with suppress(OSError):  # not Linux
+        Path('/proc/self/oom_score_adj').write_text(_OOM_SCORE)
     with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
         socket.send_fds(connection, [b'.'], [os.pidfd_open(os.getpid())])
         while True:
@@ -85,10 +86,3 @@ def _die_with_parent() -> None:
     """Ask Linux to kill this process when the thread that started it ends."""
     if sys.platform == 'linux':
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def _die_first() -> None:
-    """Offer this process to the kernel when memory runs out, before the node."""
-    if sys.platform == 'linux':
-        with suppress(OSError):
-            Path('/proc/self/oom_score_adj').write_text(_OOM_SCORE)
