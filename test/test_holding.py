@@ -38,7 +38,7 @@ from ambush_planner.planning.solving import Ground
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
 OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
                           game=GameOptions(ambush_radius=2.0, secured_radius=6.0),
-                          strategy=StrategyOptions(risk_slack=SLACK))
+                          strategy=StrategyOptions(risk_slack=SLACK, time_limit=1000.0))
 CANDIDATES = {'corner': (3.0, 18.0), 'north gate': (15.5, 15.0), 'south gate': (15.5, 5.0),
               'before it': (11.0, 5.0), 'mill': (22.0, 9.0)}
 

@@ -29,9 +29,8 @@ from .solving import Ground, WarmStart
 # Unless the number of rounds is given: most rounds after the first one, and most nodes, those of
 # all legs, of a network that is refined further, as larger ones take minutes.
 ROUNDS, MAX_NODES = 6, 15_000
-# Fall of the value in a round, as a share of it, below which refinement then ends; and below which
-# the smaller network before is better, as its routes are found in less time.
-LEAST_FALL, LEAST_GAIN = 0.02, 0.005
+# Fall of the value in a round, as a share of it, below which refinement then ends.
+LEAST_FALL = 0.02
 # Sites that cause less than this share of the ambusher's mean loss are not refined. If those where
 # the network is not fine cause at most the second share of it together, the network is fine enough.
 SHARE, COARSE_SHARE = 0.003, 0.1
@@ -87,7 +86,7 @@ def refine(find_value: FindValue, ground: Ground, warm: WarmStart | None, latest
         done.append(Round(nodes, found, time.monotonic() - begin))
         progress(f'refining the network, {nodes} nodes', value)
         before = best.program.value if best else np.inf
-        if found < (1.0 - LEAST_GAIN) * before:
+        if found < before:
             best = newest
         if given is None and found > (1.0 - LEAST_FALL) * before:
             break
