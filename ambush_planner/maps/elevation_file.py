@@ -23,18 +23,10 @@ import numpy as np
 
 from ..arrays import arrays_in
 from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
+from . import raster_units as units
 from .coordinates import agree, metric_system, resolve_system
 from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
-from .raster_units import (
-    DEPTH,
-    check_axes,
-    metres_in,
-    metres_per_unit,
-    tags_of,
-    unit_of,
-    vertical_axis,
-)
 from .risk_map import LOSSES
 
 HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
@@ -42,7 +34,7 @@ HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heig
 _DRIVERS = ('GTiff', 'VRT', 'AAIGrid', 'SRTMHGT', 'DTED', 'USGSDEM', 'HFA', 'EHdr', 'ENVI', 'ERS',
             'GPKG', 'netCDF', 'XYZ', 'GSAG', 'GSBG', 'GS7BG', 'SAGA', 'JP2OpenJPEG')
 _HEIGHTS_BY_NAME = re.compile(
-    rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{DEPTH.pattern[4:]}')
+    rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{units.DEPTH.pattern[4:]}')
 # Range of heights on Earth outside the sea [m].
 LOWEST, HIGHEST = -430.0, 9000.0
 # A hole has at least this many cells of one exact value, this far from all others [m].
@@ -117,8 +109,8 @@ def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
     _check(path, dataset, name)
     system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
-    check_axes(path, tags_of(dataset), system)
-    metres = metres_per_unit(path, dataset) if name == 'elevation' else 1.0
+    units.check_axes(path, units.tags_of(dataset), system)
+    metres = units.metres_per_unit(path, dataset) if name == 'elevation' else 1.0
     bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]
     if name == 'elevation':
         _fill_holes(path, bands[0])
@@ -204,12 +196,12 @@ def _fill_holes(path: Path, heights: HeightArray) -> None:
 
 def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
     """Raise InvalidRiskMap if the values of a risk map are rather heights, or shares."""
-    unit, about = unit_of(dataset), dataset.descriptions[0] or ''
+    unit, about = units.unit_of(dataset), dataset.descriptions[0] or ''
     known = values[np.isfinite(values)]
     reason = ''
-    if metres_in(unit):
+    if units.metres_in(unit):
         reason = f'its unit is {unit!r}'
-    elif vertical_axis(dataset):
+    elif units.vertical_axis(dataset):
         reason = 'its coordinate system has heights'
     elif _HEIGHTS_BY_NAME.search(about):
         reason = f'its band is called {about!r}'

@@ -73,23 +73,17 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
         if hint := placement_hint(points, crs, risk_map):
             raise InvalidFeatures(f'nothing in it lies on the map: {hint}')
         xy = points if crs is None else from_system(points, crs, risk_map.crs)
-    tracks, ignored, turned = [], 0, 0
+    tracks, ignored = [], 0
     for name in dict.fromkeys(names.tolist()):
-        own, when = np.flatnonzero(names == name), None
+        own, when = names == name, None
         if times is not None and np.isfinite(times[own]).all() and np.ptp(times[own]) > 0.0 and (
                 times[own].min() >= FIRST_DATE and times[own].min() // 86400.0 not in _FIRST_DAYS):
-            order = np.argsort(times[own], kind='stable')
-            turned += bool((np.diff(order) < 0).any())
-            own = own[order]
             when = times[own]
         ignored += times is not None and when is None
         tracks.append(Track(shown(f'track {name} of {path.name}'), xy[own], when))
     if ignored:
         warn(f'{path}: the times of {ignored} of {len(tracks)} tracks are ignored: they are '
              'missing, all equal, or from before 1990')
-    if turned:
-        warn(f'{path}: {turned} of {len(tracks)} tracks are not in the order of their times, and '
-             'are read in it')
     return tracks
 
 
