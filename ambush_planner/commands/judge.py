@@ -7,7 +7,7 @@ import argparse
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,8 +78,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     game = solved_game(risk_map, planning)
     near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))
     trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
+    days = [f'{datetime.fromtimestamp(each.times[0], timezone.utc):%Y-%m-%d}' for each in trips
+            if each.times is not None]
     console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal'
-                 + _span(trips))
+                 + (f', {min(days)} to {max(days)}' if days else ''))
     for reason, count in Counter(each.reason for each in left_out).items():
         first = next(each for each in left_out if each.reason == reason)
         console.item(f'left out: {first}' if count == 1 else f'left out: {count} tracks, such as '
@@ -124,13 +126,6 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
     for each in departures:
         poses = each.path_poses
         yield Track(each.path.name, poses[:, :2], np.full(len(poses), each.stamp_ns / 1e9))
-
-
-def _span(trips: Sequence[Track]) -> str:
-    """The days of the first and the last trip, if they are known."""
-    days = [f'{datetime.fromtimestamp(each.times[0], timezone.utc):%Y-%m-%d}' for each in trips
-            if each.times is not None]
-    return f', {min(days)} to {max(days)}' if days else ''
 
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
