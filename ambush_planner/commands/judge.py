@@ -57,14 +57,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..game.strategy import StrategyOptions
-    from ..map_figures import as_png
-    from ..maps.risk_map_file import read_risk_map
-    from ..operations.judge import NEAR, find_trips, judge
-    from ..planning.concerns import concerns, is_sound
-    from ..planning.options import solved_game
-    from ..recordings.durable_files import write_all_durably
     from .inputs import options_from
-    from .judge_figure import judge_figure
 
     (of_map, planning), output = options_from(arguments), arguments.output
     if arguments.detour is not None or planning.strategy.max_detour != StrategyOptions.max_detour:
@@ -72,6 +65,15 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                              'strategy.max_detour')
     if not planning.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
+
+    from ..map_figures import as_png
+    from ..maps.risk_map_file import read_risk_map
+    from ..operations.judge import NEAR, find_trips, judge
+    from ..planning.concerns import concerns, is_sound
+    from ..planning.options import solved_game
+    from ..recordings.durable_files import write_all_durably
+    from .judge_figure import judge_figure
+
     risk_map = read_risk_map(arguments.map, of_map)
     start, goal, _ = places_on(arguments, risk_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
