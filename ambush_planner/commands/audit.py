@@ -139,8 +139,7 @@ def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
             console.say(f'There is no {PICTURE}: {error}.')
             return
     write_all_durably({folder / PICTURE: as_png(
-        audit_figure(risk_map, result), PICTURE,
-        [cli.place(departures[0].path.parent)])})
+        audit_figure(risk_map, result), PICTURE, [departures[0].path.parent.name])})
     console.secret([folder / PICTURE])
 
 

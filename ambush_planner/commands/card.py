@@ -52,6 +52,7 @@ def add_speed(parser: argparse.ArgumentParser) -> None:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    from ..recordings import read_departure
     from ..recordings.durable_files import write_all_durably
     from .card_page import card_page
 
@@ -63,8 +64,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             f'{arguments.output}, or name a route with --route N if it was made with --routes'
             if of_plan else
             f'{file} is a departure, which has one route: leave out --route')
+    if arguments.departure.is_dir():
+        raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
+                             'departure, so name its recording (.mcap)')
     with console.waiting('drawing the card'):
-        card = _chosen(arguments) if of_plan else _recorded(arguments)
+        card = _chosen(arguments) if of_plan else departure_card(
+            read_departure(arguments.departure), arguments.speed, arguments.start_time)
         card = replace(card, risk_map=in_named_system(card.risk_map, arguments, console))
         file, length = arguments.output, float(card.distances[-1])
         write_all_durably({file: card_page(card, console).encode()})
@@ -72,16 +77,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     (name,) = console.secret([file], f'{cli.count(legs, "leg")}, {distance(length)}; ')
     console.result = {'file': name, 'legs': legs, 'length': length}
     return cli.Exit.HOLDS
-
-
-def _recorded(arguments: argparse.Namespace) -> Card:
-    from ..recordings import read_departure
-
-    if arguments.departure.is_dir():
-        raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
-                             'departure, so name its recording (.mcap)')
-    return departure_card(read_departure(arguments.departure), arguments.speed,
-                          arguments.start_time)
 
 
 def departure_card(departure: RecordedDeparture, speed: float | None = None,

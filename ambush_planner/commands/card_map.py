@@ -19,6 +19,7 @@ from ..labels import Labels
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..maps.road_tags import ROUNDABOUT
+from ..routes.legs import distances_along
 
 if TYPE_CHECKING:
     from .card_page import Card
@@ -51,7 +52,9 @@ def card_map(card: Card, height: float) -> CardMap:
     """Draw the map of a card, at most ``height`` [mm] high without its margins."""
     size = np.array((WIDTH, height))
     low, high = card.path.min(axis=0), card.path.max(axis=0)
-    scale = _round_scale(float(((high - low) / (size - 2.0 * SPACE)).max()) * 1000.0)
+    least = float(((high - low) / (size - 2.0 * SPACE)).max()) * 1000.0
+    power = 10.0 ** float(np.floor(np.log10(least)))
+    scale = power * next((each for each in _SCALES if each * power >= least), 10.0)
     metres = scale / 1000.0  # in a millimetre
     box = _box((low + high) / 2.0, size * metres, card.risk_map)
     width, height = (box[1] - box[0]) / metres
@@ -71,12 +74,6 @@ def card_map(card: Card, height: float) -> CardMap:
     _label(axes, card, box, metres, bar)
     return CardMap(map_figures.as_png(figure, tight=False), float(full[0]),
                    f'1:{scale:,.0f}'.replace(',', ' '))
-
-
-def _round_scale(least: float) -> float:
-    """The next round denominator of a scale."""
-    power = 10.0 ** np.floor(np.log10(least))
-    return float(power * next((each for each in _SCALES if each * power >= least), 10.0))
 
 
 def _box(middle: FloatArray, size: FloatArray, risk_map: RiskMap) -> FloatArray:
@@ -131,7 +128,9 @@ class _Writer:
 
 def _label(axes: Axes, card: Card, box: FloatArray, metres: float, bar: FloatArray) -> None:
     """Name start, stops and goal, number the way points, and name roads and places."""
-    busy = _sampled(card.path, _BUSY * metres)
+    along = distances_along(card.path)
+    at = np.arange(0.0, along[-1], _BUSY * metres)
+    busy = np.column_stack([np.interp(at, along, axis) for axis in card.path.T])
     taken = np.vstack((bar, *(np.hstack((xy - size * metres, xy + size * metres)) for xy, size in (
         (card.places, _END), (card.points, _MARK)))))
     font = _FONT if len(card.way_points) <= _MANY else _CROWDED
@@ -171,10 +170,3 @@ def _named_roads(roads: RoadGraph, box: FloatArray) -> list[tuple[str, FloatArra
 
 def _inside(xy: FloatArray, box: FloatArray) -> BoolArray:
     return np.asarray(((xy > box[0]) & (xy < box[1])).all(axis=1))
-
-
-def _sampled(path: FloatArray, step: float) -> FloatArray:
-    """Points (N, 2) along a path."""
-    along = np.concatenate(([0.0], np.hypot(*np.diff(path, axis=0).T).cumsum()))
-    at = np.arange(0.0, along[-1], step)
-    return np.column_stack([np.interp(at, along, axis) for axis in path.T])

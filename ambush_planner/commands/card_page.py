@@ -30,13 +30,13 @@ from .cli import Console, resource
 
 # Minimum length of a path with distances in km [m].
 _KILOMETRES = 2000.0
-# Height [mm] of a page of A4 or Letter that is left for the map and the rows of way points, of a
-# row and of a further line in it, and of the map at least and at most.
 _TO_DO = 'what to do'
 # Columns of positions, of which two tables next to each other have the first one only.
 _PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x y [m]')
 # Rows of one table at most; characters in a line of its texts, and in those of one of two tables.
 _MOST_ROWS, _WIDE, _NARROW = 20, 28, 26
+# Height [mm] of a page of A4 or Letter that is left for the map and the rows of way points, of a
+# row and of a further line in it, and of the map at least and at most.
 _FREE, _ROW, _LINE, _LOWEST, _HIGHEST = 172.0, 4.95, 3.75, 60.0, 120.0
 
 
@@ -167,8 +167,9 @@ def _tables(card: Card, columns: dict[str, list[str]]) -> tuple[str, float]:
         parts = [slice(0, -(-rows // 2)), slice(-(-rows // 2), rows)]
     texts = columns.get(_TO_DO, [''] * rows)
     high = [_ROW + _LINE * (max(len(text) - 1, 0) // wide) for text in texts]
-    head = ''.join(f'<th scope="col"{_kind(name)}>{name}</th>' for name in columns)
-    body = ['<tr>' + ''.join(f'<td{_kind(name)}>{escape(cell)}</td>'
+    kinds = {name: ' class="text"' * (name == _TO_DO) for name in columns}
+    head = ''.join(f'<th scope="col"{kind}>{name}</th>' for name, kind in kinds.items())
+    body = ['<tr>' + ''.join(f'<td{kinds[name]}>{escape(cell)}</td>'
                              for name, cell in zip(columns, row, strict=True)) + '</tr>'
             for row in zip(*columns.values(), strict=True)]
     return '\n'.join(
@@ -186,10 +187,6 @@ def _narrow(card: Card, columns: dict[str, list[str]]) -> dict[str, list[str]]:
             _TO_DO: [each.label for each in card.way_points], head: cells,
             **{name: column for name, column in columns.items()
                if name.startswith(('from start', 'time', 'minutes'))}}
-
-
-def _kind(column: str) -> str:
-    return ' class="text"' if column == _TO_DO else ''
 
 
 def _unit(card: Card) -> tuple[float, int, str]:

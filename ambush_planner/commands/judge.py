@@ -7,7 +7,7 @@ import argparse
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,14 +57,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..game.strategy import StrategyOptions
-    from ..map_figures import as_png
-    from ..maps.risk_map_file import read_risk_map
-    from ..operations.judge import NEAR, find_trips, judge
-    from ..planning.concerns import concerns, is_sound
-    from ..planning.options import solved_game
-    from ..recordings.durable_files import write_all_durably
     from .inputs import options_from
-    from .judge_figure import judge_figure
 
     (of_map, planning), output = options_from(arguments), arguments.output
     if arguments.detour is not None or planning.strategy.max_detour != StrategyOptions.max_detour:
@@ -72,14 +65,25 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                              'strategy.max_detour')
     if not planning.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
+
+    from ..map_figures import as_png
+    from ..maps.risk_map_file import read_risk_map
+    from ..operations.judge import NEAR, find_trips, judge
+    from ..planning.concerns import concerns, is_sound
+    from ..planning.options import solved_game
+    from ..recordings.durable_files import write_all_durably
+    from .judge_figure import judge_figure
+
     risk_map = read_risk_map(arguments.map, of_map)
     start, goal, _ = places_on(arguments, risk_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
     game = solved_game(risk_map, planning)
     near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))
     trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
+    days = [f'{datetime.fromtimestamp(each.times[0], timezone.utc):%Y-%m-%d}' for each in trips
+            if each.times is not None]
     console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal'
-                 + _span(trips))
+                 + (f', {min(days)} to {max(days)}' if days else ''))
     for reason, count in Counter(each.reason for each in left_out).items():
         first = next(each for each in left_out if each.reason == reason)
         console.item(f'left out: {first}' if count == 1 else f'left out: {count} tracks, such as '
@@ -124,13 +128,6 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
     for each in departures:
         poses = each.path_poses
         yield Track(each.path.name, poses[:, :2], np.full(len(poses), each.stamp_ns / 1e9))
-
-
-def _span(trips: Sequence[Track]) -> str:
-    """The days of the first and the last trip, if they are known."""
-    days = [f'{datetime.fromtimestamp(each.times[0], timezone.utc):%Y-%m-%d}' for each in trips
-            if each.times is not None]
-    return f', {min(days)} to {max(days)}' if days else ''
 
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:

@@ -84,6 +84,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    _check_departures(arguments)
     import numpy as np
 
     from ..maps.risk_map_file import read_risk_map
@@ -110,7 +111,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if not arguments.terrain and (given := terrain_options_in(arguments)):
         raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
                              'MAP is an elevation model')
-    _check_departures(arguments)
     check_outputs(arguments.output, console)
     risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
                 if arguments.terrain else read_risk_map(arguments.map, of_map))

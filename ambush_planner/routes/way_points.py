@@ -32,6 +32,7 @@ BASE = 25.0
 BEAR, TURN, SHARP, BACK, FORK = 30.0, 55.0, 125.0, 165.0, 45.0
 _COMPASS = ('north', 'north-east', 'east', 'south-east', 'south', 'south-west', 'west',
             'north-west')
+_ORDINALS = {1: '1st', 2: '2nd', 3: '3rd'}
 STRAIGHT = 'straight on'
 
 
@@ -167,13 +168,14 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
         departure = _point_at(line, travelled, min(travelled[k] + BASE, travelled[after])) - line[k]
         point = replace(point, road=name(k))
         if k == 0:
-            found.append((replace(point, action=_compass(departure)), False))
+            towards = _COMPASS[round(np.degrees(np.arctan2(*departure)) / 45.0) % 8]
+            found.append((replace(point, action=towards), False))
             continue
         arrival = line[k] - _point_at(line, travelled, max(travelled[k] - BASE, travelled[before]))
         others = [] if not crossing[k] else _other_arms(roads, place[k], line[k - 1:k + 2])
         if exits:
-            entry = replace(found[-1][0], action=f'roundabout, {_ordinal(exits)} exit',
-                            road=point.road)
+            number = _ORDINALS.get(exits, f'{exits}th')
+            entry = replace(found[-1][0], action=f'roundabout, {number} exit', road=point.road)
             found[-1] = entry, False
             exits = exits + bool(others) if point.road == ROUNDABOUT else 0
             continue
@@ -224,14 +226,6 @@ def _point_at(line: FloatArray, travelled: FloatArray, distance: float) -> Float
 def _angle(one: FloatArray, other: FloatArray) -> float:
     """Angle from one direction to another, positive to the left [degrees]."""
     return float(np.degrees(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other)))
-
-
-def _compass(direction: FloatArray) -> str:
-    return _COMPASS[round(np.degrees(np.arctan2(*direction)) / 45.0) % 8]
-
-
-def _ordinal(number: int) -> str:
-    return f'{number}{ {1: "st", 2: "nd", 3: "rd"}.get(number, "th")}'
 
 
 def _action(turn: float, others: Sequence[float]) -> str:
