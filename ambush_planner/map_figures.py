@@ -169,12 +169,6 @@ def ground_key(risk_map: RiskMap) -> list[Patch]:
             + [UNKNOWN] * (risk_map.unknown is not None))
 
 
-def ground_legend(figure: Figure, risk_map: RiskMap) -> None:
-    """Explain obstacles and unknown ground below a picture that has nothing else to explain."""
-    if key := ground_key(risk_map):
-        figure.legend(handles=key, loc='outside lower left', ncols=2, frameon=False)
-
-
 def _blocked(risk_map: RiskMap) -> BoolArray:
     if risk_map.unknown is None:
         return risk_map.obstacles

@@ -40,5 +40,6 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
     observer.xaxis.set_major_locator(MaxNLocator(integer=True))
     observer.legend()
-    map_figures.ground_legend(figure, risk_map)
+    if key := map_figures.ground_key(risk_map):
+        figure.legend(handles=key, loc='outside lower left', ncols=2, frameon=False)
     return figure

@@ -228,12 +228,11 @@ def thinned(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
     """Those of the points ``order`` that are not within ``apart`` [m] of one before."""
     if apart == 0.0 or not len(order):
         return order
-    kept, covered = [], np.zeros(len(order), dtype=bool)
-    near = cKDTree(points[order]).query_ball_point(points[order], apart)
-    for k, around in enumerate(near):
+    kept, covered, tree = [], np.zeros(len(order), dtype=bool), cKDTree(points[order])
+    for k, point in enumerate(points[order]):
         if not covered[k]:
             kept.append(order[k])
-            covered[around] = True
+            covered[tree.query_ball_point(point, apart)] = True
     return np.array(kept)
 
 
