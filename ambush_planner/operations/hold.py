@@ -29,8 +29,8 @@ from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
 from ..planning.cell_losses import thinned
 from ..planning.options import PlanningOptions
-from ..planning.solving import Ground, WarmStart, time_left
-from ..planning.trip import Position, Trip, plan_quietly, plan_trip
+from ..planning.solving import Ground, WarmStart
+from ..planning.trip import Position, Trip, plan_trip
 
 # Candidates of one step if none are given, and their least distance, as a share of the radius.
 MAX_CANDIDATES, APART = 16, 0.7
@@ -45,8 +45,8 @@ class Held:
     """A place to hold, with the strategy if it and all places before it are held.
 
     ``name`` is its candidate's, '' if none were given, and ``xy`` its position [m]. With any other
-    candidate instead, the value on the network before is at least ``others``; inf if there was
-    none. ``solved`` of the ``candidates`` were solved; the bounds rule out the others.
+    candidate instead, the value is at least ``others``; inf if there was none. ``solved`` of the
+    ``candidates`` were solved; the bounds rule out the others.
     """
 
     name: str
@@ -99,18 +99,16 @@ def places_to_hold(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Arra
     first = replace(options, strategy=replace(options.strategy, time_limit=PLANNED * limit))
     plan = plan_trip(risk_map, start_xy, goal_xy, first, stops=stops)
 
-    def with_held(held: tuple[SecuredPlace, ...]) -> PlanningOptions:
-        return replace(options, game=replace(options.game, held_places=held),
-                       strategy=replace(options.strategy, time_limit=time_left(end)))
+    networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(plan.network.refined)
+
+    def ground_with(held: tuple[SecuredPlace, ...]) -> Ground:
+        return Ground.of(risk_map, replace(options, game=replace(options.game, held_places=held)))
 
     def planned(held: tuple[SecuredPlace, ...]) -> TripStrategy:
-        return plan_quietly(risk_map, start_xy, goal_xy, with_held(held), stops).trip
+        return ground_with(held).solve(networks, end)
 
-    def compared(held: tuple[SecuredPlace, ...], before: TripStrategy,
-                 after: TripStrategy) -> TripStrategy:
-        networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(
-            before.game.network.refined)
-        return Ground.of(risk_map, with_held(held)).compare(networks, end, WarmStart.of(after))
+    def compared(held: tuple[SecuredPlace, ...], after: TripStrategy) -> TripStrategy:
+        return ground_with(held).compare(networks, end, WarmStart.of(after))
 
     before = strategy = plan.trip
     steps: list[Held] = []
@@ -134,7 +132,7 @@ def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tole
              end: float, progress: Callable[[int], None]) -> tuple[Held | None, bool]:
     """The place of least value if it is held, too; of those within the slack of it, the first.
 
-    Places are ``compared`` on one network; the best one is ``planned``.
+    Places are ``compared`` by their values; the best one is ``planned``.
 
     Also returns whether it was found before ``end`` (``time.monotonic``); else it is the best of
     those solved by then, None if none of them is better than holding no other place.
@@ -150,7 +148,7 @@ def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tole
                 break
             progress(len(left))
             k = min(left, key=lambda each: float(bounds[each]))
-            last = strategies[k] = compared(held[k], before, last)
+            last = strategies[k] = compared(held[k], last)
             values[k], bounds[k] = last.value, last.lower_bound
             for j in set(left) - {k}:
                 bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
