@@ -73,12 +73,13 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     >>> [round(row.lower_bound, 2) for row in frontier(network, detours=(1.0, 2.0), slacks=())]
     [1.0, 0.5]
     """
+    tasks = _tasks(detours, slacks, options or StrategyOptions())
     games = make_games((network,), game or GameOptions())
 
     def solved(budgets: StrategyOptions) -> TripStrategy:
         return solve_legs(games, budgets)
 
-    return _rows(solved, detours, slacks, options or StrategyOptions(), on_row)
+    return _rows(solved, tasks, on_row)
 
 
 def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
@@ -93,6 +94,7 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     ``planned`` with the options, by default now; it is one of them. Raises the errors of
     ``plan_trip``.
     """
+    tasks = _tasks(detours, slacks, options.strategy)
     if planned is None:
         planned = plan_trip(risk_map, start_xy, goal_xy, options, stops=stops).trip
     ground = Ground.of(risk_map, options)
@@ -101,17 +103,23 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     games, site_search = ground.played(networks, WarmStart.of(planned))
 
     def solved(budgets: StrategyOptions) -> TripStrategy:
+        if budgets == options.strategy:
+            return planned
         return solve_legs(games, budgets, site_search and site_search.on(ground.cells))
 
-    return _rows(solved, detours, slacks, options.strategy, on_row, planned)
+    return _rows(solved, tasks, on_row)
 
 
-def _rows(solved: Callable[[StrategyOptions], TripStrategy], detours: Sequence[float],
-          slacks: Sequence[float], options: StrategyOptions,
-          on_row: Callable[[FrontierRow], None] | None,
-          planned: TripStrategy | None = None) -> tuple[FrontierRow, ...]:
+def _tasks(detours: Sequence[float], slacks: Sequence[float],
+           options: StrategyOptions) -> list[tuple[str, StrategyOptions]]:
+    """The budgets to solve, and the option of each that varies; raises InvalidOption."""
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
-    tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
+    return tasks + [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
+
+
+def _rows(solved: Callable[[StrategyOptions], TripStrategy],
+          tasks: Sequence[tuple[str, StrategyOptions]],
+          on_row: Callable[[FrontierRow], None] | None) -> tuple[FrontierRow, ...]:
     # The loosest first.
     looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
@@ -122,7 +130,7 @@ def _rows(solved: Callable[[StrategyOptions], TripStrategy], detours: Sequence[f
         row = FrontierRow(swept, budgets.max_detour, budgets.risk_slack)
         if budgets not in known:  # both sweeps may contain the budgets of ``options``
             try:
-                found = planned if planned and budgets == options else solved(budgets)
+                found = solved(budgets)
                 row = replace(row, **{name: getattr(found, name) for name in MEASURED})
             except (BudgetInfeasible, TimeLimit) as error:
                 row = replace(row, error=str(error))
