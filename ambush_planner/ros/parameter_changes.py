@@ -82,6 +82,11 @@ class NodeSettings:
             raise InvalidOption(self.contradiction)
         return self.current
 
+    def close(self) -> None:
+        """Report no more changes: roads may still be being read when the node ends."""
+        with self._lock:
+            self._changed = lambda _: None
+
     def _values(self) -> dict[str, Any]:
         planned = self.saved.parameters.values if self.saved else {}  # also what is no parameter
         return {**planned, **{name: self._node.get_parameter(name).value for name in PARAMETERS}}
