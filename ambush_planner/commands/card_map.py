@@ -56,7 +56,11 @@ def card_map(card: Card, height: float) -> CardMap:
     power = 10.0 ** float(np.floor(np.log10(least)))
     scale = power * next((each for each in _SCALES if each * power >= least), 10.0)
     metres = scale / 1000.0  # in a millimetre
-    box = _box((low + high) / 2.0, size * metres, card.risk_map)
+    # Around the path's middle, moved or cut so as to be on the map.
+    first, last = card.risk_map.bounds
+    extent = np.minimum(size * metres, last - first)
+    corner = np.clip((low + high - extent) / 2.0, first, last - extent)
+    box = np.array((corner, corner + extent))
     width, height = (box[1] - box[0]) / metres
     left, bottom, right, top = MARGINS
     full = np.array((left + width + right, bottom + height + top))
@@ -74,14 +78,6 @@ def card_map(card: Card, height: float) -> CardMap:
     _label(axes, card, box, metres, bar)
     return CardMap(map_figures.as_png(figure, tight=False), float(full[0]),
                    f'1:{scale:,.0f}'.replace(',', ' '))
-
-
-def _box(middle: FloatArray, size: FloatArray, risk_map: RiskMap) -> FloatArray:
-    """The corners (2, 2) of a part of the map around a point, moved or cut so as to be on it."""
-    first, last = risk_map.bounds
-    size = np.minimum(size, last - first)
-    low = np.clip(middle - size / 2.0, first, last - size)
-    return np.array((low, low + size))
 
 
 def cropped(risk_map: RiskMap, box: FloatArray) -> RiskMap:

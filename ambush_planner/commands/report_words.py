@@ -57,19 +57,14 @@ def _guarantee(section: Section) -> str:
     several = len(trip.legs) > 1
     covered = section.departures[-1].covered
     summed = f', {over_legs(len(trip.legs), trip.first_hit_value * covered)},' * several
+    best = section.best
+    meant = 'No ambush causes a loss.' if best is None else (
+        f'In other words, {best_ambush(best.hit, written(best.xy, section.risk_map), covered)}.')
     return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
             f'{rounded(value)} per departure{summed}, even if he knows the map, the probabilities '
             f'and all earlier routes.{when_known} This assumes that he does not know the next '
             f'route{" and time" * timed}; an informant who tells him whether the convoy passes '
-            f'raises the mean loss at most twofold. {_in_words(section)}')
-
-
-def _in_words(section: Section) -> str:
-    if section.best is None:
-        return 'No ambush causes a loss.'
-    text = best_ambush(section.best.hit, written(section.best.xy, section.risk_map),
-                       section.departures[-1].covered)
-    return f'In other words, {text}.'
+            f'raises the mean loss at most twofold. {meant}')
 
 
 def _optimality(section: Section) -> str:

@@ -71,7 +71,11 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     if not plan.trip.value > 0.0:
         raise InvalidOption('the value is 0: no ambush causes a loss, so one route is as good as '
                             'several')
-    routes, leg = _candidates(plan, rng or np.random.default_rng())
+    rng = rng or np.random.default_rng()
+    drawn = [{route.tobytes(): route for route in leg.sample_routes(DRAWN, rng)}
+             for leg in plan.legs]
+    routes = [route for own in drawn for route in own.values()]
+    leg = np.repeat(np.arange(len(drawn)), list(map(len, drawn)))
     count = int(np.bincount(leg).max())
     if not 1 <= most <= min(count, MAX_ROUTES):
         raise InvalidOption(f'routes must be from 1 to {min(count, MAX_ROUTES)}: of {DRAWN} '
@@ -113,14 +117,6 @@ def mixed(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray, shares: Floa
 def _limits(plan: Plan) -> FloatArray:
     """The length budget (legs,) of each leg."""
     return np.array([leg.length_budget for leg in plan.legs])
-
-
-def _candidates(plan: Plan, rng: np.random.Generator) -> tuple[list[IndexArray], IndexArray]:
-    """Different routes (K,) among ``DRAWN`` of each leg, and their legs."""
-    found = [{route.tobytes(): route for route in leg.sample_routes(DRAWN, rng)}
-             for leg in plan.legs]
-    return ([route for own in found for route in own.values()],
-            np.repeat(np.arange(len(found)), list(map(len, found))))
 
 
 def _promising(plan: Plan, routes: list[IndexArray], leg: IndexArray, most: int,

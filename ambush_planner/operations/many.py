@@ -102,7 +102,8 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
             done, _ = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
                 index, problem = pending.pop(future)
-                error = _error_of(future)
+                error: BaseException | None = (
+                    CancelledError() if future.cancelled() else future.exception())
                 found = None if error else future.result()
                 if isinstance(found, Plan):  # which was sent without its map
                     found = replace(found, risk_map=problem.risk_map)
@@ -115,13 +116,6 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
         for future in pending:
             future.cancel()
     return [results[index] for index in sorted(results)]
-
-
-def _error_of(future: Future[Any]) -> BaseException | None:
-    try:
-        return future.exception()
-    except CancelledError as error:
-        return error
 
 
 def _solve(problem: Problem, answer: Callable[[Plan], Any] | None) -> Any:

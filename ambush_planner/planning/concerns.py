@@ -12,7 +12,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..arrays import FloatArray
-from ..game.game import Game
 from ..game.strategy import within_slack
 from ..game.tolerance import Reason
 from ..words import distance, ends
@@ -70,11 +69,6 @@ def _concerns(plan: Plan, where: Where) -> list[str]:
     return [text for text in found if text]
 
 
-def _secured(plan: Plan) -> str:
-    radius = plan.trip.game.options.secured_distance
-    return f'within {distance(radius)} of' if radius else 'at'
-
-
 def _ends(plan: Plan) -> str:
     return ends(len(plan.stops_xy))
 
@@ -82,7 +76,10 @@ def _ends(plan: Plan) -> str:
 def assumptions(plan: Plan) -> list[str]:
     """Return what a plan's value takes for granted, one sentence each, the main two first."""
     game = plan.trip.game.options
-    share = _secured_share(plan)
+    # Of the straight way from start to goal, by the stops, in the secured area.
+    straight = np.hypot(*np.diff(np.array(plan.ends_xy), axis=0).T)
+    held = game.secured_distance
+    share = float(np.minimum(straight, 2.0 * held).sum() / straight.sum())
     much = f', which is {share:.0%} of the straight way' if share > MAX_SECURED else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and hits only routes through "
@@ -94,15 +91,8 @@ def assumptions(plan: Plan) -> list[str]:
             for x, y, radius in game.held_places]
     if game.tube:
         more.append(f'paths stray at most {distance(game.tube)} from their drawn routes')
-    return [f'nobody can wait {_secured(plan)} {_ends(plan)}{much}', where, *more, *_coarse(plan)]
-
-
-def _secured_share(plan: Plan) -> float:
-    """Share of the straight way from start to goal, by the stops, in the secured area."""
-    ends = np.array(plan.ends_xy)
-    legs = np.hypot(*np.diff(ends, axis=0).T)
-    within = 2.0 * plan.trip.game.options.secured_distance
-    return float(np.minimum(legs, within).sum() / legs.sum())
+    around = f'within {distance(held)} of' if held else 'at'
+    return [f'nobody can wait {around} {_ends(plan)}{much}', where, *more, *_coarse(plan)]
 
 
 def _coarse(plan: Plan) -> list[str]:
@@ -197,11 +187,6 @@ def _of_one_place(plan: Plan, place: OnePlace, enough: float, where: Where) -> s
             f'{", ".join(helps)}')
 
 
-def _is_chance(game: Game) -> bool:
-    """Return whether the value is a probability: an ambush costs 1 wherever it is."""
-    return not np.any((game.loss != 0.0) & (game.loss != 1.0))
-
-
 def _strategy_number(name: str, plan: Plan) -> str:
     return f'{getattr(plan.drawn_from, name):.9g}'
 
@@ -210,8 +195,9 @@ _NUMBERS: dict[str, Callable[[Plan], str]] = {
     **{name: partial(_strategy_number, name) for name in (
         'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
         'expected_length', 'shortest_length')},
-    'value_is': lambda plan: ('probability of being hit' if _is_chance(plan.drawn_from.game)
-                              else 'mean loss'),
+    'value_is': lambda plan: (
+        'probability of being hit' if np.isin(plan.drawn_from.game.loss, (0.0, 1.0)).all()
+        else 'mean loss'),
     'value_holds_at': lambda plan: ('anywhere in free ground' if holds_anywhere(plan.options)
                                     else "the network's nodes"),
     'secured_radius': lambda plan: f'{plan.drawn_from.game.options.secured_distance:.9g}',

@@ -109,7 +109,9 @@ class TripUnderWay:
         return (request.frames == self.destination.frames
                 and self.follow(place) is not None
                 and self._same_trip(request, place, max(request.cell, goal_tolerance))
-                and not (self._names_passed_stops(request) and self._has_arrived))
+                # At the end, a request that names stops that have been passed is another round.
+                and not (len(request.stops) > len(self.destination.stops) - len(self.passed)
+                         and (self.arrived or self._left <= self.destination.cell)))
 
     def drive_on(self, place: Position) -> None:
         """Let a robot at ``place``, which did not have the path until now, join it from there."""
@@ -186,10 +188,6 @@ class TripUnderWay:
                 return False
         return not wanted
 
-    def _names_passed_stops(self, request: Destination) -> bool:
-        """Return whether a request for this trip names stops that have been passed."""
-        return len(request.stops) > len(self.destination.stops) - len(self.passed)
-
     @property
     def passed(self) -> set[int]:
         """The stops that have been passed, as indices of those requested."""
@@ -200,10 +198,6 @@ class TripUnderWay:
     def _left(self) -> float:
         """Return the length of the path that lies ahead [m]."""
         return float(self._line.along[-1]) - self.progress
-
-    @property
-    def _has_arrived(self) -> bool:
-        return self.arrived or self._left <= self.destination.cell
 
     @cached_property
     def _line(self) -> _Line:

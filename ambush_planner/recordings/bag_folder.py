@@ -56,7 +56,10 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
         'custom_data': {},
         'ros_distro': os.environ.get('ROS_DISTRO', ''),
         'topics_with_message_count': [
-            {'topic_metadata': _described(channel), 'message_count': count}
+            {'message_count': count, 'topic_metadata': {
+                'name': channel.topic, 'type': channel.type, 'serialization_format': 'cdr',
+                'offered_qos_profiles': [fields_from_yaml(channel.qos)],
+                'type_description_hash': definitions()[channel.type].type_hash}}
             for channel, count in counts.items()
         ],
         'relative_file_paths': [each.name for each in files],
@@ -74,14 +77,6 @@ def listed_in(folder: Path) -> list[str]:
         return [name for name in names if isinstance(name, str)]
     except (UnreadableRecording, ValueError, LookupError, TypeError, RecursionError):
         return []
-
-
-def _described(channel: Channel) -> dict[str, Any]:
-    return {
-        'name': channel.topic, 'type': channel.type, 'serialization_format': 'cdr',
-        'offered_qos_profiles': [fields_from_yaml(channel.qos)],
-        'type_description_hash': definitions()[channel.type].type_hash,
-    }
 
 
 def _time_span(start_ns: int, end_ns: int) -> dict[str, Any]:

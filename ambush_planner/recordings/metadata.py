@@ -16,6 +16,7 @@ from ..errors import AmbushPlannerError
 from ..gone import check_none_gone
 from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
+from ..planning.plan import Route
 from .sources import Source
 
 # Options that the node has no parameter for.
@@ -183,6 +184,11 @@ class Metadata:
     def entries(self) -> dict[str, Any]:
         """Return the entries of the metadata record, as JSON values."""
         return asdict(self)
+
+
+def numbers_of(route: Route) -> tuple[tuple[int, ...], ...]:
+    """Return the nodes of a route, leg by leg."""
+    return tuple(tuple(nodes.tolist()) for nodes in route)
 
 
 def _check_form(form: str, *texts: str) -> None:

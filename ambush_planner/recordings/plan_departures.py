@@ -23,7 +23,7 @@ from ..planning.departure import draw_route
 from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
 from .encoding import encode
-from .metadata import Metadata, RecordedCall, RecordedDay
+from .metadata import Metadata, RecordedCall, RecordedDay, numbers_of
 from .plain_messages import path_message, pose_message
 from .plan_file import SavedPlan, ground_of_plan, recorded_plan, recorded_trip
 from .recording_errors import NoPermission, part
@@ -89,7 +89,7 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
     said = Metadata(
         str(uuid4()), number, saved.frame, dict(saved.parameters.values), dict(software_versions()),
         {role: message.topic for role, message in roles.items()}, trip, (trip.start, trip.goal),
-        False, tuple(tuple(nodes.tolist()) for nodes in drawn.route), (drawn.source,),
+        False, numbers_of(drawn.route), (drawn.source,),
         RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}),
         saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
         day=RecordedDay(date, drawn.slot, drawn.slot_drawn, replaces, why,

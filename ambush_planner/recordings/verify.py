@@ -29,12 +29,11 @@ from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.departure import draw_route
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
-from ..planning.plan import Route
 from ..planning.solving import add_hiding_places
 from ..planning.trip import Trip
 from .attachments import misstated, misstated_few
 from .ground_check import GroundCheck, Now
-from .metadata import Metadata, PlanMetadata, RecordedTrip, typed
+from .metadata import Metadata, PlanMetadata, RecordedTrip, numbers_of, typed
 from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
 from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
 from .recorded_departures import MIN_BITS
@@ -135,7 +134,7 @@ class Verifier:
 
     def _verify_departure(self, departure: RecordedDeparture, verdict: Verdict) -> None:
         verdict.metadata = departure.metadata
-        verdict.route, verdict.drawn = map(_numbers, (departure.route, departure.drawn))
+        verdict.route, verdict.drawn = map(numbers_of, (departure.route, departure.drawn))
         verdict.nodes = departure.trip.game.node_count
         verdict.value, verdict.covered = departure.value, departure.covered
         if departure.parameters.values['seed'] >= 0:
@@ -188,7 +187,7 @@ class Verifier:
             again = draw_route(departure.joined.plan, source, spacing, said.ends)
         else:
             again = draw_route(plan, source, spacing, said.ends, ground, newest)
-        if again is None or _numbers(again.route) != _numbers(departure.drawn):
+        if again is None or numbers_of(again.route) != numbers_of(departure.drawn):
             return ['route: the recorded entropy draws another one']
         rows, poses = again.poses, departure.recorded_poses
         if len(poses) == len(rows) + 1:
@@ -196,10 +195,6 @@ class Verifier:
         if not _same_path(poses, rows):
             return ['path: it does not follow from the recorded route']
         return _slot_problems(said, again.rng)
-
-
-def _numbers(route: Route) -> tuple[tuple[int, ...], ...]:
-    return tuple(tuple(nodes.tolist()) for nodes in route)
 
 
 def _same_path(poses: FloatArray, rows: FloatArray) -> bool:

@@ -14,7 +14,7 @@ from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
-from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip
+from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip, numbers_of
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends
 from .conversions import SentPath
@@ -60,11 +60,6 @@ class Departure:
     remarks: str = ''
     diversion: Diversion | None = None
     report: RecordedMessage | None = None
-
-
-def numbers_of(route: Route) -> tuple[tuple[int, ...], ...]:
-    """Return the nodes of a route, leg by leg."""
-    return tuple(tuple(nodes.tolist()) for nodes in route)
 
 
 def recorded_messages(departure: Departure,

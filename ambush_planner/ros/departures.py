@@ -18,10 +18,10 @@ from ..arrays import FloatArray
 from ..planning.moved_start import other_rest, whole_route
 from ..planning.plan import Route
 from ..planning.trip_under_way import TripUnderWay, trip_on
-from ..recordings.metadata import Diversion, RecordedCall
+from ..recordings.metadata import Diversion, RecordedCall, numbers_of
 from ..routes.driven_path import Ends, tight_turns
 from .conversions import SentPath
-from .departure_record import Answer, Departure, numbers_of
+from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
 from .gate import Gate
@@ -87,7 +87,10 @@ class Departures:
         if not pending.is_wanted():
             return True
         self._count += 1
-        route, rows = drawn.route, _from_robot(drawn.poses, fit.trip)
+        route, rows = drawn.route, drawn.poses
+        at = fit.trip.start_pose.pose.position
+        if (at.x, at.y) != fit.trip.start_xy:  # the path begins where the robot is
+            rows = np.vstack(((at.x, at.y, rows[0, 2]), rows))
         remarks = (f'the path joins the routes of an earlier start: value '
                    f'{fit.assessment.value:.4g}, from there {fit.cached.plan.value:.4g}'
                    ) if fit.joined else ''
@@ -193,12 +196,6 @@ class Departures:
                 newest.frame == trip.map.frame
                 and replace(trip, map=newest).ground.drivable_steps(rows[:, :2]).all()):
             raise OutOfDate
-
-
-def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:
-    """Return the path (L, 3) with the robot's place before it, if it begins elsewhere."""
-    at = trip.start_pose.pose.position
-    return rows if (at.x, at.y) == trip.start_xy else np.vstack(((at.x, at.y, rows[0, 2]), rows))
 
 
 def _entropy_source(seed: int, *numbers: int) -> list[int]:
