@@ -16,6 +16,7 @@ from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -151,7 +152,7 @@ def existing(text: str) -> Path:
 
 def require(packages: Collection[str]) -> None:
     """Raise MissingPackages if one of the packages is not installed."""
-    if missing := [name for name in packages if not _imports(name)]:
+    if missing := [name for name in packages if find_spec(name) is None]:
         raise MissingPackages(_missing(missing))
 
 
@@ -310,14 +311,6 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         package = str(error.name).partition('.')[0]
         print(f'ambush {name}: {_missing([package])}', file=sys.stderr)
         return Exit.USAGE
-
-
-def _imports(package: str) -> bool:
-    try:
-        importlib.import_module(package)
-    except ModuleNotFoundError:
-        return False
-    return True
 
 
 def _missing(packages: Sequence[str]) -> str:
