@@ -3,13 +3,11 @@
 
 from contextlib import contextmanager
 from importlib import import_module
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
-from nav_msgs.msg import Goals as GoalsMessage
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
@@ -18,8 +16,7 @@ from ros_harness import GOAL, LONG, START, pose, recorded, risk_grid, stage, wai
 from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
-from ambush_planner.ros.compute_path import ACTIONS, poses_of
-from ambush_planner.ros.path_checks import validity
+from ambush_planner.ros.compute_path import ACTIONS
 from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
@@ -143,22 +140,6 @@ def test_a_goal_through_poses_is_a_trip():
                                    (302, 'in one', [pose(3.0, 8.0, frame='odom'), *stops, GOAL])):
             got, message = goals.refused(goals=poses)
             assert (got, words in message) == (code, True), message
-
-
-def test_goals_and_answers_of_later_distributions_are_understood():
-    """Their fields, by name: nav2_msgs of Kilted and of Lyrical are not built here."""
-    stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
-    for goal, poses in (
-        (SimpleNamespace(goal=GOAL), [GOAL]), (SimpleNamespace(goals=stops), stops),
-        (SimpleNamespace(goals=GoalsMessage(goals=stops)), stops),
-        (SimpleNamespace(goal=GOAL, viapoints=stops), [*stops, GOAL]),
-        (SimpleNamespace(goals=GoalsMessage()), []),
-    ):
-        assert poses_of(goal) == poses
-    answer = type('Response', (SimpleNamespace,), {'success': False})
-    for invalid, is_valid in (([], True), ([3], False), (None, False)):
-        got = validity(answer, invalid)
-        assert (got.success, got.is_valid) == (True, is_valid)
 
 
 def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submitted):

@@ -6,7 +6,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from typing import Any
 
-from geometry_msgs.msg import PoseArray, PoseStamped
+from geometry_msgs.msg import PoseArray
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -107,7 +107,7 @@ class ComputePath:
                           'robot_base_frame, or give a start')
         if not start.header.frame_id:
             raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
-        *stops, last = poses_of(goal) or [None]
+        *stops, last = [goal.goal] if hasattr(goal, 'goal') else goal.goals or [None]
         if last is None:
             raise Refusal('NO_GOAL', 'goals is empty: give at least one pose')
         frames = sorted({stop.header.frame_id for stop in stops})
@@ -118,13 +118,3 @@ class ComputePath:
         if stops:
             via.header = stops[0].header
         return GetPlan.Request(start=start, goal=last), via, self._name
-
-
-def poses_of(goal: Any) -> list[PoseStamped]:
-    """Return the poses of an action's goal in their order.
-
-    From Kilted on ``goals`` is a nav_msgs/Goals; from Lyrical on a single goal has ``viapoints``.
-    """
-    if hasattr(goal, 'goal'):
-        return [*getattr(goal, 'viapoints', ()), goal.goal]
-    return list(getattr(goal.goals, 'goals', goal.goals))

@@ -36,7 +36,8 @@ class PathChecks:
     def _check(self, request: Any, kind: Any) -> Any:
         invalid, error = self._error_boundary.attempt(
             'is_path_valid', 'request', lambda: self._invalid_poses(request.path))
-        return kind() if error else validity(kind, invalid)
+        return kind() if error else kind(is_valid=invalid == [],
+                                         invalid_pose_indices=invalid or [])
 
     def _invalid_poses(self, path: Path) -> list[int] | None:
         """Return the indices of a path's poses, from the robot on, that cannot be reached.
@@ -74,9 +75,3 @@ def _first_near(points: FloatArray, place: Position) -> int:
     near = away <= max(WAY_OUT + steps.max(initial=0.0), away.min())
     first = int(near.argmax())
     return first + int(np.append(np.diff(away[first:]) < 0.0, False).argmin())
-
-
-def validity(kind: Any, invalid: list[int] | None) -> Any:
-    """Return the answer of ``~/is_path_valid``; from Lyrical on it has ``success``."""
-    more = {'success': True} if hasattr(kind, 'success') else {}
-    return kind(is_valid=invalid == [], invalid_pose_indices=invalid or [], **more)
