@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy  # loads ndimage when it is used
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray
-from ..maps.obstacles import ObstacleField
+from ..arrays import BoolArray, FloatArray, IndexArray, pooled
+from ..maps.obstacles import CHUNK, ObstacleField
 from ..maps.risk_map import RiskMap
 from .shortest_paths import shortest_path
 
@@ -28,22 +31,42 @@ NODE_DISTANCE = 0.7
 
 def widest_cell_path(risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArray,
                      clearance: float) -> tuple[FloatArray, FloatArray]:
-    """The widest path over cells: centres (K, 2) in map axes and their margins (K,) [m].
+    """The widest path over cells: places (K, 2) in map axes and their margins (K,) [m].
 
     Consecutive cells share a side, and their centres keep the clearance; the margin is the distance
-    to obstacles in excess of it. Empty if no path joins the two ``uv_ends`` (2, 2).
+    to obstacles in excess of it. On large maps, blocks of cells without an obstacle
+    (``obstacle_blocks``) are crossed in one step, and margins may be less than the true ones. Empty
+    if no path joins the two ``uv_ends`` (2, 2).
     """
-    free = _free_cells(risk_map, field, clearance)
     ends = np.stack(risk_map.cells(uv_ends), axis=1)
+    free = ~risk_map.obstacles
     free[tuple(ends.T)] = True
     regions = scipy.ndimage.label(free)[0]
-    if regions[tuple(ends[0])] != regions[tuple(ends[1])]:
+    one, other = regions[tuple(ends.T)].tolist()
+    if one != other:
         return np.empty((0, 2)), np.empty(0)
-    passable = np.pad(~risk_map.obstacles, 1, constant_values=not field.clear_of_edge)
-    margin = scipy.ndimage.distance_transform_edt(passable)[1:-1, 1:-1] - 0.5
-    margin = np.asarray(margin * risk_map.resolution - clearance, dtype=np.float64)
-    cells = _cheapest_cell_path(regions == regions[tuple(ends[0])], margin, ends)
-    return _centres(risk_map, cells), margin[tuple(cells.T)]
+    free = regions == one
+    del regions  # four bytes a cell
+    blocks, block = risk_map.obstacle_blocks
+    whole = pooled(np.logical_and, free, block)
+    # All cells of a block have to keep the clearance.
+    around = math.sqrt(0.5) * (block - 1) * risk_map.resolution if clearance else 0.0
+    clear = _clear(whole, block * risk_map.resolution, field, clearance + around)
+    at_ends = tuple((ends // block).T)
+    clear[at_ends] = whole[at_ends]
+    rest = free & ~_enlarged(clear, block, free.shape)
+    at_ends = tuple(ends.T)
+    rest_ends = rest[at_ends]
+    rest = _clear(rest, risk_map.resolution, field, clearance)
+    rest[at_ends] = rest_ends
+    parts = np.concatenate([(np.argwhere(each) + 0.5) * side
+                            for each, side in ((clear, block), (rest, 1))])
+    # In few cells: the exact distance of each takes much memory.
+    distance = [_distances(scipy.ndimage.distance_transform_edt, ~blocks, clear, field) * block,
+                _distances(scipy.ndimage.distance_transform_cdt, ~risk_map.obstacles, rest, field)]
+    margin = np.concatenate(distance) * risk_map.resolution - clearance
+    path = _cheapest_path(clear, rest, block, margin, ends)
+    return parts[path, ::-1] * risk_map.resolution, margin[path]
 
 
 def passage_nodes(path: FloatArray, margin: FloatArray, spacing: float) -> FloatArray:
@@ -80,7 +103,7 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
         ridge[one] |= far & (distance[one] >= distance[other])
         ridge[other] |= far & (distance[one] < distance[other])
     cells = np.argwhere(ridge[1:-1, 1:-1])
-    uv, side = block * _centres(risk_map, cells), block * risk_map.resolution
+    uv, side = (cells[:, ::-1] + 0.5) * block * risk_map.resolution, block * risk_map.resolution
     margin = (distance[1:-1, 1:-1][tuple(cells.T)] - 0.5) * side - clearance
     narrow = (margin > 0.0) & (margin < MAX_NODE_DISTANCE * wanted(uv))
     order = np.flatnonzero(narrow)[np.argsort(-margin[narrow], kind='stable')]
@@ -90,26 +113,52 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
     return uv[chosen]
 
 
-def _free_cells(risk_map: RiskMap, field: ObstacleField, clearance: float) -> BoolArray:
-    """Cells (H, W) whose centres keep the clearance."""
-    free = ~risk_map.obstacles
-    cells = np.argwhere(free)
-    free[tuple(cells.T)] = field.clear_points(_centres(risk_map, cells), clearance)
-    return free
+def _clear(some: BoolArray, side: float, field: ObstacleField, clearance: float) -> BoolArray:
+    """Those of ``some`` squares (H, W) of a ``side`` [m] whose centres keep the clearance."""
+    clear = np.zeros_like(some)
+    for squares in np.array_split(np.argwhere(some), some.size // CHUNK + 1):
+        clear[tuple(squares.T)] = field.clear_points((squares[:, ::-1] + 0.5) * side, clearance)
+    return clear
 
 
-def _centres(risk_map: RiskMap, cells: IndexArray) -> FloatArray:
-    return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
+def _enlarged(blocks: npt.NDArray[Any], block: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """The value of its block at each cell of a map of some shape."""
+    return np.repeat(np.repeat(blocks, block, axis=0), block, axis=1)[:shape[0], :shape[1]]
 
 
-def _cheapest_cell_path(free: BoolArray, margin: FloatArray, ends: IndexArray) -> IndexArray:
-    """Cells (K, 2) of the cheapest path between two cells across the sides of free ones."""
-    number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    sides = np.concatenate([np.stack((a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]), axis=1)
-                            for a, b in ((number[:, 1:], number[:, :-1]), (number[1:], number[:-1]))
-                            ])
+def _distances(transform: Callable[[BoolArray], npt.NDArray[Any]], passable: BoolArray,
+               some: BoolArray, field: ObstacleField) -> FloatArray:
+    """Free distance around the centres of ``some`` squares [squares]."""
+    if not some.any():
+        return np.empty(0)
+    padded = np.pad(passable, 1, constant_values=not field.clear_of_edge)
+    return np.asarray(transform(padded)[1:-1, 1:-1][some] - 0.5)
+
+
+def _cheapest_path(clear: BoolArray, rest: BoolArray, block: int, margin: FloatArray,
+                   ends: IndexArray) -> IndexArray:
+    """The cheapest path (K,) between two cells, across sides of ``clear`` blocks and other cells.
+
+    The blocks have the first numbers, the cells of the ``rest`` the next ones, row by row.
+    """
+    count = np.count_nonzero(clear)
+    number = np.full(clear.shape, -1, np.int32)
+    number[clear] = np.arange(count)
+    numbers = np.array(_enlarged(number, block, rest.shape))
+    numbers[rest] = np.arange(count, len(margin))
+    sides = np.concatenate((_sides(number, 0), _sides(numbers, count)))
     scale = max(float(margin.max()), np.finfo(float).tiny)
-    cost = 1.0 + NARROW_COST * (1.0 - np.clip(margin[free] / scale, 0.0, 1.0)) ** 2
+    cost = 1.0 + NARROW_COST * (1.0 - np.clip(margin / scale, 0.0, 1.0)) ** 2
+    cost[:count] *= block
     edges = np.concatenate((sides, sides[:, ::-1]))
-    return np.argwhere(free)[shortest_path(edges, cost[edges].sum(axis=1), len(cost),
-                                           *number[tuple(ends.T)].tolist())]
+    return shortest_path(edges, cost[edges].sum(axis=1), len(cost),
+                         *numbers[tuple(ends.T)].tolist())
+
+
+def _sides(number: npt.NDArray[np.int32], first: int) -> npt.NDArray[np.int32]:
+    """The pairs (K, 2) of numbered squares that share a side, one of them from ``first`` on."""
+    found = []
+    for a, b in ((number[:, 1:], number[:, :-1]), (number[1:], number[:-1])):
+        some = (a >= 0) & (b >= 0) & ((a >= first) | (b >= first))
+        found.append(np.stack((a[some], b[some]), axis=1))
+    return np.concatenate(found)
