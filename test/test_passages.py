@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from ambush_planner import NetworkOptions, NoRoute, RiskMap, build_network
+from ambush_planner.maps import risk_map as risk_maps
 from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.network.passages import widest_cell_path
 from ambush_planner.network.shortest_paths import reachable_from
 
 CELLS, SPACING = 24, 6.0
@@ -82,3 +84,25 @@ def test_free_cells_that_meet_at_a_corner_are_not_connected():
     obstacles[:12, 11] = obstacles[12:, 12] = True
     with pytest.raises(NoRoute, match='obstacles separate them'):
         crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))
+
+
+@pytest.mark.parametrize('block', [3, 5])
+def test_blocks_of_cells_lead_where_cells_lead(block, monkeypatch):
+    rng, ends, found = np.random.default_rng(block), np.array([(1.3, 12.2), (22.4, 11.7)]), []
+    for clearance in (0.0, 0.2, 0.8) * 20:
+        obstacles = rng.random((CELLS, CELLS)) < rng.choice([0.1, 0.2, 0.4])
+        obstacles[11:13, :3] = obstacles[11:13, -3:] = obstacles[:, 9:12] = False
+        maps = [RiskMap(np.ones(obstacles.shape), obstacles, 1.0) for _ in range(2)]
+        field = ObstacleField(maps[0])
+        one, _ = widest_cell_path(maps[0], field, ends, clearance)
+        with monkeypatch.context() as patch:
+            patch.setattr(risk_maps, '_MAX_CELLS', obstacles.size / block**2)
+            assert maps[1].obstacle_blocks[1] == block
+            other, margin = widest_cell_path(maps[1], field, ends, clearance)
+        assert (len(one) > 0) == (len(other) > 0)
+        found.append(len(other) > 0)
+        if clearance == 0.0:
+            assert field.clear_segments(other[:-1], other[1:], 0.0).all()
+        steps = np.abs(np.diff(other, axis=0)).max(axis=1) if len(other) else np.zeros(1)
+        assert steps.max() <= block and (margin > -clearance).all()
+    assert 5 < sum(found) < 55

@@ -13,6 +13,8 @@ from .risk_map import TOUCH, RiskMap
 CHUNK = 1_000_000
 # Longest segment tested in one piece [cells]: its bounding box grows with the square of this.
 PIECE = 8.0
+# Number of pieces from which on points on a segment are tested before the pieces.
+POINTS = 32
 
 
 class CellCounts:
@@ -56,9 +58,27 @@ class ObstacleField:
         """
         clear = self._on_map(a, clearance) & self._on_map(b, clearance)
         inside = np.flatnonzero(clear)
-        segment, a, b = _pieces(a[inside] / self._resolution, b[inside] / self._resolution)
-        clear[inside[segment[self._blocked(a, b, clearance / self._resolution)]]] = False
+        a, b = a[inside] / self._resolution, b[inside] / self._resolution
+        count = np.maximum(np.ceil(np.hypot(*(b - a).T) / PIECE), 1.0).astype(np.int64)
+        clear[inside] = ~self._blocked_at_points(a, b, count)
+        some = np.flatnonzero(clear[inside])
+        for part in np.array_split(some, int(count[some].sum()) // CHUNK + 1):
+            segment, begin, end = _pieces(a[part], b[part], count[part])
+            blocked = self._blocked(begin, end, clearance / self._resolution)
+            clear[inside[part[segment[blocked]]]] = False
         return clear
+
+    def _blocked_at_points(self, a: FloatArray, b: FloatArray, count: IndexArray) -> BoolArray:
+        """Return which segments of more than ``POINTS`` pieces have one of as many points blocked.
+
+        On rough ground that finds nearly all long segments that are blocked.
+        """
+        blocked, left = np.zeros(len(a), dtype=bool), np.flatnonzero(count > POINTS)
+        for share in np.arange(1, POINTS) / POINTS if len(left) else ():
+            column, row = self._cell(a[left] + share * (b[left] - a[left])).T
+            blocked[left[self._obstacles[row, column]]] = True
+            left = left[~blocked[left]]
+        return blocked
 
     def _on_map(self, uv: FloatArray, clearance: float) -> BoolArray:
         """Return which points (K, 2) lie on the map, if asked with the clearance from its edge."""
@@ -98,10 +118,9 @@ class ObstacleField:
         return hit
 
 
-def _pieces(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """Cut segments into pieces of at most ``PIECE`` cells: (segment, from, to) of each."""
-    length = np.hypot(*(b - a).T)
-    count = np.maximum(np.ceil(length / PIECE), 1.0).astype(np.int64)
+def _pieces(a: FloatArray, b: FloatArray,
+            count: IndexArray) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Cut segments (K, 2) into ``count`` (K,) pieces: (segment, from, to) of each."""
     segment, place = members(count)
     step = ((b - a) / count[:, None])[segment]
     start = a[segment] + step * place[:, None]

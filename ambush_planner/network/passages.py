@@ -56,17 +56,17 @@ def widest_cell_path(risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArra
     clear[at_ends] = whole[at_ends]
     rest = free & ~_enlarged(clear, block, free.shape)
     at_ends = tuple(ends.T)
-    rest_ends = rest[at_ends]
+    in_rest = rest[at_ends]
     rest = _clear(rest, risk_map.resolution, field, clearance)
-    rest[at_ends] = rest_ends
-    parts = np.concatenate([(np.argwhere(each) + 0.5) * side
+    rest[at_ends] = in_rest
+    parts = np.concatenate([_centres(np.argwhere(each), side * risk_map.resolution)
                             for each, side in ((clear, block), (rest, 1))])
     # In few cells: the exact distance of each takes much memory.
     distance = [_distances(scipy.ndimage.distance_transform_edt, ~blocks, clear, field) * block,
                 _distances(scipy.ndimage.distance_transform_cdt, ~risk_map.obstacles, rest, field)]
     margin = np.concatenate(distance) * risk_map.resolution - clearance
     path = _cheapest_path(clear, rest, block, margin, ends)
-    return parts[path, ::-1] * risk_map.resolution, margin[path]
+    return parts[path], margin[path]
 
 
 def passage_nodes(path: FloatArray, margin: FloatArray, spacing: float) -> FloatArray:
@@ -103,7 +103,8 @@ def pass_nodes(risk_map: RiskMap, field: ObstacleField, clearance: float,
         ridge[one] |= far & (distance[one] >= distance[other])
         ridge[other] |= far & (distance[one] < distance[other])
     cells = np.argwhere(ridge[1:-1, 1:-1])
-    uv, side = (cells[:, ::-1] + 0.5) * block * risk_map.resolution, block * risk_map.resolution
+    side = block * risk_map.resolution
+    uv = _centres(cells, side)
     margin = (distance[1:-1, 1:-1][tuple(cells.T)] - 0.5) * side - clearance
     narrow = (margin > 0.0) & (margin < MAX_NODE_DISTANCE * wanted(uv))
     order = np.flatnonzero(narrow)[np.argsort(-margin[narrow], kind='stable')]
@@ -117,8 +118,13 @@ def _clear(some: BoolArray, side: float, field: ObstacleField, clearance: float)
     """Those of ``some`` squares (H, W) of a ``side`` [m] whose centres keep the clearance."""
     clear = np.zeros_like(some)
     for squares in np.array_split(np.argwhere(some), some.size // CHUNK + 1):
-        clear[tuple(squares.T)] = field.clear_points((squares[:, ::-1] + 0.5) * side, clearance)
+        clear[tuple(squares.T)] = field.clear_points(_centres(squares, side), clearance)
     return clear
+
+
+def _centres(squares: IndexArray, side: float) -> FloatArray:
+    """Centres (K, 2) in map axes of squares (K, 2) = (row, column) of a ``side`` [m]."""
+    return np.asarray((squares[:, ::-1] + 0.5) * side, dtype=np.float64)
 
 
 def _enlarged(blocks: npt.NDArray[Any], block: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
@@ -141,7 +147,7 @@ def _cheapest_path(clear: BoolArray, rest: BoolArray, block: int, margin: FloatA
 
     The blocks have the first numbers, the cells of the ``rest`` the next ones, row by row.
     """
-    count = np.count_nonzero(clear)
+    count = int(clear.sum())
     number = np.full(clear.shape, -1, np.int32)
     number[clear] = np.arange(count)
     numbers = np.array(_enlarged(number, block, rest.shape))
@@ -155,7 +161,7 @@ def _cheapest_path(clear: BoolArray, rest: BoolArray, block: int, margin: FloatA
                          *numbers[tuple(ends.T)].tolist())
 
 
-def _sides(number: npt.NDArray[np.int32], first: int) -> npt.NDArray[np.int32]:
+def _sides(number: npt.NDArray[Any], first: int) -> npt.NDArray[Any]:
     """The pairs (K, 2) of numbered squares that share a side, one of them from ``first`` on."""
     found = []
     for a, b in ((number[:, 1:], number[:, :-1]), (number[1:], number[:-1])):
