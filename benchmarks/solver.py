@@ -26,6 +26,7 @@ from games import value_lp
 from one_run import Answer, run
 from peers import highs
 from report import conditions, publish, quantiles, table
+from scipy import ndimage
 from scipy.sparse import csr_matrix
 
 from ambush_planner import AmbushPlannerError, Network, Plan, RiskMap, plan_trip
@@ -225,12 +226,15 @@ def relief(rng: np.random.Generator, cells: int, power: float) -> FloatArray:
 
 def large_map(cells: int) -> list[str]:
     """Seconds and memory of ``ambush plan`` and ``ambush draw`` on 20 km of relief."""
-    rng, step = np.random.default_rng(cells), SIDE / cells
-    risk = np.clip(45.0 + 20.0 * relief(rng, cells, 1.8), 0.0, 99.0)
-    values = np.where(relief(rng, cells, 2.1) > 1.1, 100, risk).astype(np.int8)
-    for corner in (0.02 * SIDE, 0.92 * SIDE):  # around start and goal
-        part = slice(int(corner / step), int((corner + 0.06 * SIDE) / step))
-        values[part, part] = np.minimum(values[part, part], 60)
+    rng, step, joined = np.random.default_rng(cells), SIDE / cells, False
+    while not joined:
+        risk = np.clip(45.0 + 20.0 * relief(rng, cells, 1.8), 0.0, 99.0)
+        values = np.where(relief(rng, cells, 2.1) > 1.1, 100, risk).astype(np.int8)
+        for corner in (0.02 * SIDE, 0.92 * SIDE):  # around start and goal
+            part = slice(int(corner / step), int((corner + 0.06 * SIDE) / step))
+            values[part, part] = np.minimum(values[part, part], 60)
+        regions = ndimage.label(values < 100)[0]
+        joined = regions[(int(0.05 * cells),) * 2] == regions[(int(0.95 * cells),) * 2]
     ends = [f'{share * SIDE:g}' for share in (0.05, 0.95)]
     with TemporaryDirectory() as folder:
         files = [f'{folder}/{name}' for name in ('map.yaml', 'map.plan', 'card.html', 'route.gpx')]

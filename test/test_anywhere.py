@@ -4,6 +4,7 @@
 Geometry, hits and LPs share no code with the package (games.py).
 """
 
+import math
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -25,16 +26,21 @@ from games import (
 
 from ambush_planner import (
     GameOptions,
+    NetworkOptions,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
     TimeLimit,
+    build_network,
     plan_trip,
+    solve,
 )
 from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.game.distribution.route_distribution import RouteDistribution
+from ambush_planner.game.game import make_games
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ambush_planner.planning import cell_losses
 from ambush_planner.planning.cell_losses import CellLosses, CellSearch
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
@@ -167,6 +173,30 @@ def test_a_search_finds_the_places_that_cost_more_the_worst_first():
         assert found.mean_loss.min() > above and (np.diff(found.mean_loss) <= 0.0).all()
         between = np.linalg.norm(found.points[:, None] - found.points, axis=2)
         assert (between + 2.0 * apart * np.eye(len(between)) > apart).all()
+
+
+@pytest.mark.parametrize('share', [0.3, 0.9])
+def test_blocks_searched_best_first_give_the_places_of_all_cells(share, monkeypatch):
+    monkeypatch.setattr(cell_losses, '_AT_ONCE', 5)
+    rng = np.random.default_rng(4)
+    obstacles = np.kron(rng.random((15, 15)) < 0.1, np.ones((4, 4))) > 0
+    obstacles[:8, :8] = obstacles[-8:, -8:] = False
+    risk_map = RiskMap(rng.integers(1, 4, obstacles.shape), obstacles, 1.0)  # with many ties
+    network = build_network(risk_map, (3.0, 3.0), (57.0, 57.0), NetworkOptions(spacing=5.0))
+    (game,) = make_games((network,), GameOptions(ambush_radius=20.0, secured_radius=8.0,
+                                                 widened=math.sqrt(0.5)))
+    law, cells = chain_of(network, solve(network).edge_probability), CellLosses(risk_map, False)
+    search = CellSearch(cells, [game], law.uses(len(network.edges)) > 0.0)
+    all_cells = cells.dear_blocks(16)
+    for side in (16, 4):
+        all_cells = cells.divided(all_cells, side)
+    parts, *_, losses = search._of_parts(all_cells, law, 0.0, 6.0)
+    above = share * losses[0]
+    found = search.worst(law, above, 6.0)
+    some = losses > above
+    assert 1 < some.sum() < 100
+    assert np.array_equal(found.points, cells.centres(parts[some], 1))
+    assert np.array_equal(found.mean_loss, losses[some])
 
 
 @pytest.mark.parametrize('case', SMALL, ids=str)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ambush_planner import InvalidRiskMap, RiskMap, arrays, read_risk_map
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_from_occupancy
+from ambush_planner.maps.risk_map import GradedLosses
 
 origins = st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-7, 7))
 resolutions = st.floats(0.01, 100)
@@ -120,3 +121,64 @@ def test_a_file_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
     np.savez_compressed(tmp_path / 'm.npz', alpha=np.ones((99, 99)), obstacles=0, resolution=1.0)
     with pytest.raises(InvalidRiskMap, match='m.npz: its arrays would take 7.8.* bytes'):
         read_risk_map(tmp_path / 'm.npz')
+
+
+def graded(rng, shape=(7, 9)):
+    """The same map with its losses in grades and as an array, with all layers."""
+    levels, grades = np.array([0.5, 1.0, 4.0, 9.0]), rng.integers(0, 4, shape).astype(np.uint8)
+    layers = {'unknown': rng.random(shape) < 0.3,
+              'heights': rng.random(shape).astype(np.float32)}
+    place = rng.random(shape) < 0.3, 2.0, (10.0, 20.0, 0.3), 'EPSG:32616'
+    return [RiskMap(alpha, *place, **layers)
+            for alpha in (GradedLosses(levels, grades), levels[grades])]
+
+
+def test_graded_losses_are_read_like_an_array():
+    one, other = graded(np.random.default_rng(1))
+    losses, array = one.alpha, other.alpha
+    assert one.graded is losses
+    assert other.graded is None
+    assert len(losses) == 7
+    assert (losses.shape, losses.size, losses.dtype) == (array.shape, array.size, array.dtype)
+    for key in ((2, 3), 2, (slice(1, 5), slice(None, None, 2)), array > 1.0, ([1, 2], [3, 4])):
+        assert np.array_equal(losses[key], array[key])
+    for read in (np.asarray, lambda each: each + 1.0, lambda each: 2.0 * each < array,
+                 lambda each: each.mean(axis=0), np.sqrt, lambda each: each.ravel()):
+        assert np.array_equal(read(losses), read(array))
+    assert one.loss_range == other.loss_range
+    assert np.array_equal(one.nearest_free_alpha(), other.nearest_free_alpha())
+    with pytest.raises(TypeError):
+        losses[0, 0] = 1.0
+
+
+@pytest.mark.parametrize('level', [-1.0, math.nan])
+def test_graded_losses_must_be_losses(level):
+    losses = GradedLosses([0.0, level], np.ones((2, 2), np.uint8))
+    with pytest.raises(InvalidRiskMap, match='alpha must be finite and >= 0'):
+        RiskMap(losses, np.zeros((2, 2), bool), 1.0)
+
+
+@pytest.mark.parametrize('which', [0, 1], ids=['grades', 'array'])
+def test_a_part_of_a_map_lies_where_it_lay(which):
+    whole = graded(np.random.default_rng(2))[which]
+    part = whole.part(slice(2, 6), slice(3, 5))
+    assert (part.alpha.shape, part.resolution, part.crs) == ((4, 2), 2.0, 'EPSG:32616')
+    uv = np.array([[1.0, 1.0], [3.0, 7.0]])
+    assert part.to_world(uv) == pytest.approx(whole.to_world(uv + [6.0, 4.0]))
+    for name in ('alpha', 'obstacles', 'unknown', 'heights'):
+        assert np.array_equal(getattr(part, name), getattr(whole, name)[2:6, 3:5])
+
+
+@pytest.mark.parametrize('which', [0, 1], ids=['grades', 'array'])
+def test_a_coarser_map_hides_no_loss_and_no_obstacle(which):
+    whole = graded(np.random.default_rng(3))[which]
+    assert whole.coarser(9) is whole
+    coarse = whole.coarser(4)  # blocks of 3 x 3 cells, the highest ones of 1 x 3
+    assert (coarse.alpha.shape, coarse.resolution, coarse.origin) == ((3, 3), 6.0, whole.origin)
+    assert (coarse.graded is None) == (whole.graded is None)
+    for row, column in np.ndindex(3, 3):
+        block = slice(3 * row, 3 * row + 3), slice(3 * column, 3 * column + 3)
+        assert coarse.alpha[row, column] == whole.alpha[block].max()
+        assert coarse.obstacles[row, column] == whole.obstacles[block].any()
+        assert coarse.unknown[row, column] == whole.unknown[block].all()
+        assert coarse.heights[row, column] == whole.heights[block][0, 0]

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -131,7 +131,10 @@ def npz_bytes(risk_map: RiskMap) -> bytes:
     if graded:
         del content['alpha']
         content |= {name: getattr(graded, name) for name in _GRADED}
-    np.savez_compressed(stream, **content)
+    with ZipFile(stream, 'w', ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, value in content.items():
+            with archive.open(f'{name}.npy', 'w', force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asanyarray(value), allow_pickle=False)
     return stream.getvalue()
 
 

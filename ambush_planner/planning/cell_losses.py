@@ -9,16 +9,17 @@ of them is hit. A block whose largest loss, times these entries, is not above th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
-from ..arrays import BoolArray, FloatArray, IndexArray, pooled
+from ..arrays import ROUNDING, BoolArray, FloatArray, IndexArray, pooled
 from ..game.discs import ExposedEdges
 from ..game.game import Game
 from ..game.hits import Law
@@ -37,6 +38,8 @@ _DIVISION = 4
 _FEW = 0.3
 # Maximum share of changed cells; beyond it losses are computed from the whole map.
 _MAX_CHANGED = 0.05
+# Least number of blocks whose cells are searched at once; of many, a share of those left.
+_AT_ONCE = 200
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
 
 
@@ -162,39 +165,67 @@ class CellSearch:
         search, used = self, law.uses(len(self._used)) > 0.0
         if used.sum() < _FEW * self._used.sum():
             search = CellSearch(self._cells, self._games, used)
-        side = self._first if among is None else 1
-        blocks = self._cells.dear_blocks(side) if among is None else among
-        while True:
-            blocks = search._above(blocks, side, law, above)
-            if side == 1:
-                break
-            blocks = self._cells.divided(blocks, side)
-            side //= _DIVISION
         search._returned = self._returned
-        parts, points, loss, losses = search._of_parts(blocks, law, above, apart)
+        if among is None:
+            parts, points, loss, losses = search._best_first(law, above, apart)
+        else:
+            parts, points, loss, losses = search._of_parts(search._above(among, 1, law, above)[0],
+                                                           law, above, apart)
         self._returned = np.append(self._returned, _keys(parts))
-        rows, row = self._rows(parts, 1.0 / self._parts)
-        return FoundSites(points, loss, losses, csr_matrix(rows[row]))
+        return FoundSites(points, loss, losses, self._rows(parts, 1.0 / self._parts))
 
-    def _above(self, blocks: IndexArray, side: int, law: Law, above: float) -> IndexArray:
-        """Blocks (K, 2) in which a place may cost more."""
+    def _best_first(self, law: Law, above: float, apart: float) -> _Costly:
+        """The worst parts of cells, no two within ``apart`` [m].
+
+        The smallest blocks are searched in the order of the most that a place in them may cost: a
+        place found is the next one if it costs more than that. Blocks within ``apart`` of such a
+        place are left out.
+        """
+        side, blocks = self._first, self._cells.dear_blocks(self._first)
+        while side > _DIVISION:
+            blocks = self._cells.divided(self._above(blocks, side, law, above)[0], side)
+            side //= _DIVISION
+        blocks, most = self._above(blocks, side, law, above)
+        if side == 1 or self._parts > 1 or apart == 0.0:
+            if side > 1:
+                blocks, _ = self._above(self._cells.divided(blocks, side), 1, law, above)
+            return self._of_parts(blocks, law, above, apart)
+        order, keys = np.argsort(-most, kind='stable'), _keys(blocks)
+        place = np.argsort(keys)
+        inner = apart - side * self._cells.resolution / math.sqrt(2.0)
+        found = waiting = self._of_parts(blocks[:0], law, above, apart)
+        while len(order):
+            some, order = np.split(order, [max(_AT_ONCE, len(order) // 32)])
+            some = some[_away(self._cells.centres(blocks[some], side), found.points, inner)]
+            cells, _ = self._above(self._cells.divided(blocks[some], side), 1, law, above)
+            waiting = waiting.joined(self._of_parts(cells, law, above, 0.0))
+            waiting = waiting.some(_away(waiting.points, found.points, apart))
+            least = (1.0 + ROUNDING) * most[order[0]] if len(order) else above
+            enough = waiting.losses > least
+            best = waiting.some(enough)
+            block = place[np.searchsorted(keys, _keys(best.parts // side), sorter=place)]
+            worst_first = np.lexsort((*(best.parts % side).T[::-1], block, -best.losses))
+            found = found.joined(best.some(thinned(best.points, worst_first, apart)))
+            waiting = waiting.some(~enough)
+        return found
+
+    def _above(self, blocks: IndexArray, side: int, law: Law,
+               above: float) -> tuple[IndexArray, FloatArray]:
+        """Blocks (K, 2) in which a place may cost more, and the most that one may cost (K,)."""
         loss = self._cells.in_blocks(blocks, side)
         some = loss * len(self._games) > above
         blocks, loss = blocks[some], loss[some]
-        rows, row = self._rows(blocks, side)
-        most = loss * law.meets_at_most(rows)[row]
-        blocks, loss, row = blocks[most > above], loss[most > above], row[most > above]
+        rows = self._rows(blocks, side)
+        most = loss * law.meets_at_most(rows)
+        some = most > above
+        blocks, loss, most = blocks[some], loss[some], most[some]
         if side > _DIVISION or side == self._parts == 1:
-            return blocks
-        return np.asarray(blocks[loss * law.meets(rows[row]) > above])
+            return blocks, most
+        most = loss * law.meets(csr_matrix(rows[some]))
+        return np.asarray(blocks[most > above]), most[most > above]
 
-    def _of_parts(self, cells: IndexArray, law: Law,
-                  above: float, apart: float
-                  ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray]:
-        """The worst part of each cell (K, 2) in which one costs more than ``above``.
-
-        Returned are the parts (L, 2), their positions, losses and mean losses.
-        """
+    def _of_parts(self, cells: IndexArray, law: Law, above: float, apart: float) -> _Costly:
+        """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_blocks(cells), self._parts
         parts, which = cells, np.arange(len(cells))
         if n > 1:
@@ -203,25 +234,52 @@ class CellSearch:
         points = self._cells.centres(parts, 1.0 / n)
         out = ~self._game.secured.shrunk(self._widened).covers(points)
         parts, which, points = parts[out], which[out], points[out]
-        rows, row = self._rows(parts, 1.0 / n)
-        most = loss[which] * law.meets_at_most(rows)[row]
+        rows = self._rows(parts, 1.0 / n)
+        most = loss[which] * law.meets_at_most(rows)
         some = np.flatnonzero((most > above) & ~np.isin(_keys(parts), self._returned))
-        which, parts, points, row = which[some], parts[some], points[some], row[some]
-        losses = loss[which] * law.meets(rows[row])
+        which, parts, points = which[some], parts[some], points[some]
+        losses = loss[which] * law.meets(csr_matrix(rows[some]))
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)
         found = thinned(points, order[np.sort(first)], apart)
-        return parts[found], points[found], loss[which[found]], losses[found]
+        return _Costly(parts[found], points[found], loss[which[found]], losses[found])
 
-    def _rows(self, blocks: IndexArray, side: float) -> tuple[csr_matrix, IndexArray]:
-        """Rows of edges that enter the discs of blocks, and those of ``blocks`` (K, 2) in them."""
+    def _rows(self, blocks: IndexArray, side: float) -> csr_matrix:
+        """The edges (K, M) that enter the discs of blocks (K, 2)."""
         if side not in self._kept:
             around = side * self._cells.resolution / np.sqrt(2.0)
             reach = self._game.reach - self._widened + around
             self._kept[side] = _KeptRows(self._exposed, reach)
         kept = self._kept[side]
         return kept.find(blocks, lambda some: self._cells.centres(some, side))
+
+
+class _Costly(NamedTuple):
+    """Parts of cells (K, 2), their positions (K, 2), losses and mean losses (K,)."""
+
+    parts: IndexArray
+    points: FloatArray
+    loss: FloatArray
+    losses: FloatArray
+
+    def joined(self, others: _Costly) -> _Costly:
+        """These and others."""
+        return _Costly(np.concatenate((self.parts, others.parts)),
+                       np.concatenate((self.points, others.points)),
+                       np.append(self.loss, others.loss), np.append(self.losses, others.losses))
+
+    def some(self, which: BoolArray | IndexArray) -> _Costly:
+        """Those that ``which`` marks or numbers."""
+        return _Costly(self.parts[which], self.points[which], self.loss[which],
+                       self.losses[which])
+
+
+def _away(points: FloatArray, places: FloatArray, distance: float) -> BoolArray:
+    """Which of the points (K, 2) have no place within a distance [m]."""
+    if not len(places) or not len(points):
+        return np.ones(len(points), dtype=bool)
+    return np.asarray(cKDTree(places).query(points)[0] > distance)
 
 
 def thinned(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
@@ -250,8 +308,8 @@ class _KeptRows:
         self._rows: csr_matrix | None = None
 
     def find(self, blocks: IndexArray,
-             centres: Callable[[IndexArray], FloatArray]) -> tuple[csr_matrix, IndexArray]:
-        """All rows so far, and those of the blocks (K, 2)."""
+             centres: Callable[[IndexArray], FloatArray]) -> csr_matrix:
+        """The rows of the blocks (K, 2)."""
         keys = _keys(blocks)
         at = np.searchsorted(self._keys, keys)
         known = at < len(self._keys)
@@ -265,7 +323,7 @@ class _KeptRows:
             order = np.argsort(all_keys, kind='stable')
             self._rows, self._keys, self._row = rows, all_keys[order], row[order]
             at = np.searchsorted(self._keys, keys)
-        return self._rows, self._row[at]
+        return csr_matrix(self._rows[self._row[at]])
 
 
 class LatestLosses:

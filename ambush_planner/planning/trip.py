@@ -191,7 +191,9 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
         reserve *= max(search.legs.games[0].node_count / best.trip.game.node_count, 1.0)
         with contextlib.suppress(AmbushPlannerError):  # then the best plan is the first one
             refined = ground.finish(search, end - reserve)
-            if refined.value < best.value and not _gap_is_open(refined, options):
+            # Whatever gap the caller accepts, a proof is not given up.
+            usual = replace(options, max_gap=min(options.max_gap, PlanningOptions.max_gap))
+            if refined.value < best.value and not _gap_is_open(refined, usual):
                 best = make_plan(trip.risk_map, refined, options, begin)
                 finished(best)
     return _within_max_gap(replace(best, refinement=rounds))
