@@ -237,7 +237,7 @@ def large_map(cells: int) -> list[str]:
         joined = regions[(int(0.05 * cells),) * 2] == regions[(int(0.95 * cells),) * 2]
     ends = [f'{share * SIDE:g}' for share in (0.05, 0.95)]
     with TemporaryDirectory() as folder:
-        files = [f'{folder}/{name}' for name in ('map.yaml', 'map.plan', 'card.html', 'route.gpx')]
+        files = [f'{folder}/{name}' for name in ('map.yaml', 'map.plan', 'card.html', 'route.csv')]
         write_map(Path(files[0]), OccupancyMap(values, step))
         row = [f'{cells} x {cells}']
         for command in (['plan', files[0], '--start', *ends[:1] * 2, '--goal', *ends[1:] * 2,
