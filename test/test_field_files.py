@@ -16,6 +16,7 @@ from field_samples import (
     CORNER,
     CRS,
     GROUND,
+    OSM,
     ROADS,
     TABLES,
     TIMES,
@@ -34,6 +35,7 @@ from ambush_planner.commands.positions import _xy, positions_in
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.risk_layers import risk_from_layers
+from ambush_planner.maps.road_file import read_roads
 from ambush_planner.maps.terrain_file import terrain_of_file
 from ambush_planner.maps.terrain_risk import TerrainOptions
 from ambush_planner.maps.visibility import ViewOptions
@@ -236,6 +238,32 @@ def copied(name, crs=CRS, **options):
     return read
 
 
+def many_factors(folder):
+    """Polygons that overlap, each with a factor of its own: at each cell, their product."""
+    factors = np.linspace(0.5, 2.0, 60)
+    edges = CORNER[0] + np.linspace(5.0, 395.0, 60)
+    shapes = [box(edge, CORNER[1], CORNER[0] + 400.0, CORNER[1] + 400.0) for edge in edges]
+    geopandas.GeoDataFrame({'f': factors}, geometry=shapes, crs=CRS).to_file(folder / 'a.gpkg')
+    whole_map = {'crs': CRS, 'resolution': 10.0, 'bounds': [*CORNER, *(CORNER + 400.0)]}
+    whole = geopandas.GeoDataFrame(geometry=[box(*whole_map['bounds'])], crs=CRS)
+    whole.to_file(folder / 'b.gpkg')
+    made = risk_from_layers({**whole_map, 'layers': [
+        {'polygons': 'b.gpkg', 'loss': 2.0}, {'polygons': 'a.gpkg', 'factor': 'f'}]}, folder)
+    centres = CORNER[0] + np.arange(5.0, 400.0, 10.0)
+    product = [factors[edges < centre].prod() for centre in centres]
+    alpha = np.asarray(made.risk_map.alpha)
+    np.testing.assert_allclose(alpha[7] / alpha[7, 0], np.divide(product, product[0]), rtol=1e-5)
+
+
+def renumbered(folder):
+    """OpenStreetMap XML as other programs than its server write it: numbers fall, and are large."""
+    text = OSM.replace('TAGS', '<tag k="highway" v="track"/>')
+    (folder / 'a.osm').write_text(re.sub(
+        r'\b(id|ref)="(\d+)"', lambda match: f'{match[1]}="{2**60 - int(match[2])}"', text))
+    given, said = heard(read_roads, str(folder / 'a.osm'))
+    assert len(given.pairs) == 4 and not said
+
+
 def in_a_folder(folder):
     frame = lines(highway=['road', 'road'], oneway=['no', 'no'])
     frame.to_file(folder / 'a.shp')
@@ -245,6 +273,7 @@ def in_a_folder(folder):
 
 RIGHT = {
     'held ground with a long border': long_border,
+    'OpenStreetMap with other numbers': renumbered, 'factors': many_factors,
     'GeoJSON in CRS84': copied('a.geojson', 'OGC:CRS84'), 'GML': copied('a.gml', 4326),
     'a shapefile in US survey feet': copied('a.shp', 2264),
     'FlatGeobuf in Gauss-Krueger': copied('a.fgb', 31468), 'MapInfo': copied('a.tab'),
