@@ -276,7 +276,7 @@ class _Costly(NamedTuple):
 
 
 def _away(points: FloatArray, places: FloatArray, distance: float) -> BoolArray:
-    """Which of the points (K, 2) have no place within a distance [m]."""
+    """Return which points (K, 2) have no place within a distance [m]."""
     if not len(places) or not len(points):
         return np.ones(len(points), dtype=bool)
     return np.asarray(cKDTree(places).query(points)[0] > distance)
