@@ -72,6 +72,13 @@ def test_no_other_set_of_the_candidates_is_much_better(size, detour, stops):
     assert few.lower_bound <= few.value
 
 
+def test_a_plan_without_corridors_has_the_same_few_routes(plan):
+    """As plans come from files, whose corridors are measured when they are needed."""
+    few, again = (few_routes(each, 2, np.random.default_rng(5))
+                  for each in (plan, replace(plan, corridors=())))
+    assert few.value == again.value and len(few.paths) == len(again.paths)
+
+
 def test_a_mixture_is_what_it_says(plan):
     few = few_routes(plan, 5, np.random.default_rng(0))
     count = len(few.paths)

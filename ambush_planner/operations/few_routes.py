@@ -26,7 +26,7 @@ from ..errors import InvalidOption, TimeLimit
 from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy
 from ..planning.few import FewRoutes
-from ..planning.plan import Plan, path_lengths
+from ..planning.plan import Plan, corridors_of, path_lengths
 from ..routes.driven_path import driven_paths
 from .best_shares import BestShares, SharesLP
 from .path_mixtures import PathMixture, PathMixtures, check_judged
@@ -82,7 +82,7 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
                             f'drawn routes, {count} are different; got {most}')
     try:
         routes, leg, costs = _promising(plan, routes, leg, max(CANDIDATES, most), deadline)
-        paths = [path for k, corridors in enumerate(plan.corridors) for path in driven_paths(
+        paths = [path for k, corridors in enumerate(corridors_of(plan)) for path in driven_paths(
             corridors, [route for route, own in zip(routes, leg, strict=True) if own == k],
             plan.spacing, plan.options.drive.turning_radius)]
         if plan.network.seconds is None:

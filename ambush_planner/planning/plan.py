@@ -332,6 +332,11 @@ def measured_corridors(plan: Plan, among: Sequence[IndexArray | None] = ()
                  for leg, nodes in zip(plan.legs, among or [None] * len(plan.legs), strict=True))
 
 
+def corridors_of(plan: Plan, among: Sequence[IndexArray | None] = ()) -> tuple[Corridors, ...]:
+    """The corridors of a plan, measured now, as in ``measured_corridors``, if it has none."""
+    return plan.corridors or measured_corridors(plan, among)
+
+
 def _leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions,
                    among: IndexArray | None) -> Corridors:
     """The corridors of a leg's network; on roads, and without a reach, no corners are cut."""
@@ -364,7 +369,7 @@ def departure_path(plan: Plan, route: Route, spacing: float, ends: Ends | None =
     places = [*plan.ends_xy]
     if ends is not None:
         places[0], places[-1] = ends
-    corridors = plan.corridors or measured_corridors(plan, route)
+    corridors = corridors_of(plan, route)
     legs = [driven_path(each, nodes, spacing, radius, own) for each, nodes, own in zip(
         corridors, route, pairwise(places), strict=True)]
     return joined(legs)
@@ -377,7 +382,7 @@ def departure_paths(plan: Plan, n: int, spacing: float,
     if not n:
         return []
     by_leg = list(zip(*routes, strict=True))
-    corridors = plan.corridors or measured_corridors(plan, [np.concatenate(own) for own in by_leg])
+    corridors = corridors_of(plan, [np.concatenate(own) for own in by_leg])
     legs = [driven_paths(each, list(own), spacing, radius)
             for each, own in zip(corridors, by_leg, strict=True)]
     return [joined(each) for each in zip(*legs, strict=True)]
