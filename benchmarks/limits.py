@@ -38,7 +38,7 @@ from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.maps.terrain_risk import terrain_map
 
 WORSE, APART = 1.03, 1.1  # most of a value: over that without refinement, over the crowd's least
-LATE = 1.1, 1.0  # most seconds: so many limits, and so many seconds
+LATE = 1.1, 1.0  # a plan may take 1.1 times its limit plus 1 s
 NODES = 2500  # of the problems of ``families``: decides cells and reach
 CELL, SIZE = 30.0, (500, 667)  # of the mountains: 20 by 15 km
 HEIGHT, DECAY = 350.0, 2.1  # standard deviation [m] of heights, and power of their spectrum

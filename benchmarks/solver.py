@@ -258,7 +258,7 @@ def main() -> None:
     parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
     parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
     parser.add_argument('--large', type=int, nargs='+', metavar='CELLS',
-                        help='only plan and draw on maps of so many cells along each side')
+                        help='only plan and draw on maps with this number of cells along each side')
     options = parser.parse_args()
     if options.large:
         head = ['cells', *(f'{name}: {what}' for name in ('plan', 'draw')

@@ -181,7 +181,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
         ), strict=True)
     )
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
-    figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle.\n'
+    figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: impassable.\n'
                      'Dashed: the secured area, where nobody can wait.', fontsize=9)
     figure.draw_without_rendering()
     figure.set_layout_engine('none')  # labels near the edge would move the panels

@@ -99,7 +99,7 @@ class CellLosses:
         return cells, self._losses(padded[cells[..., 0], cells[..., 1]])
 
     def change(self, cells: IndexArray, alpha: FloatArray) -> None:
-        """Set the losses (K,) of some cells (K, 2) = (row, column), negative where nobody waits."""
+        """Set the losses (K,) of cells (K, 2) = (row, column); below 0 where nobody can wait."""
         graded = len(self._levels) > 0
         self._largest[1][tuple(cells.T)] = (np.searchsorted(self._levels, alpha) if graded
                                             else alpha)
