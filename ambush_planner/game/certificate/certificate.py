@@ -98,7 +98,7 @@ def leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float = 
         faces = make_faces(game)
         if faces is None or not faces.same_both_ways(budget.cost):
             raise SolverFailed('a circulation proves nothing where links cross or are one-way')
-        bound = curve_bound(faces, given, game.loss * q, budget, price)
+        bound = curve_bound(faces, given, game.loss * q, budget, price, deadline, target)
     if bound >= target:
         return bound
     weights, worth = _paid(game, budget, price)

@@ -12,30 +12,39 @@ for every route
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
 over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is decomposed into simple cycles, each of which counts once
-if its crossings do not add up to 0. Routes meet one that winds around an end more often more than
-once, which labels find if it matters (``best_response``).
+if its crossings do not add up to 0. A curve that winds around an end n times counts as often as
+each route meets its links and sites, up to n.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+import time
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
+from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..budget import Budget
 from ..distribution.acyclic import simple_cycles
 from ..faces import Circulation, Faces
 
+# Maximum number of sets of a curve's sites, all of one size, whose routes are looked for.
+MOST_SETS = 300
+
 
 def curve_bound(faces: Faces, given: Circulation, site_prices: FloatArray, budget: Budget,
-                price: float) -> float:
+                price: float, deadline: float = math.inf, target: float = math.inf) -> float:
     """The bound that a circulation proves within the budget, for ``site_prices`` (N,).
 
-    Flow beyond a site price, or beyond a link's share of the price, counts for nothing. Raises
-    SolverFailed if the circulation is that of another network.
+    Flow beyond a site price, or beyond a link's share of the price, counts for nothing. How often
+    curves count that wind more than once is found until ``target`` is proved, or to ``deadline``
+    (``time.monotonic``); the others count once. Raises SolverFailed if the circulation is that of
+    another network.
     """
     game = faces.game
     if len(given.through) != len(faces.left) or given.site.max(initial=-1) >= len(site_prices):
@@ -54,14 +63,27 @@ def curve_bound(faces: Faces, given: Circulation, site_prices: FloatArray, budge
                           given.face)
     bound = float(site_prices[game.sites[certain]].sum()) - (
         price * budget.limit if price > 0.0 else 0.0)
-    return bound + sum(weight for cycle, weight in simple_cycles(arcs.tail, arcs.head, arcs.size)
-                       if arcs.gain[cycle].sum() != 0)
+    winding = []
+    for cycle, weight in simple_cycles(arcs.tail, arcs.head, arcs.size):
+        winds = abs(int(arcs.gain[cycle].sum()))
+        bound += weight * min(winds, 1)
+        if winds > 1:
+            winding.append((weight * (winds - 1), winds, cycle))
+    routes = _RoutesAcross(faces)
+    for extra, winds, cycle in sorted(winding, key=lambda curve: -curve[0]):
+        if bound >= target or time.monotonic() > deadline:
+            break
+        link, row = arcs.link[cycle], np.unique(arcs.row[cycle])
+        met = routes.least_met(link[link >= 0], row[row >= 0], winds)
+        bound += extra / (winds - 1) * (met - 1)
+    return bound
 
 
 class _Arcs(NamedTuple):
     """The flows ``size`` (K,) of a circulation, from ``tail`` to ``head`` (K,).
 
-    These are faces, and then parts of the rims of discs. ``gain`` is what an arc adds to the
+    These are faces, and then parts of the rims of discs. An arc crosses ``link`` or leads into or
+    out of the disc in ``row`` of the game; the other one is -1. ``gain`` is what it adds to the
     winding.
     """
 
@@ -69,6 +91,8 @@ class _Arcs(NamedTuple):
     head: IndexArray
     gain: IndexArray
     size: FloatArray
+    link: IndexArray
+    row: IndexArray
 
 
 def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, row: IndexArray,
@@ -83,7 +107,7 @@ def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, row: IndexArray
     rows, disc = np.unique(row, return_inverse=True)
     discs = faces.discs(csr_matrix(faces.game.entering[rows]))
     tail, head = faces.left[link], faces.right[link]
-    gain, flow = faces.crossed[link], through[link]
+    gain, flow, of = faces.crossed[link], through[link], np.full(len(link), -1)
     if len(pair) and len(discs.face):
         key = discs.disc * faces.count + discs.face
         wanted = disc.ravel()[pair] * faces.count + face[pair]
@@ -93,10 +117,51 @@ def _arcs(faces: Faces, through: FloatArray, inside: FloatArray, row: IndexArray
         tail = np.concatenate((tail, face[pair]))
         head = np.concatenate((head, faces.count + discs.part[at]))
         gain = np.concatenate((gain, discs.offset[at]))
-        flow = np.concatenate((flow, inside[pair]))
+        flow, of = np.concatenate((flow, inside[pair])), np.concatenate((of, row[pair]))
     forward, size = flow > 0.0, np.abs(flow)
     kept = size > NEGLIGIBLE * size.max(initial=0.0)
     arcs = _Arcs(*(each[kept] for each in (
         np.where(forward, tail, head), np.where(forward, head, tail),
-        np.where(forward, gain, -gain), size)))
+        np.where(forward, gain, -gain), size,
+        np.append(link, np.full(len(of) - len(link), -1)), of)))
     return arcs, rows[discs.unavoidable]
+
+
+class _RoutesAcross:
+    """The routes of a leg across curves of its faces."""
+
+    def __init__(self, faces: Faces) -> None:
+        network, edge = faces.game.network, np.flatnonzero(faces.game.playable)
+        order = edge[np.lexsort((network.heads[edge], network.tails[edge]))]
+        self._ends, self._head = (network.source, network.target), network.heads[order]
+        count = faces.game.node_count
+        self._first = np.searchsorted(network.tails[order], np.arange(count + 1))
+        self._link, self._order, self._entering = faces.link[order], order, faces.game.entering
+
+    def least_met(self, links: IndexArray, rows: IndexArray, winds: int) -> int:
+        """Return the least number of a curve's links and sites that a route meets, up to ``winds``.
+
+        A site counts once, a link each time. A route that meets no site crosses ``winds`` links.
+        """
+        crossing = np.isin(self._link, links)
+        entering = csr_matrix(self._entering[rows][:, self._order])
+        times, least = np.asarray(entering.sum(axis=0)).ravel(), winds
+        for count in range(1, winds):
+            if math.comb(len(rows), count) > MOST_SETS:
+                return min(count, least)
+            for met in itertools.combinations(range(len(rows)), count):
+                if count >= least:
+                    return least
+                free = np.asarray(entering[list(met)].sum(axis=0)).ravel()
+                crossed = self._crossed(crossing, times > free, least - count)
+                least = min(least, count + crossed)
+        return least
+
+    def _crossed(self, crossing: BoolArray, blocked: BoolArray, most: int) -> int:
+        """The fewest ``crossing`` edges of a route without ``blocked`` ones, or ``most``."""
+        weight = np.where(blocked, np.inf, np.where(crossing, 1.0, ROUNDING))
+        count = len(self._first) - 1
+        graph = csr_matrix((weight, self._head, self._first), (count, count))
+        source, target = self._ends
+        away = dijkstra(graph, indices=source, limit=most - 0.5)[target]
+        return min(round(away), most) if np.isfinite(away) else most
