@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that went, and what to do instead, for parameters, commands and recordings."""
+"""Options that were removed, and what to do instead, for parameters, commands and recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .errors import InvalidOption
 
 
 class _Gone(NamedTuple):
-    """The remedy for an option that went, and its value ``without`` effect."""
+    """The remedy for an option that was removed, and its value ``without`` effect."""
 
     remedy: str
     without: object = None
@@ -35,12 +35,12 @@ _GONE = {
 
 
 def remedy_for(name: str) -> str:
-    """Say that an option went, and what to do instead; '' if there never was one of this name."""
-    return f'{name} went: {_GONE[name].remedy}' if name in _GONE else ''
+    """Say that an option was removed, and what to do instead; '' if there never was one of this name."""
+    return f'{name} was removed: {_GONE[name].remedy}' if name in _GONE else ''
 
 
 def check_none_gone(values: Mapping[str, Any]) -> None:
-    """Raise InvalidOption if one of the values sets an option that went to some effect."""
+    """Raise InvalidOption if one of the values sets a removed option to some effect."""
     for name, gone in _GONE.items():
         if values.get(name, gone.without) != gone.without:
             raise InvalidOption(remedy_for(name))

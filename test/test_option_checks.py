@@ -39,12 +39,12 @@ def test_an_option_that_went_is_refused_with_the_remedy(capsys):
     for flag in '--equal', '--load', '--order':
         with pytest.raises(SystemExit) as ended:
             plan.main([YARD, '--start', '1', '1', '--goal', '2', '2', '-o', 'r.csv', flag])
-        assert ended.value.code == 2 and f'{flag} went: ' in capsys.readouterr().err
+        assert ended.value.code == 2 and f'{flag} was removed: ' in capsys.readouterr().err
     for name, without in (('game.ambushers', 1), ('game.loads', ()), ('trip.order', 'given'),
                           ('strategy.max_exposure', np.inf)):
-        with pytest.raises(InvalidOption, match=f'^{name} went: '):
+        with pytest.raises(InvalidOption, match=f'^{name} was removed: '):
             options_of([f'{name}=2'])
-        with pytest.raises(InvalidOption, match=f'^{name} went: '):
+        with pytest.raises(InvalidOption, match=f'^{name} was removed: '):
             check_none_gone({name: 2})
         check_none_gone({name: without})  # as in a recording that did not use it
 

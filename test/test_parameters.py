@@ -51,7 +51,7 @@ def change(node, **values):
 def test_unknown_parameters_are_named_at_the_start(capfd):
     start(network__spaceing=2.0, game__secured_radus=50.0)
     assert 'unknown parameters: game.secured_radus, network.spaceing;' in capfd.readouterr().err
-    with pytest.raises(InvalidOption, match='game.ambushers went: leave it out'):
+    with pytest.raises(InvalidOption, match='game.ambushers was removed: leave it out'):
         start(game__ambushers=2)
     start(network__spacing=2.0, use_sim_time=True)
     assert 'unknown parameters' not in capfd.readouterr().err
