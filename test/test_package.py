@@ -22,6 +22,7 @@ ROSDEP_KEYS = {
     'matplotlib': 'python3-matplotlib',
     'numpy': 'python3-numpy',
     'pytest': 'python3-pytest',
+    'networkx': 'python3-networkx',
     'scipy': 'python3-scipy',
     'setuptools': 'python3-setuptools',
     'tqdm': 'python3-tqdm',
@@ -32,8 +33,7 @@ REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas':
                 'yaml': 'PyYAML'}
 # Import name -> extra, for packages that only pip has.
 FROM_PIP = dict.fromkeys(
-    ('geopandas', 'gpxpy', 'mgrs', 'networkx', 'pandas', 'pyogrio', 'pyproj', 'rasterio',
-     'shapely'), 'gis')
+    ('geopandas', 'gpxpy', 'mgrs', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
 FROM_PIP |= dict.fromkeys(('lz4', 'mcap', 'mcap_ros2', 'zstandard'), 'recordings')
 
 
