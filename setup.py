@@ -76,8 +76,6 @@ setup(
         'docs': ['furo>=2024.8', 'latex2mathml>=3.77', 'myst-parser>=3', 'sphinx>=7.3'],
         # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX.
         'gis': gis,
-        # Progress bars.
-        'terminal': ['tqdm'],
         # colcon test runs pytest only if an extra of this name has it.
         'test': [
             *gis,
@@ -92,7 +90,6 @@ setup(
             'distributed>=2024.1',  # an executor for solve_many
             'rosbags',
             'setuptools>=70.1',  # makes wheels without the package wheel
-            'tqdm',
         ],
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3'],
     },

@@ -107,7 +107,7 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     options = TerrainOptions(view=ViewOptions(**_given(arguments, _VIEW)),
                              **_given(arguments, (*_GROUND, 'weights')))
     grid = terrain_of_file(arguments.source, options, arguments.resolution, arguments.roads,
-                           arguments.crs or None, console.bar('lines of sight'))
+                           arguments.crs or None, console.share_printer('lines of sight'))
     picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
                      [arguments.source.name])
     if arguments.datum:
@@ -133,7 +133,7 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.sources import layer_files, list_sources
     from .risk_figure import layers_figure
 
-    joined = risk_from_layers(arguments.source, progress=console.bar('lines of sight'))
+    joined = risk_from_layers(arguments.source, progress=console.share_printer('lines of sight'))
     grid = occupancy_of(joined.risk_map)
     output = arguments.output
     files = _written(output, grid, 'Risk map from layers.',
