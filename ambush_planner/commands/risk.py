@@ -37,7 +37,7 @@ MAP.sources.json has the files that it was made from by name and hash, for ambus
 """
 DETAILS = """\
 DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
-unknown, and resolution [m] (or dx and dy [m]). --roads takes the same kinds of files (npz: roads);
+unknown, and resolution [m]. --roads takes the same kinds of files (npz: roads);
 cells other than 0 are roads. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
 weighted mean of four shares: depth of the cell below the ground within weapon range, share of that
 ground from which a vehicle can be seen, how close a person can come unseen, and slope.

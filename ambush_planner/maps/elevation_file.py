@@ -5,8 +5,7 @@ What a file declares is applied or refused: scale, offset, unit, vertical system
 colours, coordinate system. Heights that cannot be heights are unknown. Warnings count them.
 
 An .npz file holds the array ``elevation`` (or ``roads``) (H, W) [m], northernmost row first as in a
-GeoTIFF, NaN if unknown; and the cell size, either ``resolution`` [m] or ``dx`` (west to east) and
-``dy`` (north to south) [m].
+GeoTIFF, NaN if unknown, and the cell size ``resolution`` [m].
 """
 
 from __future__ import annotations
@@ -64,10 +63,9 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
 
 def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     try:
-        found = arrays_in(path, (name, 'resolution', 'dx', 'dy'))
+        found = arrays_in(path, (name, 'resolution'))
         values = found[name].astype(np.float32)[::-1]
-        column_step, row_step = (float(found[key if key in found else 'resolution'])
-                                 for key in ('dx', 'dy'))
+        resolution = float(found['resolution'])
     except KeyError as error:
         raise InvalidTerrain(f'{path}: no array {error}; see ambush risk --help for the '
                              'layout') from None
@@ -75,12 +73,11 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
         raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
     if values.ndim != 2 or values.size == 0:
         raise InvalidTerrain(f'{path}: must be (H, W), got shape {values.shape}')
-    if not (0.0 < row_step < math.inf and 0.0 < column_step < math.inf):
-        raise InvalidTerrain(f'{path}: cell size must be positive [m], got {column_step:g} x '
-                             f'{row_step:g}')
+    if not 0.0 < resolution < math.inf:
+        raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution:g}')
     if name == 'elevation':
         _fill_holes(path, values)
-    return Raster(values, row_step, column_step, crs=crs)
+    return Raster(values, resolution, resolution, crs=crs)
 
 
 def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
