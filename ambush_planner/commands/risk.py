@@ -52,8 +52,7 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-MAP.png has a picture of each layer and of the result. The second band of a GeoTIFF from an
-elevation model has the heights: pictures show the relief then.
+MAP.png has a picture of each layer and of the result.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """
 
@@ -187,7 +186,7 @@ def occupancy_of(risk_map: RiskMap) -> OccupancyMap:
     values = np.minimum(np.rint((risk_map.alpha - least) / (most - least) * 100.0), 99.0)
     values = np.where(risk_map.obstacles, 100, values).astype(np.int8)
     return OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs,
-                        risk_map.heights, (least, float(most)))
+                        (least, float(most)))
 
 
 def _summary(grid: OccupancyMap) -> str:
