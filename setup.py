@@ -12,8 +12,8 @@ from setuptools import find_packages, setup
 package_name = 'ambush_planner'
 # mcap with its compressions.
 recordings = ['mcap>=1.2.2', 'mcap-ros2-support>=0.5.3', 'lz4>=4.0', 'zstandard>=0.19']
-gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'mgrs>=1.4.6', 'networkx>=2.8', 'pyogrio>=0.7',
-       'pyproj>=3.4', 'rasterio>=1.3', 'shapely>=2.0']
+gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'mgrs>=1.4.6', 'pyogrio>=0.7', 'pyproj>=3.4',
+       'rasterio>=1.3', 'shapely>=2.0']
 
 # A package index has neither the pictures nor the pages that README.md links to.
 introduction = Path('README.md').read_text(encoding='utf-8').split('\n## ')[0]
@@ -76,11 +76,10 @@ setup(
         'docs': ['furo>=2024.8', 'latex2mathml>=3.77', 'myst-parser>=3', 'sphinx>=7.3'],
         # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX.
         'gis': gis,
-        # Progress bars.
-        'terminal': ['tqdm'],
         # colcon test runs pytest only if an extra of this name has it.
         'test': [
             *gis,
+            'networkx>=2.8',
             'behaviortreepy',  # BehaviorTree.CPP's parser
             'pytest>=7.4',
             'pytest-timeout',
@@ -91,7 +90,6 @@ setup(
             'distributed>=2024.1',  # an executor for solve_many
             'rosbags',
             'setuptools>=70.1',  # makes wheels without the package wheel
-            'tqdm',
         ],
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3'],
     },

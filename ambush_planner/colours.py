@@ -10,11 +10,7 @@ AMBUSHER = '#e66100'
 ENDS = '#ffd92f'
 # From the least loss to the largest, and from rare to likely.
 RISK = ('#ffffff', '#848484')
-# The same where the relief shows through: the colour of the largest loss, and its opacity.
-RISK_ON_RELIEF, RISK_OPACITY = '#7d1c06', 0.85
 PROBABILITY = ('#7fb8e6', '#2f7fd0', '#1146b0', '#14075c')
 # The network below routes, which have none of its blues and do not resemble the ambusher's orange.
 NETWORK = '#a5c8e8'
 ROUTES = ('#b605f9', '#01584b', '#1fd19b', '#870005', '#f57bfd', '#b7775e', '#640c89', '#916298')
-# RViz and Foxglove, whose ground is dark: the last departure and the start, and the goal.
-LIVE_ROUTE, LIVE_GOAL = '#00ff88', '#cc00cc'

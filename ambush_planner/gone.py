@@ -24,6 +24,7 @@ _GONE = {
     '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
     '--load': _Gone(_LOADS),
     '--order': _Gone(_ORDER),
+    '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),
     'game.ambushers': _Gone(
         'leave it out: k ambushers at different places cause at most k times the value '
         '(docs/theory.md, 2.3)', 1),

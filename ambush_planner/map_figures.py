@@ -2,8 +2,8 @@
 """Pictures of risk maps, on which other layers are drawn.
 
 Each ``draw_...`` function draws one layer on given axes, in world metres; ``draw_map`` comes
-first, those of ``figures`` follow. Risk is grey, or brown over the relief if the map
-has heights; obstacles are black and unknown ground is hatched.
+first, those of ``figures`` follow. Risk is grey, the darker the more dangerous; obstacles are
+black, and they and unknown ground are hatched.
 Pictures are at most ``WIDTH`` inches wide: text of 9 points has 16 pixels on a page of 900, and 7
 on a telephone of 400.
 """
@@ -23,7 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LightSource, LinearSegmentedColormap, ListedColormap, to_rgba
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
@@ -39,8 +39,6 @@ from .maps.risk_map import RiskMap
 from .maps.road_file import RoadGraph
 
 RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
-RISK_ON_RELIEF = LinearSegmentedColormap.from_list(
-    'risk_on_relief', [(1.0, 1.0, 1.0, 0.0), to_rgba(colours.RISK_ON_RELIEF, colours.RISK_OPACITY)])
 # Maximum cells across a picture; of larger maps it shows blocks of cells (``RiskMap.coarser``).
 MAX_CELLS = 1000
 # The same for hatched ground.
@@ -133,19 +131,14 @@ def _degrees(axis: Axis, system: Coordinates, edge: FloatArray, most: int) -> tu
 
 
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
-    """Draw losses, the least one white, obstacles, and the relief below if heights are known."""
+    """Draw losses, the least one white, and obstacles."""
     risk_map = risk_map.coarser(MAX_CELLS)
-    relief, step = risk_map.heights is not None, risk_map.resolution
-    if relief:
-        # Row 0 is in the south, in the north for matplotlib. Pale, so that dark is dangerous.
-        shade = LightSource().hillshade(risk_map.heights, vert_exag=2.0, dx=step, dy=-step)
-        draw_cells(axes, risk_map, np.ma.masked_invalid(shade), cmap='gray', vmin=-2.0, vmax=1.0)
     blocked = _blocked(risk_map)
     draw_cells(axes, risk_map, np.ma.masked_equal(blocked, False),
                cmap=ListedColormap([colours.OBSTACLE]))
     _hatch(axes, risk_map, blocked)
     return draw_cells(axes, risk_map, np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
-                      cmap=RISK_ON_RELIEF if relief else RISK)
+                      cmap=RISK)
 
 
 def _hatch(axes: Axes, risk_map: RiskMap, marked: BoolArray) -> None:

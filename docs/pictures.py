@@ -13,7 +13,6 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -27,7 +26,6 @@ from ambush_planner.arrays import IndexArray
 from ambush_planner.colours import AMBUSHER, PROBABILITY
 from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.route_sampler import route_strategy
-from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
 from ambush_planner.planning.plan import departure_paths
 from ambush_planner.recordings import recordings_in
@@ -68,15 +66,10 @@ PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
-def ground(demo: Section) -> RiskMap:
-    """The demo's map with its relief."""
-    return replace(demo.risk_map, heights=demo_ground.load_elevation().heights)
-
-
 def strategy(demo: Section) -> Figure:
     """Where the convoy drives and where the ambusher waits."""
     figure = Figure((6.4, 6.6), layout='compressed')
-    figures.draw_strategy(figure.subplots(), demo.trip, ground(demo))
+    figures.draw_strategy(figure.subplots(), demo.trip, demo.risk_map)
     return figure
 
 
@@ -84,13 +77,12 @@ def routes(demo: Section) -> Figure:
     """The demo's own picture."""
     paths = [each.path_poses[:, :2] for each in demo.departures[-8:]]
     fixed = demo_figures.fixed_routes(demo.trip.legs[0])
-    return demo_figures.routes_figure(ground(demo), demo.trip, paths, fixed)
+    return demo_figures.routes_figure(demo.risk_map, demo.trip, paths, fixed)
 
 
 def trip(demo: Section) -> Figure:
     """The strategies of all legs on the left, departures on the right."""
-    risk_map = ground(demo)
-    plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS)
+    plan = plan_trip(demo.risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS)
     known = evaluate(plan)['energy_efficient'].v_repeated
     figure = Figure((map_figures.WIDTH, 5.7), layout='compressed')
     left, right = figure.subplots(1, 2)
@@ -99,7 +91,7 @@ def trip(demo: Section) -> Figure:
                f'(the shortest trip, once known: {known:.2f})'),
         (right, f'{TRIPS_SHOWN} departures'),
     ):
-        risk = figures.draw_ground(axes, plan.trip, risk_map, title)
+        risk = figures.draw_ground(axes, plan.trip, demo.risk_map, title)
     edges = figures.draw_network(left, plan.trip)
     figures.draw_sites(left, plan.trip)
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))

@@ -325,34 +325,6 @@ def test_side_roads_that_end_on_a_road_to_rounding_meet_it():
         assert networkx.number_connected_components(joined) == 100
 
 
-def graph_of(**attributes):
-    graph = networkx.MultiDiGraph(crs=CRS)
-    for node, (x, y) in enumerate([*ROUND, STRAIGHT[1]]):
-        graph.add_node(node, x=x, y=y)
-    for tail, head in ((0, 1), (1, 2), (2, 1), (1, 0)):
-        graph.add_edge(tail, head, highway='primary')
-    graph.add_edge(0, 3, **attributes)
-    graph.add_edge(3, 2, geometry=LineString([(800.0, 0.0), (600.0, 0.0), (400.0, 0.0)]),
-                   **attributes)  # drawn the other way round
-    return graph
-
-
-def test_graphs_of_networkx():
-    for attributes, drivable in (({'highway': 'primary', 'oneway': True}, AHEAD),
-                                 ({'highway': 'footway'}, NONE), ({'highway': ['track']}, AHEAD)):
-        graph = graph_of(**attributes)
-        assert read(graph)[0] == drivable
-        for *_, tags in graph.edges(data=True):
-            tags.update({key: str(value) for key, value in tags.items()})  # as in GraphML
-        assert read(graph)[0] == drivable
-    assert read(graph_of(highway='primary').to_undirected())[0] == BOTH
-    simple = networkx.Graph([(0, 1)])
-    simple.nodes[0]['pos'], simple.nodes[1]['pos'] = (0.0, 0.0), (9.0, 0.0)
-    assert read(simple)[0] == BOTH
-    options = NetworkOptions(method='graph', graph=graph_of(highway='primary'))
-    assert len(options.roads.pairs) == 5
-
-
 def test_lines_across_the_antimeridian_join():
     """A line cut at 180 degrees (RFC 7946) is one road."""
     cut = MultiLineString([[(179.99, 0.0), (180.0, 0.0)], [(-180.0, 0.0), (-179.99, 0.0)]])
@@ -365,9 +337,9 @@ def test_lines_across_the_antimeridian_join():
 
 
 @pytest.mark.parametrize(('source', 'words'), [
-    (42, 'a int is neither a file, a GeoDataFrame nor a graph'),
+    (42, 'a int is neither a file nor a GeoDataFrame'),
     (geopandas.GeoDataFrame(geometry=[Point(1, 1)]), 'no LineString in it, but 1 Point'),
-    (networkx.DiGraph([(1, 2)]), 'node 1 has no numbers x and y'),
+    (networkx.DiGraph([(1, 2)]), r'a DiGraph is .*osmnx.graph_to_gdfs\(graph, nodes=False\)'),
     (table({'highway': 'path'}, {'highway': 'steps'}), '2 of 2 lines are no roads .*path 1'),
     (table({'highway': 'road', 'oneway': 'sometimes'}).iloc[1:],
      'known values of oneway are yes, true'),

@@ -22,9 +22,9 @@ ROSDEP_KEYS = {
     'matplotlib': 'python3-matplotlib',
     'numpy': 'python3-numpy',
     'pytest': 'python3-pytest',
+    'networkx': 'python3-networkx',
     'scipy': 'python3-scipy',
     'setuptools': 'python3-setuptools',
-    'tqdm': 'python3-tqdm',
     'yaml': 'python3-yaml',
 }
 # Import name -> name on the package index, if they differ.
@@ -32,8 +32,7 @@ REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas':
                 'yaml': 'PyYAML'}
 # Import name -> extra, for packages that only pip has.
 FROM_PIP = dict.fromkeys(
-    ('geopandas', 'gpxpy', 'mgrs', 'networkx', 'pandas', 'pyogrio', 'pyproj', 'rasterio',
-     'shapely'), 'gis')
+    ('geopandas', 'gpxpy', 'mgrs', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
 FROM_PIP |= dict.fromkeys(('lz4', 'mcap', 'mcap_ros2', 'zstandard'), 'recordings')
 
 
@@ -112,8 +111,7 @@ def test_what_is_used_by_name_is_declared_and_bloom_takes_all_keys():
 def test_all_imports_are_declared_for_pip():
     arguments = setup_arguments()
     extras = arguments['extras_require']
-    required = [*arguments['install_requires'], *extras['figures'], *extras['recordings'],
-                *extras['terminal']]
+    required = [*arguments['install_requires'], *extras['figures'], *extras['recordings']]
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
     libraries = imported_packages() & set(ROSDEP_KEYS)
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names

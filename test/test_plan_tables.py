@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan for other Python libraries: tables of geometries, graphs, comparisons."""
+"""A plan for other Python libraries: tables of geometries, comparisons."""
 
 import numpy as np
 import pytest
@@ -25,19 +25,6 @@ def test_tables_of_edges_and_sites(plan):
     assert (edges.length * edges['probability']).sum() == pytest.approx(
         plan.strategy.expected_length, rel=1e-4)
     assert sites['probability'].sum() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_the_graph_of_networkx_has_the_strategy(plan):
-    networkx = pytest.importorskip('networkx')
-    graph = plan.to_networkx()
-    source, target = graph.graph['source'], graph.graph['target']
-    shortest = networkx.dijkstra_path_length(graph, source, target, weight='length')
-    assert shortest == pytest.approx(plan.strategy.shortest_length)
-    for node in set(graph) - {source, target}:
-        arrives, leaves = (sum(each['probability'] for *_, each in edges) for edges in (
-            graph.in_edges(node, data=True), graph.out_edges(node, data=True)))
-        assert arrives == pytest.approx(leaves, abs=1e-9)
-    assert sum(q for _, q in graph.nodes(data='ambush_probability')) == pytest.approx(1.0)
 
 
 def test_a_plan_is_compared_and_says_what_other_budgets_buy(plan):

@@ -126,10 +126,9 @@ def test_a_file_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
 def graded(rng, shape=(7, 9)):
     """The same map with its losses in grades and as an array, with all layers."""
     levels, grades = np.array([0.5, 1.0, 4.0, 9.0]), rng.integers(0, 4, shape).astype(np.uint8)
-    layers = {'unknown': rng.random(shape) < 0.3,
-              'heights': rng.random(shape).astype(np.float32)}
-    place = rng.random(shape) < 0.3, 2.0, (10.0, 20.0, 0.3), 'EPSG:32616'
-    return [RiskMap(alpha, *place, **layers)
+    others = (rng.random(shape) < 0.3, 2.0, (10.0, 20.0, 0.3), 'EPSG:32616',
+              rng.random(shape) < 0.3)
+    return [RiskMap(alpha, *others)
             for alpha in (GradedLosses(levels, grades), levels[grades])]
 
 
@@ -165,7 +164,7 @@ def test_a_part_of_a_map_lies_where_it_lay(which):
     assert (part.alpha.shape, part.resolution, part.crs) == ((4, 2), 2.0, 'EPSG:32616')
     uv = np.array([[1.0, 1.0], [3.0, 7.0]])
     assert part.to_world(uv) == pytest.approx(whole.to_world(uv + [6.0, 4.0]))
-    for name in ('alpha', 'obstacles', 'unknown', 'heights'):
+    for name in ('alpha', 'obstacles', 'unknown'):
         assert np.array_equal(getattr(part, name), getattr(whole, name)[2:6, 3:5])
 
 
@@ -181,4 +180,3 @@ def test_a_coarser_map_hides_no_loss_and_no_obstacle(which):
         assert coarse.alpha[row, column] == whole.alpha[block].max()
         assert coarse.obstacles[row, column] == whole.obstacles[block].any()
         assert coarse.unknown[row, column] == whole.unknown[block].all()
-        assert coarse.heights[row, column] == whole.heights[block][0, 0]

@@ -21,7 +21,7 @@ CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
 MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas', 'pandas',
                   'pyogrio', 'shapely', 'mgrs'}
 # A faster solver, if it is there.
-NEEDED_ALSO = {'plan.py': {'networkx'}, 'route_layers.py': {'geopandas', 'shapely', 'rasterio'},
+NEEDED_ALSO = {'route_layers.py': {'geopandas', 'shapely', 'rasterio'},
                'face_flows.py': {'highspy'}}
 
 SOLVES = NO_ROS + """

@@ -25,9 +25,9 @@ def save(path, **arrays):
 
 def test_npz_has_north_first(tmp_path):
     heights = np.arange(12.0).reshape(3, 4)
-    raster = read_raster(save(tmp_path / 'a.npz', elevation=heights, dx=5.0, dy=7.0))
+    raster = read_raster(save(tmp_path / 'a.npz', elevation=heights, resolution=5.0))
     np.testing.assert_array_equal(raster.values, heights[::-1])
-    assert (raster.row_step, raster.column_step) == (7.0, 5.0)
+    assert (raster.row_step, raster.column_step) == (5.0, 5.0)
 
 
 @pytest.mark.parametrize(('arrays', 'reason'), [

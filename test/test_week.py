@@ -47,9 +47,8 @@ def roads():
 
 
 def floats():
-    """A map whose losses no occupancy grid can hold, with heights and a coordinate system."""
-    return replace(ground(), alpha=ground().alpha * np.pi, crs='EPSG:32616',
-                   heights=ground().alpha.astype(np.float32))
+    """A map whose losses no occupancy grid can hold, with a coordinate system."""
+    return replace(ground(), alpha=ground().alpha * np.pi, crs='EPSG:32616')
 
 
 PLANS = {

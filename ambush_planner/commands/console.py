@@ -80,25 +80,21 @@ class Console:
               flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
-        """Yield the items with a progress bar."""
-        show = self.bar(what)
+        """Yield the items, and print on a terminal how many are done."""
+        show = self.share_printer(what)
         for done, item in enumerate(items, start=1):
             yield item
             show(done / len(items))
 
-    def bar(self, what: str) -> Callable[[float], None]:
-        """Return a function that shows the share done, 0..1, on a terminal if tqdm is installed."""
-        try:
-            from tqdm import tqdm
-        except ModuleNotFoundError:
-            return lambda share: None
-        bar = tqdm(desc=what, total=1.0, delay=2.0, leave=False, disable=self._quiet or None,
-                   bar_format='{desc}: {percentage:3.0f} % |{bar}| {elapsed}')
+    def share_printer(self, what: str) -> Callable[[float], None]:
+        """Return a function that prints the share done, 0..1, on a terminal as ``waiting`` does."""
+        begin, pause = self.seconds, 2.0
 
         def show(share: float) -> None:
-            bar.update(share - bar.n)
-            if share >= 1.0:
-                bar.close()
+            nonlocal pause
+            if share < 1.0 and self.seconds - begin > pause and sys.stderr.isatty():
+                self.step(f'{what}: {share:.0%} ...')
+                pause = 2.0 * pause + 2.0
 
         return show
 

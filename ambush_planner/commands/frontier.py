@@ -61,7 +61,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     risk_map = read_risk_map(arguments.map, of_map)
     (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
     detours, slacks = arguments.detours or DETOURS, arguments.slacks or SLACKS
-    show, solved = console.bar('budgets solved'), count(1)
+    show, solved = console.share_printer('budgets solved'), count(1)
     rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
                          lambda _: show(next(solved) / (len(detours) + len(slacks))))
     budgets = planning.strategy

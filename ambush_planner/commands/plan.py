@@ -18,7 +18,6 @@ from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .planner_parser import planner_parser, source_names
 from .positions import places_on
-from .terrain import add_terrain, terrain_of, terrain_options_in
 
 if TYPE_CHECKING:
     from ..operations.slots import Slots
@@ -65,9 +64,6 @@ def parser() -> argparse.ArgumentParser:
     for end in ('start', 'goal'):
         made.add_argument(f'--{end}-name', default='', metavar='NAME',
                           help=f'name of the {end} on cards')
-    made.add_argument('--terrain', action='store_true',
-                      help='MAP is an elevation model, whose risk is found as by ambush risk')
-    add_terrain(made.add_argument_group('with --terrain'))
     made.add_argument('--slots', nargs='+', type=cli.time_of_day, default=(), metavar='HH:MM',
                       help='also draw the time of departure, one of these (local time)')
     made.add_argument('--window', type=cli.number(1, 1e4, int), default=1, metavar='COUNT',
@@ -108,12 +104,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise cli.UsageError('--window needs --slots HH:MM ...')
     if arguments.routes is not None and not 1 <= arguments.routes <= MAX_ROUTES:
         raise cli.UsageError(f'--routes must be a number from 1 to {MAX_ROUTES}')
-    if not arguments.terrain and (given := terrain_options_in(arguments)):
-        raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with --terrain, which says that '
-                             'MAP is an elevation model')
     check_outputs(arguments.output, console)
-    risk_map = (terrain_of(arguments, arguments.map, None, console).risk_map(of_map)
-                if arguments.terrain else read_risk_map(arguments.map, of_map))
+    risk_map = read_risk_map(arguments.map, of_map)
     rng = np.random.default_rng(arguments.seed)
     start, goal, stops = places_on(arguments, risk_map)
     limit = planning.strategy.time_limit

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from . import cli
 from .positions import add_crs, crs_text
-from .terrain import add_terrain, terrain_of, terrain_options_in
 
 if TYPE_CHECKING:
     from ..maps.occupancy import OccupancyMap
@@ -21,6 +20,12 @@ Make a risk map from an elevation model, or from layers of risk.
 
   ambush risk dem.tif -o map.yaml --resolution 90 --weapon-range 500
   ambush risk layers.yaml -o map.yaml"""
+# Options of an elevation model, for which ``ViewOptions`` and ``TerrainOptions`` have defaults.
+_VIEW = {'weapon_range': 'range of weapons [m] (default: 300)',
+         'vehicle_height': 'height of vehicles [m] (default: 2.5)',
+         'person_height': 'eye height of a person [m] (default: 1.7)'}
+_GROUND = {'slope_limit': 'maximum drivable slope (rise/run, default: 0.42)',
+           'road_factor': 'risk on roads relative to open ground (default: 0.5)'}
 COMMON = ('-o', '--roads', '--resolution', '--weapon-range', '--slope-limit', '--crs')
 USAGE = 'ambush risk DEM_OR_LAYERS [options] -o MAP.yaml'
 EPILOG = """\
@@ -32,7 +37,7 @@ MAP.sources.json has the files that it was made from by name and hash, for ambus
 """
 DETAILS = """\
 DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
-unknown, and resolution [m] (or dx and dy [m]). --roads takes the same kinds of files (npz: roads);
+unknown, and resolution [m]. --roads takes the same kinds of files (npz: roads);
 cells other than 0 are roads. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
 weighted mean of four shares: depth of the cell below the ground within weapon range, share of that
 ground from which a vehicle can be seen, how close a person can come unseen, and slope.
@@ -47,8 +52,7 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-MAP.png has a picture of each layer and of the result. The second band of a GeoTIFF from an
-elevation model has the heights: pictures show the relief then.
+MAP.png has a picture of each layer and of the result.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """
 
@@ -63,14 +67,19 @@ def parser() -> argparse.ArgumentParser:
     terrain = made.add_argument_group('with an elevation model')
     terrain.add_argument('--roads', type=Path, metavar='FILE',
                          help='raster of roads: cells other than 0')
-    add_terrain(terrain)
+    for name, text in {'resolution': "cell size [m] (default: the DEM's)", **_VIEW,
+                       **_GROUND}.items():
+        terrain.add_argument(f'--{name.replace("_", "-")}', type=float, metavar='X', help=text)
+    terrain.add_argument('--weights', type=float, nargs=4,
+                         metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
+                         help='weights of the four shares (default: 0.4 0.2 0.2 0.2)')
     add_crs(terrain)
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     given = [name for name in ('roads', 'datum', 'crs') if getattr(arguments, name)]
-    given += terrain_options_in(arguments)
+    given += _given(arguments, ('resolution', *_VIEW, *_GROUND, 'weights'))
     if arguments.source.suffix.lower() in ('.yaml', '.yml'):
         if given:
             raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with an elevation model; '
@@ -79,15 +88,25 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     return _of_terrain(arguments, console)
 
 
+def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    values = {name: getattr(arguments, name) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..map_figures import as_png
+    from ..maps import TerrainOptions, ViewOptions
     from ..maps.risk_map_file import in_local_frame
+    from ..maps.terrain_file import terrain_of_file
     from ..recordings.sources import list_sources
     from .risk_figure import layers_figure
 
     if arguments.source.suffix.lower() != '.npz':
         cli.require(('pyproj', 'rasterio'))
-    grid = terrain_of(arguments, arguments.source, arguments.roads, console)
+    options = TerrainOptions(view=ViewOptions(**_given(arguments, _VIEW)),
+                             **_given(arguments, (*_GROUND, 'weights')))
+    grid = terrain_of_file(arguments.source, options, arguments.resolution, arguments.roads,
+                           arguments.crs or None, console.share_printer('lines of sight'))
     picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
                      [arguments.source.name])
     if arguments.datum:
@@ -113,7 +132,7 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.sources import layer_files, list_sources
     from .risk_figure import layers_figure
 
-    joined = risk_from_layers(arguments.source, progress=console.bar('lines of sight'))
+    joined = risk_from_layers(arguments.source, progress=console.share_printer('lines of sight'))
     grid = occupancy_of(joined.risk_map)
     output = arguments.output
     files = _written(output, grid, 'Risk map from layers.',
@@ -167,7 +186,7 @@ def occupancy_of(risk_map: RiskMap) -> OccupancyMap:
     values = np.minimum(np.rint((risk_map.alpha - least) / (most - least) * 100.0), 99.0)
     values = np.where(risk_map.obstacles, 100, values).astype(np.int8)
     return OccupancyMap(values, risk_map.resolution, risk_map.origin, risk_map.crs,
-                        risk_map.heights, (least, float(most)))
+                        (least, float(most)))
 
 
 def _summary(grid: OccupancyMap) -> str:

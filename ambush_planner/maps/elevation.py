@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -71,8 +71,8 @@ class Raster:
 
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east. ``corner`` is the world position of the lower left
-    corner [m], in the coordinate system ``crs``; None if unknown. ``heights`` (H, W) are those of
-    a risk map whose file has them, too, and ``losses`` those of its values 0 and 100.
+    corner [m], in the coordinate system ``crs``; None if unknown. ``losses`` are those of the
+    values 0 and 100 of a risk map.
     """
 
     values: npt.NDArray[Any]
@@ -80,7 +80,6 @@ class Raster:
     column_step: float
     corner: tuple[float, float] | None = None
     crs: str | None = None
-    heights: HeightArray | None = None
     losses: tuple[float, float] = LOSSES
 
 
@@ -160,23 +159,6 @@ def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
     inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
     mask[rows[inside], columns[inside]] = True
     return mask
-
-
-def square_cells(raster: Raster) -> Raster:
-    """The same values on square cells of the shorter step, by nearest cells."""
-    step = min(raster.row_step, raster.column_step)
-    row, column = _positions(raster, step)
-    heights = raster.heights
-    return replace(raster, values=nearest_cells(raster.values, row, column), row_step=step,
-                   column_step=step,
-                   heights=None if heights is None else nearest_cells(heights, row, column))
-
-
-def nearest_cells(values: npt.NDArray[Any], row: FloatArray,
-                  column: FloatArray) -> npt.NDArray[Any]:
-    """The values at rows and columns that need not be whole."""
-    return values[np.ix_(*(np.clip(np.rint(index).astype(np.int64), 0, count - 1)
-                           for index, count in zip((row, column), values.shape, strict=True)))]
 
 
 def _positions(raster: Raster, resolution: float) -> tuple[FloatArray, FloatArray]:

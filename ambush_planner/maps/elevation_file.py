@@ -5,8 +5,7 @@ What a file declares is applied or refused: scale, offset, unit, vertical system
 colours, coordinate system. Heights that cannot be heights are unknown. Warnings count them.
 
 An .npz file holds the array ``elevation`` (or ``roads``) (H, W) [m], northernmost row first as in a
-GeoTIFF, NaN if unknown; and the cell size, either ``resolution`` [m] or ``dx`` (west to east) and
-``dy`` (north to south) [m].
+GeoTIFF, NaN if unknown, and the cell size ``resolution`` [m].
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
 
-HEIGHTS = 'elevation'  # name of the second band of a risk map that has the heights [m]
 # GDAL's drivers of rasters that can be heights or risk.
 _DRIVERS = ('GTiff', 'VRT', 'AAIGrid', 'SRTMHGT', 'DTED', 'USGSDEM', 'HFA', 'EHdr', 'ENVI', 'ERS',
             'GPKG', 'netCDF', 'XYZ', 'GSAG', 'GSBG', 'GS7BG', 'SAGA', 'JP2OpenJPEG')
@@ -47,10 +45,10 @@ _CACHE = 64  # of GDAL [MB]
 def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> Raster:
     """Read the array ``name`` of an .npz file, or the band of a GeoTIFF as one.
 
-    ``name`` is 'elevation', 'roads' (a mask) or 'risk' (-1..100, NaN if unknown, whole numbers),
-    which has its heights in a second band, if it has them. A file without a coordinate system gets
-    ``crs``. One whose units are not metres on the ground (degrees, feet, Web Mercator) is
-    reprojected to its UTM zone: heights by bilinear interpolation, others by nearest cells.
+    ``name`` is 'elevation', 'roads' (a mask) or 'risk' (-1..100, NaN if unknown, whole numbers).
+    A file without a coordinate system gets ``crs``. One whose units are not metres
+    on the ground (degrees, feet, Web Mercator) is reprojected to its UTM zone: heights by bilinear
+    interpolation, others by nearest cells.
 
     Raises InvalidTerrain if the file is malformed or too large, or if a GeoTIFF needs rasterio and
     it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
@@ -64,10 +62,9 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
 
 def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
     try:
-        found = arrays_in(path, (name, 'resolution', 'dx', 'dy'))
+        found = arrays_in(path, (name, 'resolution'))
         values = found[name].astype(np.float32)[::-1]
-        column_step, row_step = (float(found[key if key in found else 'resolution'])
-                                 for key in ('dx', 'dy'))
+        resolution = float(found['resolution'])
     except KeyError as error:
         raise InvalidTerrain(f'{path}: no array {error}; see ambush risk --help for the '
                              'layout') from None
@@ -75,12 +72,11 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
         raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
     if values.ndim != 2 or values.size == 0:
         raise InvalidTerrain(f'{path}: must be (H, W), got shape {values.shape}')
-    if not (0.0 < row_step < math.inf and 0.0 < column_step < math.inf):
-        raise InvalidTerrain(f'{path}: cell size must be positive [m], got {column_step:g} x '
-                             f'{row_step:g}')
+    if not 0.0 < resolution < math.inf:
+        raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution:g}')
     if name == 'elevation':
         _fill_holes(path, values)
-    return Raster(values, row_step, column_step, crs=crs)
+    return Raster(values, resolution, resolution, crs=crs)
 
 
 def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
@@ -111,12 +107,12 @@ def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
     units.check_axes(path, units.tags_of(dataset), system)
     metres = units.metres_per_unit(path, dataset) if name == 'elevation' else 1.0
-    bands = [_band(dataset, k, metres) for k in range(1, 2 + _has_heights(dataset))]
+    values = _values(dataset, metres)
     if name == 'elevation':
-        _fill_holes(path, bands[0])
+        _fill_holes(path, values)
     elif name == 'risk':
-        _refuse_heights(path, dataset, bands[0])
-    raster = _in_metres(path, bands, dataset.transform, system, name != 'elevation')
+        _refuse_heights(path, dataset, values)
+    raster = _in_metres(path, values, dataset.transform, system, name != 'elevation')
     if crs and system and not (agree(crs, system.to_wkt()) or agree(crs, str(raster.crs))):
         raise InvalidTerrain(f'{path}: the file is in {system.name}, not in {crs}; leave out '
                              '--crs (crs), or correct the file')
@@ -137,7 +133,7 @@ def _check(path: Path, dataset: Any, name: str) -> None:
     if missing := [each for each in dataset.files if not Path(each).exists()]:
         raise InvalidTerrain(f'{path}: names {missing[0]}, which is not here')
     has_alpha = dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha
-    if dataset.count != 1 and not has_alpha and not (name == 'risk' and _has_heights(dataset)):
+    if dataset.count != 1 and not has_alpha:
         raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
                              'gdal_translate -b')
     if dataset.colorinterp[0] == ColorInterp.palette and name != 'roads':
@@ -152,21 +148,17 @@ def _check(path: Path, dataset: Any, name: str) -> None:
                              'east; convert the raster with gdalwarp')
 
 
-def _band(dataset: Any, number: int, factor: float) -> HeightArray:
-    """The values (H, W) of a band times ``factor``, the north first; NaN if masked or nodata."""
+def _values(dataset: Any, factor: float) -> HeightArray:
+    """The values (H, W) times ``factor``, the north first; NaN if masked or nodata."""
     from rasterio.windows import Window
 
-    scale, offset = dataset.scales[number - 1], dataset.offsets[number - 1]
+    (scale, *_), (offset, *_) = dataset.scales, dataset.offsets
     values = np.empty(dataset.shape, np.float32)
     for row in range(0, len(values), _ROWS):
         part = values[row: row + _ROWS]
-        stored = dataset.read(number, masked=True, window=Window(0, row, part.shape[1], len(part)))
+        stored = dataset.read(1, masked=True, window=Window(0, row, part.shape[1], len(part)))
         part[:] = (stored.astype(np.float64).filled(np.nan) * scale + offset) * factor
     return values
-
-
-def _has_heights(dataset: Any) -> bool:
-    return bool(dataset.descriptions[1:] == (HEIGHTS,))
 
 
 def _check_size(path: Path, rows: int, columns: int) -> None:
@@ -219,43 +211,39 @@ def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
         warn(f'{path}: no value is over 1, of 100: if 1 stands for the most risk, multiply by 100')
 
 
-def _in_metres(path: Path, bands: list[HeightArray], grid: Any, own: Any,
-               nearest: bool) -> Raster:
-    """Bands (H, W), the northernmost row first, reprojected if the system is not in metres."""
+def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, nearest: bool) -> Raster:
+    """Values (H, W), the northernmost row first, reprojected if the system is not in metres."""
     from rasterio import Affine
     from rasterio.transform import array_bounds
 
     if own is not None:
-        west, south, east, north = array_bounds(*bands[0].shape, grid)
+        west, south, east, north = array_bounds(*values.shape, grid)
         turns = round((west + east) / 720.0) if own.is_geographic else 0  # longitudes from 0 to 360
         grid = Affine(grid.a, 0.0, grid.c - 360.0 * turns, 0.0, grid.e, grid.f)
         target = metric_system(own, (west + east) / 2.0 - 360.0 * turns, (south + north) / 2.0)
         if target is not own:
-            bands, grid = _reprojected(path, bands, grid, own, target, nearest)
+            values, grid = _reprojected(path, values, grid, own, target, nearest)
             warn(f'{path}: reprojected from {own.name} to {target.name} ({target.to_string()}), '
                  f'cells of {grid.a:.4g} m')
         own = target.to_string()
-    corner = grid.c, grid.f + grid.e * len(bands[0])
-    heights = bands[1][::-1] if len(bands) > 1 else None
-    return Raster(bands[0][::-1], -grid.e, grid.a, corner, own, heights)
+    return Raster(values[::-1], -grid.e, grid.a, (grid.c, grid.f + grid.e * len(values)), own)
 
 
-def _reprojected(path: Path, bands: list[HeightArray], grid: Any, crs: Any, target: Any,
-                 nearest: bool) -> tuple[list[HeightArray], Any]:
+def _reprojected(path: Path, values: HeightArray, grid: Any, crs: Any, target: Any,
+                 nearest: bool) -> tuple[HeightArray, Any]:
     from rasterio import Affine
     from rasterio.enums import Resampling
     from rasterio.io import MemoryFile
     from rasterio.vrt import WarpedVRT
 
-    rows, columns = bands[0].shape
+    rows, columns = values.shape
     # Plain interpolation: a transform that is exact to 1e-6 cells, and no smoothing across cells.
     options = {'crs': target.to_wkt(), 'tolerance': 1e-6, 'XSCALE': 1, 'YSCALE': 1,
                'resampling': Resampling.nearest if nearest else Resampling.bilinear}
     with MemoryFile() as file:
-        with file.open(driver='GTiff', height=rows, width=columns, count=len(bands),
-                       dtype='float32', crs=crs.to_wkt(), transform=grid, nodata=np.nan) as stored:
-            for number, band in enumerate(bands, start=1):
-                stored.write(band, number)
+        with file.open(driver='GTiff', height=rows, width=columns, count=1, dtype='float32',
+                       crs=crs.to_wkt(), transform=grid, nodata=np.nan) as stored:
+            stored.write(values, 1)
         with file.open() as stored:
             with WarpedVRT(stored, **options) as warped:
                 place, size = warped.transform, np.array((warped.height, warped.width))
@@ -268,4 +256,4 @@ def _reprojected(path: Path, bands: list[HeightArray], grid: Any, crs: Any, targ
             _check_size(path, height, width)
             with WarpedVRT(stored, transform=place, height=height, width=width,
                            **options) as warped:
-                return [warped.read(k) for k in range(1, len(bands) + 1)], place
+                return warped.read(1), place

@@ -139,14 +139,12 @@ def _pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, FloatArray,
         return _other_pixels(path, mode)
     columns, rows, largest = map(int, header.groups())
     _check_size(path, columns, rows)
-    if not 0 < largest < 65536:
-        raise InvalidRiskMap(f'{path}: pixels up to {largest}; up to 1..65535 can be read')
-    kind = np.dtype(np.uint8 if largest < 256 else '>u2')
-    if len(data) - header.end() < rows * columns * kind.itemsize:
+    if not 0 < largest < 256:
+        raise InvalidRiskMap(f'{path}: pixels up to {largest}; convert the image to 8 bits')
+    if len(data) - header.end() < rows * columns:
         raise InvalidRiskMap(f'{path}: too short for {columns} x {rows} pixels')
-    pixels = np.frombuffer(data, kind, rows * columns, header.end()).reshape(rows, columns)
-    every = np.arange(np.iinfo(kind).max + 1)
-    return pixels, every / largest, np.ones(len(every), bool)
+    pixels = np.frombuffer(data, np.uint8, rows * columns, header.end()).reshape(rows, columns)
+    return pixels, np.arange(256) / largest, np.ones(256, bool)
 
 
 def _check_size(path: Path, columns: int, rows: int) -> None:
@@ -163,8 +161,9 @@ def _other_pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, Float
             image = pillow.open(path)
         with image:
             _check_size(path, *image.size)
-            if image.mode[0] in 'IF':
-                return None, *_deep_pixels(path, image)
+            if image.mode[0] in 'IF':  # Pillow does not scale them
+                raise InvalidRiskMap(f'{path}: pixels of kind {image.mode}; convert the image to '
+                                     '8 bits')
             if image.mode == 'L' and 'transparency' not in image.info:
                 return np.asarray(image), np.arange(256) / 255.0, np.ones(256, bool)
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info
@@ -176,16 +175,3 @@ def _other_pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, Float
     # Only in trinary mode does map_server average opacity together with the colours.
     channels = 4 if has_alpha and mode == 'trinary' else 3
     return None, pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0
-
-
-def _deep_pixels(path: Path, image: Any) -> tuple[FloatArray, BoolArray]:
-    """The pixels of a grey image of more than 8 bits, which Pillow does not scale."""
-    pixels, tags = np.asarray(image, dtype=np.float64), getattr(image, 'tag_v2', {})
-    bits = np.ravel(tags.get(258, 16))[0]  # BitsPerSample of TIFF
-    most = 1.0 if image.mode == 'F' else 2.0**bits - 1.0
-    if image.format not in ('PNG', 'TIFF', 'PPM') or not ((pixels >= 0.0) & (pixels <= most)).all():
-        raise InvalidRiskMap(f'{path}: pixels of kind {image.mode} ({image.format}), from '
-                             f'{pixels.min():g} to {pixels.max():g}; convert the image to 8 bits')
-    light = pixels / most
-    opaque = pixels != image.info.get('transparency', np.nan)
-    return 1.0 - light if tags.get(262) == 0 else light, opaque  # PhotometricInterpretation

@@ -26,15 +26,14 @@ NO_RISK = ('every free cell of the map has the same loss, so the map carries no 
 class OccupancyMap:
     """Values (H, W) with row 0 the lowest, cell size [m] and origin (x, y, yaw) [m, m, rad].
 
-    ``crs`` is the coordinate system of world positions, ``heights`` (H, W) those of the terrain
-    [m]; None if unknown. ``losses`` are those of the values 0 and 100.
+    ``crs`` is the coordinate system of world positions, None if unknown; ``losses`` are those of
+    the values 0 and 100.
     """
 
     values: npt.NDArray[np.int8]
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crs: str | None = None
-    heights: npt.NDArray[np.float32] | None = None
     losses: tuple[float, float] = LOSSES
 
     def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
@@ -47,8 +46,7 @@ class OccupancyMap:
             least, most = self.losses
             options = replace(options, alpha_min=least, alpha_max=most)
         options = replace(options, crs=agreed_crs(self.crs, options.crs))
-        made = risk_from_occupancy(self.values, self.resolution, self.origin, options)
-        return made if self.heights is None else replace(made, heights=self.heights)
+        return risk_from_occupancy(self.values, self.resolution, self.origin, options)
 
 
 def agreed_crs(known: str | None, given: str | None) -> str | None:

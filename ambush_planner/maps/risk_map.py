@@ -96,8 +96,6 @@ class RiskMap(Shown):
         Coordinate system of world positions, as ``coordinates`` reads it; None if unknown.
     unknown : (H, W) bool or None
         Obstacle cells that nobody has mapped, for pictures; None: no cell.
-    heights : (H, W) float or None
-        Height of the terrain [m], for pictures; NaN or None where unknown.
 
     Raises
     ------
@@ -111,7 +109,6 @@ class RiskMap(Shown):
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crs: str | None = None
     unknown: BoolArray | None = None
-    heights: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -125,12 +122,11 @@ class RiskMap(Shown):
         check_place(resolution, origin)
         for name, value in (('alpha', alpha), ('obstacles', obstacles)):
             object.__setattr__(self, name, value)
-        for name, kind in _LAYERS.items():
-            if (layer := getattr(self, name)) is not None:
-                if np.shape(layer) != alpha.shape:
-                    raise InvalidRiskMap(f"{name} must have alpha's shape {alpha.shape}, got "
-                                         f'{np.shape(layer)}')
-                object.__setattr__(self, name, frozen_array(layer, kind))
+        if self.unknown is not None:
+            if np.shape(self.unknown) != alpha.shape:
+                raise InvalidRiskMap(f"unknown must have alpha's shape {alpha.shape}, got "
+                                     f'{np.shape(self.unknown)}')
+            object.__setattr__(self, 'unknown', frozen_array(self.unknown, np.bool_))
         object.__setattr__(self, 'resolution', resolution)
         object.__setattr__(self, 'origin', origin)
 
@@ -190,7 +186,7 @@ class RiskMap(Shown):
         return replace(
             self, alpha=self._losses_of(lambda cells: cells[at]), obstacles=self.obstacles[at],
             origin=(x, y, self.origin[2]),
-            **{name: layer[at] for name in _LAYERS if (layer := getattr(self, name)) is not None})
+            unknown=None if self.unknown is None else self.unknown[at])
 
     def coarser(self, most: int) -> RiskMap:
         """The map for pictures of at most ``most`` cells a side: of blocks of cells.
@@ -203,8 +199,7 @@ class RiskMap(Shown):
         return RiskMap(
             self._losses_of(lambda cells: pooled(np.fmax, cells, block)),
             pooled(np.logical_or, self.obstacles, block), block * self.resolution, self.origin,
-            self.crs, None if self.unknown is None else pooled(np.logical_and, self.unknown, block),
-            None if self.heights is None else self.heights[::block, ::block])
+            self.crs, None if self.unknown is None else pooled(np.logical_and, self.unknown, block))
 
     def nearest_free_alpha(self) -> FloatArray:
         """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
@@ -231,10 +226,6 @@ class RiskMap(Shown):
     def cells(self, uv: npt.ArrayLike) -> tuple[IndexArray, IndexArray]:
         """Return (rows, columns) of the cells that contain positions in map axes (..., 2)."""
         return cells_at(uv, self.resolution, self.alpha.shape)
-
-
-# Layers for pictures, and their types.
-_LAYERS: dict[str, Any] = {'unknown': np.bool_, 'heights': np.float32}
 
 
 def to_map_axes(origin: tuple[float, float, float], xy: npt.ArrayLike) -> FloatArray:

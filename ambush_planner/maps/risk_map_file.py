@@ -16,8 +16,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray, arrays_in
 from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates
-from .elevation import square_cells
-from .elevation_file import HEIGHTS, read_raster
+from .elevation_file import read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions, agreed_crs
 from .risk_map import GRADES, GradedLosses, RiskMap, to_map_axes
@@ -71,12 +70,13 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
 def _read_raster(path: Path) -> OccupancyMap:
     raster = read_raster(path, 'risk')
     if not math.isclose(raster.row_step, raster.column_step, rel_tol=1e-5):
-        given, raster = raster, square_cells(raster)
-        warn(f'{path}: cells of {given.column_step:.7g} m x {given.row_step:.7g} m are resampled '
-             f'to {raster.row_step:.7g} m, by the nearest')
+        step = min(raster.row_step, raster.column_step)
+        raise InvalidRiskMap(
+            f'{path}: its cells of {raster.column_step:.7g} m x {raster.row_step:.7g} m are not '
+            f'square; resample it with gdalwarp -tr {step:.7g} {step:.7g}')
     origin = (*(raster.corner or (0.0, 0.0)), 0.0)
     return OccupancyMap(_cell_values(raster.values), raster.column_step, origin, raster.crs,
-                        raster.heights, raster.losses)
+                        raster.losses)
 
 
 def _cell_values(values: npt.NDArray[np.float32]) -> Any:
@@ -98,7 +98,7 @@ def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
         return RiskMap(alpha, content['obstacles'], float(content['resolution']),
                        (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs),
-                       content.get('unknown'), content.get('heights'))
+                       content.get('unknown'))
     except KeyError as error:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
     except (BadZipFile, EOFError, TypeError, ValueError) as error:
@@ -156,25 +156,20 @@ def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
 def write_geotiff(path: Path, grid: OccupancyMap) -> None:
     """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
 
-    Heights are the second band, from which pictures have their relief; the losses of the values 0
-    and 100 are tags.
+    The losses of the values 0 and 100 are tags.
 
     Raises InvalidCoordinates if the map has no such system.
     """
     import rasterio
 
     system = Coordinates(grid.crs or '')
-    heights, (rows, columns) = grid.heights, grid.values.shape
-    kind, unknown = (np.uint8, _UNKNOWN) if heights is None else (np.float32, np.nan)
-    values = np.where(grid.values < 0, unknown, grid.values).astype(kind)[::-1]
-    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=kind,
-                       count=1 if heights is None else 2, crs=system.crs.to_wkt(),
-                       transform=cell_transform(grid), nodata=unknown, compress='deflate') as file:
+    rows, columns = grid.values.shape
+    values = np.where(grid.values < 0, _UNKNOWN, grid.values).astype(np.uint8)[::-1]
+    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=np.uint8,
+                       count=1, crs=system.crs.to_wkt(), transform=cell_transform(grid),
+                       nodata=_UNKNOWN, compress='deflate') as file:
         file.write(values, 1)
         file.update_tags(alpha_min=grid.losses[0], alpha_max=grid.losses[1])
-        if heights is not None:
-            file.write(heights[::-1], 2)
-            file.set_band_description(2, HEIGHTS)
 
 
 def cell_transform(grid: OccupancyMap | RiskMap) -> Any:

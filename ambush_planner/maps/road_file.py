@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Roads from vector files and tables of lines, and from graphs of nav2_route, networkx, osmnx."""
+"""Roads from vector files and tables of lines, and from graphs of nav2_route."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class RoadGraph:
 
 
 def read_roads(source: Any, node_crossings: bool = False, **declared: Any) -> RoadGraph:
-    """Read the roads of a file, a table of lines (GeoDataFrame), or a graph of networkx or osmnx.
+    """Read the roads of a file, or of a table of lines (GeoDataFrame).
 
     Lines meet where they share a vertex, so a bridge does not meet the road below. With
     ``node_crossings`` they also meet where they cross or touch, ends to 5 cm, unless one is on a
@@ -88,12 +88,10 @@ def read_roads(source: Any, node_crossings: bool = False, **declared: Any) -> Ro
     """
     try:
         if not isinstance(source, str | Path):
-            if hasattr(source, 'adj'):
-                source = lines_of_graph(source)
-                declared['all_lines_are_roads'] = 'highway' not in source
             if not hasattr(source, 'geometry'):
-                raise InvalidFeatures(f'a {type(source).__name__} is neither a file, a '
-                                      'GeoDataFrame nor a graph of networkx')
+                raise InvalidFeatures(
+                    f'a {type(source).__name__} is neither a file nor a GeoDataFrame; of a graph '
+                    'of networkx, give the edges: osmnx.graph_to_gdfs(graph, nodes=False)')
             lines = single_parts('roads', source, ['LineString'])
             return roads_from_lines('roads', lines, node_crossings, **declared)
         if not str(source):
@@ -141,33 +139,6 @@ def places_in(path: Path) -> GeoDataFrame | None:
 
     return pyogrio.read_dataframe(path, layer='points', columns=['name'],
                                   where='place IS NOT NULL AND name IS NOT NULL')
-
-
-def lines_of_graph(graph: Any) -> GeoDataFrame:
-    """The edges of a graph of networkx whose nodes have x and y (or ``pos``), as osmnx makes it.
-
-    Edges of a directed graph are in one direction. Raises InvalidFeatures if a node has no place.
-    """
-    import geopandas
-    import shapely
-
-    places = {}
-    for node, tags in graph.nodes(data=True):
-        try:
-            places[node] = [float(each) for each in tags.get('pos') or (tags['x'], tags['y'])]
-        except (KeyError, TypeError, ValueError):
-            raise InvalidFeatures(f'node {node} has no numbers x and y') from None
-    rows = []
-    for tail, head, tags in graph.edges(data=True):
-        if not graph.is_directed() and str(tags.get('oneway', 'no')).lower() not in ('no', 'false'):
-            raise InvalidFeatures('an undirected graph with one-way edges; give the directed one')
-        shape = tags.get('geometry') or shapely.LineString((places[tail], places[head]))
-        shape = shapely.from_wkt(shape) if isinstance(shape, str) else shape
-        ends = [shapely.distance(shapely.Point(shape.coords[0]), shapely.Point(places[node]))
-                for node in (tail, head)]
-        rows.append({**tags, 'oneway': graph.is_directed(),
-                     'geometry': shape.reverse() if ends[1] < ends[0] else shape})
-    return geopandas.GeoDataFrame(rows, geometry='geometry', crs=graph.graph.get('crs'))
 
 
 def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:

@@ -105,4 +105,4 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     blocked &= ~roads & ~unknown
     values = frozen_array(np.where(blocked, OBSTACLE, values), np.int8)
     origin = (*(elevation.corner or (0.0, 0.0)), 0.0)
-    return OccupancyMap(values, elevation.resolution, origin, elevation.crs, elevation.heights)
+    return OccupancyMap(values, elevation.resolution, origin, elevation.crs)

@@ -53,8 +53,8 @@ class NetworkOptions:
     target_nodes
         Number of nodes to aim for if ``spacing`` is None.
     graph
-        Roads for the method 'graph': what ``read_roads`` takes (a file, a GeoDataFrame of lines, a
-        graph of networkx or osmnx), or a ``RoadGraph``.
+        Roads for the method 'graph': what ``read_roads`` takes (a file, a GeoDataFrame of lines),
+        or a ``RoadGraph``.
     node_crossings
         Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
     road_column, all_lines_are_roads, two_way

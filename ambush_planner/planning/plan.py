@@ -230,33 +230,6 @@ class Plan(Shown):
         tables = plan_methods.tables(self)
         return tables.get('sites', tables['places'].iloc[:0])
 
-    def to_networkx(self) -> Any:
-        """The network as a directed graph of networkx.
-
-        Nodes have ``x`` and ``y`` [m], ``loss`` and ``ambush_probability``; edges have their
-        ``length`` [m], the ``probability`` that the convoy uses them and, if known, ``seconds``.
-        Of a plan without stops.
-        """
-        import networkx
-
-        (strategy,), graph = self.drawn_from.legs, networkx.DiGraph()
-        network = strategy.network
-        graph.add_nodes_from(
-            (k, {'x': x, 'y': y, 'loss': loss, 'ambush_probability': q})
-            for k, ((x, y), loss, q) in enumerate(zip(
-                network.points.tolist(), network.alpha.tolist(),
-                strategy.ambush_probability.tolist(), strict=True)))
-        columns = {'length': network.lengths, 'probability': strategy.edge_probability}
-        if network.seconds is not None:
-            columns['seconds'] = network.seconds
-        graph.add_edges_from(
-            (tail, head, dict(zip(columns, row, strict=True))) for (tail, head), row in zip(
-                network.edges.tolist(), np.column_stack([*columns.values()]).tolist(),
-                strict=True))
-        graph.graph.update(source=network.source, target=network.target,
-                           crs=self.risk_map.crs if self.risk_map else None)
-        return graph
-
     def frontier(self, detours: Sequence[float] | None = None,
                  slacks: Sequence[float] | None = None) -> tuple[Any, ...]:
         """Solve the trip with other length budgets and slacks, a row for each.

@@ -30,7 +30,7 @@ from ambush_planner.recordings.durable_files import write_all_durably
 from ambush_planner.recordings.report_data import Section
 
 from .figures import fixed_routes, routes_figure
-from .ground import ELEVATION, GOAL, OPTIONS, RESOLUTION, START, load_elevation, load_ground
+from .ground import ELEVATION, GOAL, OPTIONS, RESOLUTION, START, load_ground
 from .node_process import NodeProcess, free_domain
 
 # Parameters of the network, if they are not the defaults.
@@ -77,8 +77,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
     section, trip = sections[-1], sections[-1].trip
-    shown = replace(section.risk_map, heights=load_elevation().heights)
-    figure = routes_figure(shown, trip, [path[:, :2] for path in paths],
+    figure = routes_figure(section.risk_map, trip, [path[:, :2] for path in paths],
                            fixed_routes(trip.legs[0]))
     write_all_durably({folder / 'routes.png': as_png(figure, 'routes.png', [ELEVATION])})
     console.step('solving for other budgets')
