@@ -29,6 +29,7 @@ from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.departure import draw_route
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
+from ..planning.plan import gap_is_wide
 from ..planning.solving import add_hiding_places
 from ..planning.trip import Trip
 from .attachments import misstated, misstated_few
@@ -264,11 +265,10 @@ def certificate_problems(trip: TripStrategy, stated: Mapping[str, float],
 
 
 def gap_problems(trip: TripStrategy, planning: PlanningOptions) -> list[str]:
-    """Say so if value and lower bound are further apart than ``max_gap`` allows."""
-    gap = open_gap(trip, planning.strategy)
-    if gap <= planning.max_gap * trip.value:
+    """Say so if a gap that more time would have narrowed is wide."""
+    if trip.reason == 'stalled' or not gap_is_wide(trip, planning):
         return []
-    return [f'strategy: its certificate does not close, the gap is {gap:.3g}']
+    return [f'strategy: its certificate does not close, the gap is {trip.gap:.3g}']
 
 
 def value_problems(departure: RecordedDeparture) -> list[str]:
