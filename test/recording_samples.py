@@ -17,8 +17,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.encoding import encode
+from ambush_planner.recordings.messages import RecordedMessage, type_name
 
 START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -26,7 +26,7 @@ from waiting import TIMEOUT, held
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.parameters import values as parameter_values
-from ambush_planner.recordings import read_departure
+from ambush_planner.recordings.recorded_departure import read_departure
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import subscriptions
 from ambush_planner.ros.current_map import CurrentMap

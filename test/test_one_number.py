@@ -18,8 +18,8 @@ from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.maps.risk_map_file import read_risk_map
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
-from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
+from ambush_planner.recordings.recorded_departure import read_departure
 
 YARD = ROOT / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)

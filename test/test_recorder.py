@@ -45,8 +45,9 @@ from std_msgs.msg import Header
 from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError
-from ambush_planner.recordings import Recorder, RecordingFailed, read_recording
-from ambush_planner.recordings.recorder import prepare
+from ambush_planner.recordings.recorder import Recorder, prepare
+from ambush_planner.recordings.recording_errors import RecordingFailed
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.schemas import definitions
 
 
@@ -79,7 +80,7 @@ def test_without_the_mcap_library_the_node_starts_and_a_recording_names_what_is_
 import sys
 sys.modules.update(dict.fromkeys(('mcap', 'mcap_ros2', 'lz4', 'zstandard')))
 import ambush_planner.ros.planner_node
-from ambush_planner.recordings import Recorder
+from ambush_planner.recordings.recorder import Recorder
 Recorder({str(tmp_path)!r}).record_departure([], {{}}, {{}})
 """
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,

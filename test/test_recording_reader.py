@@ -33,19 +33,17 @@ from ambush_planner import InvalidOption, PlanningOptions, StrategyOptions, plan
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.operations.slots import Slots
-from ambush_planner.recordings import (
-    UnreadableRecording,
-    read_departure,
-    read_departures,
-    read_recording,
-    recordings_in,
-    source_findings,
-)
 from ambush_planner.recordings.bag_folder import listed_in
 from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.metadata import typed
-from ambush_planner.recordings.recorded_departure import ground_of
-from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode
+from ambush_planner.recordings.recorded_departure import ground_of, read_departure
+from ambush_planner.recordings.recorded_departures import (
+    read_departures,
+    recordings_in,
+    source_findings,
+)
+from ambush_planner.recordings.recording_errors import UnreadableRecording
+from ambush_planner.recordings.recording_file import FORMAT, MAGIC, decode, read_recording
 from ambush_planner.recordings.sources import digest_of
 
 VERIFY = NO_ROS + """

@@ -23,10 +23,12 @@ from ambush_planner.commands import report_words
 from ambush_planner.commands import verify as tool
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.planning.solving import WarmStart
-from ambush_planner.recordings import read_departure, read_recording, recordings_in
 from ambush_planner.recordings.attachments import misstated, strategy_file, strategy_from_file
 from ambush_planner.recordings.audit import audit
 from ambush_planner.recordings.metadata import RecordedTrip
+from ambush_planner.recordings.recorded_departure import read_departure
+from ambush_planner.recordings.recorded_departures import recordings_in
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.report_data import sections_of
 from ambush_planner.recordings.verify import network_problems, replan_problems
 from ambush_planner.worker.process import WorkerProcess

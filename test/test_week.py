@@ -23,10 +23,11 @@ from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.operations.slots import Slots
 from ambush_planner.planning.concerns import concerns, plan_numbers
 from ambush_planner.planning.evaluation import evaluate
-from ambush_planner.recordings import read_departure, read_departures
 from ambush_planner.recordings.encoding import encode
 from ambush_planner.recordings.plan_departures import departure_bytes, draw_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
+from ambush_planner.recordings.recorded_departure import read_departure
+from ambush_planner.recordings.recorded_departures import read_departures
 from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.route_files import Drawn

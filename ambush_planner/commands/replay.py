@@ -17,8 +17,8 @@ from ..errors import AmbushPlannerError, shown
 from . import cli, readers
 
 if TYPE_CHECKING:
-    from ..recordings import RecordingFile
     from ..recordings.messages import Channel
+    from ..recordings.recording_file import RecordingFile
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -120,7 +120,9 @@ class _Replay:
 
     def _files(self) -> Mapping[Path, set[Channel]]:
         """Return the readable files with their channels."""
-        from ..recordings import UnreadableRecording, read_recording, recordings_in
+        from ..recordings.recorded_departures import recordings_in
+        from ..recordings.recording_errors import UnreadableRecording
+        from ..recordings.recording_file import read_recording
 
         paths = recordings_in(self._options.recordings)
         found = {}
@@ -152,7 +154,7 @@ class _Replay:
 
     def _publish(self, files: Iterable[Path]) -> None:
         """Publish everything in time."""
-        from ..recordings import read_recording
+        from ..recordings.recording_file import read_recording
 
         for path in files:
             messages = [each for each in read_recording(path).messages

@@ -61,8 +61,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..recordings import recordings_in
-    from ..recordings.recorded_departures import together
+    from ..recordings.recorded_departures import recordings_in, together
     from ..recordings.verify import Verifier
 
     paths = recordings_in(options.recordings)

@@ -20,7 +20,7 @@ from ..maps.occupancy import OccupancyMap, check_occupancy
 from ..maps.overlay import with_obstacles_of
 from ..maps.ros_messages import occupancy_from_ros, update_fault
 from ..parameters.values import COSTMAP_OBSTACLE
-from ..recordings import RecordedMessage, type_name
+from ..recordings.messages import RecordedMessage, type_name
 from .topics import LATCHED
 
 # Where the bytes of a message have the time of its header.

@@ -12,8 +12,8 @@ from rclpy.serialization import serialize_message
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
-from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
+from ..recordings.messages import RecordedMessage, type_name
 from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip, numbers_of
 from ..recordings.versions import software_versions
 from ..routes.driven_path import Ends

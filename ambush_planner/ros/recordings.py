@@ -18,9 +18,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from ..errors import AmbushPlannerError
 from ..parameters.values import RecordingOptions
 from ..planning.plan import Plan
-from ..recordings import Recorder, RecordingFailed
 from ..recordings.plan_file import attachments_of
-from ..recordings.recorder import prepare
+from ..recordings.recorder import Recorder, prepare
+from ..recordings.recording_errors import RecordingFailed
 from ..worker.solve_errors import for_the_log, known
 from .departure_record import Departure, map_changes, metadata_of, recorded_messages
 from .diagnostics import Reporter

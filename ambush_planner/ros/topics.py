@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
-from ..recordings import RecordedMessage, type_name
+from ..recordings.messages import RecordedMessage, type_name
 from .markers import MARKERS
 
 _RELIABLE, _LATCHING = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
