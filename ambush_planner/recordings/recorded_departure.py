@@ -38,6 +38,7 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
+from .messages import RecordedMessage
 from .metadata import Metadata, typed_values
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
@@ -87,7 +88,7 @@ class RecordedDeparture:
     planned_on: OccupancyMap
     newest: OccupancyMap
     risk_map: RiskMap
-    _path_message: tuple[str, str, bytes] = field(repr=False)
+    _path_message: RecordedMessage = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
     few: FewRoutes | None = field(default=None, repr=False)
     few_value: float = math.nan
@@ -139,7 +140,7 @@ class RecordedDeparture:
     @cached_property
     def recorded_poses(self) -> FloatArray:
         """The poses (L, 3) = (x, y, yaw) of the recorded path [m, m, rad]."""
-        return path_from_ros(decode(*self._path_message))
+        return path_from_ros(decode(self._path_message))
 
     @cached_property
     def path_poses(self) -> FloatArray:
@@ -177,7 +178,7 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
                                  once(roads_from_file, files.get(ROADS_FILE)))
     planning, occupancy = parameters.planning, parameters.occupancy
     trip, stated = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
-    values, resolution, origin = occupancy_from_ros(decode(*file.defined(file.in_role('map'))))
+    values, resolution, origin = occupancy_from_ros(decode(file.in_role('map')))
     # Maps that differ only in their header are one object.
     planned_on = once(_map, values.tobytes(), values.shape, resolution, origin)
     risk_map = (once(map_from_bytes, files[MAP_FILE]) if MAP_FILE in files
@@ -209,9 +210,7 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
                              trip, stated, drawn_from, joined, planned_on, newest, risk_map,
-                             file.defined(message), few=few, few_value=few_value)
-
-
+                             message, few=few, few_value=few_value)
 
 
 def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:
