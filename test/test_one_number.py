@@ -44,7 +44,7 @@ def test_python(numbers):
     (row,) = plan_trip(risk_map, START, GOAL, OPTIONS).frontier([1.2], [])
     with ThreadPoolExecutor(1) as pool:
         (solved,) = solve_many([Problem(risk_map, START, GOAL, OPTIONS)], pool)
-    read, _ = strategy_from_file(strategy_file(solved.answer.trip), OPTIONS.game)
+    read = strategy_from_file(strategy_file(solved.answer.trip), OPTIONS.game)
     for each in (row, solved.answer, read):
         assert (each.value, each.lower_bound) == same(numbers)
 

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -57,8 +56,6 @@ class RecordedDeparture:
     route
         Node indices of each leg from its source to its target. For a diversion this is the whole
         route: what was driven before, and the rest that ``drawn`` holds, after its source.
-    stated
-        The numbers that the file states of the strategies.
     trip
         The recorded strategies, their certificate computed from their probabilities.
     drawn_from
@@ -70,9 +67,9 @@ class RecordedDeparture:
         The maps of the plan and at the time of departure; the losses of the former.
     before
         What was recorded of the departure before this diversion, if that is known.
-    few, few_value
-        The few routes that it was drawn from, and the value that the file states of them;
-        ``drawn_from`` are then their strategies, and ``route`` is on their networks.
+    few
+        The few routes that it was drawn from, if any; ``drawn_from`` are then their strategies, and
+        ``route`` is on their networks.
     """
 
     path: Path
@@ -82,7 +79,6 @@ class RecordedDeparture:
     route: Route = field(repr=False)
     drawn: Route = field(repr=False)
     trip: TripStrategy
-    stated: Mapping[str, float]
     drawn_from: TripStrategy
     joined: JoinedPlan | None
     planned_on: OccupancyMap
@@ -91,7 +87,6 @@ class RecordedDeparture:
     _path_message: RecordedMessage = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
     few: FewRoutes | None = field(default=None, repr=False)
-    few_value: float = math.nan
 
     @cached_property
     def newest_risk_map(self) -> RiskMap:
@@ -177,7 +172,7 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
     parameters = parameters_from(typed_values(metadata.parameters),
                                  once(roads_from_file, files.get(ROADS_FILE)))
     planning, occupancy = parameters.planning, parameters.occupancy
-    trip, stated = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
+    trip: TripStrategy = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
     values, resolution, origin = occupancy_from_ros(decode(file.in_role('map')))
     # Maps that differ only in their header are one object.
     planned_on = once(_map, values.tobytes(), values.shape, resolution, origin)
@@ -203,14 +198,15 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
         if (value := metadata.value) is not None:
             drawn_from = with_certificate(drawn_from,
                                           Certificate(value, min(trip.lower_bound, value)))
-    few, few_value = None, math.nan
+    few: FewRoutes | None = None
     if FEW_FILE in files:
-        few, few_value = once(few_from_file, files[FEW_FILE], ground().plan)
+        few = once(few_from_file, files[FEW_FILE], ground().plan)
+        assert few
         drawn_from, route = few.trip, few.nodes(few.numbers(route))
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
-                             trip, stated, drawn_from, joined, planned_on, newest, risk_map,
-                             message, few=few, few_value=few_value)
+                             trip, drawn_from, joined, planned_on, newest, risk_map, message,
+                             few=few)
 
 
 def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:

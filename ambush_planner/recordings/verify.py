@@ -9,7 +9,6 @@ certificate alone proves how close the strategy is to the best one.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -32,7 +31,6 @@ from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.plan import gap_is_wide
 from ..planning.solving import add_hiding_places
 from ..planning.trip import Trip
-from .attachments import misstated, misstated_few
 from .ground_check import GroundCheck, Now
 from .metadata import Metadata, PlanMetadata, RecordedTrip, numbers_of, typed
 from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
@@ -151,7 +149,7 @@ class Verifier:
         """Check a plan as each departure of it is."""
         plan, planning = saved.plan, saved.parameters.planning
         problems = [*network_problems(plan.trip, plan.own_map, planning, recorded_trip(plan)),
-                    *certificate_problems(plan.trip, {}, planning)]
+                    *certificate_problems(plan.trip, planning)]
         if not problems and self._replan:
             problems += replan_problems(plan.trip, planning)
         return problems
@@ -161,8 +159,7 @@ class Verifier:
         problems = [
             *self._shared.once(network_problems, trip, departure.risk_map, planning,
                                departure.metadata.trip),
-            *certificate_problems(trip, departure.stated, planning),
-            *(misstated_few(departure.few, departure.few_value) if departure.few else ()),
+            *certificate_problems(trip, planning),
             *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
@@ -249,11 +246,9 @@ def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOp
     return problems
 
 
-def certificate_problems(trip: TripStrategy, stated: Mapping[str, float],
-                         planning: PlanningOptions) -> list[str]:
+def certificate_problems(trip: TripStrategy, planning: PlanningOptions) -> list[str]:
     """Check what the planner promises of every strategy, from its probabilities alone."""
-    problems = [f'strategy: its {name} is stated as {said:.12g}, its probabilities give '
-                f'{found:.12g}' for name, said, found in misstated(trip, stated)]
+    problems = []
     for leg in trip.legs:
         if planning.strategy.solver == 'max_entropy' and not is_acyclic(
                 leg.network, leg.edge_probability):
