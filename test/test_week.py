@@ -157,7 +157,7 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
                                                                        monkeypatch):
     saved = saved_plan(plans[name][0])
     path, drawn = tmp_path / '1.mcap', draw_departure(saved)
-    path.write_bytes(departure_bytes(saved, drawn, 1, '2031-01-01', time.time_ns())[1])
+    path.write_bytes(departure_bytes(saved, drawn, 1, '2031-01-01', time.time_ns()))
     now, entries = read_recording(path), {**read_recording(path).entries}
     entries['route'] = [node for nodes in entries['route'] for node in nodes]
     del entries['value'], entries['format']

@@ -228,19 +228,14 @@ def publisher_of(node: Any, channel: Channel) -> Any:
 
 
 def qos_from_yaml(text: str) -> Any:
-    """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
-    from rclpy import qos
-    from rclpy.duration import Duration
+    """Return the profile (rclpy) of a channel; those of recordings are all reliable."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from ..recordings.messages import DURATIONS, fields_from_yaml
+    from ..recordings.messages import fields_from_yaml
 
-    fields = dict(fields_from_yaml(text))
-    for name in ('history', 'reliability', 'durability', 'liveliness'):
-        policy = getattr(qos, f'{name.capitalize()}Policy')
-        fields[name] = policy.get_from_short_key(fields[name])
-    for name in DURATIONS:
-        fields[name] = Duration(seconds=fields[name]['sec'], nanoseconds=fields[name]['nsec'])
-    return qos.QoSProfile(**fields)
+    fields = fields_from_yaml(text)
+    return QoSProfile(depth=fields['depth'],
+                      durability=DurabilityPolicy.get_from_short_key(fields['durability']))
 
 
 def _message_class(name: str) -> Any:

@@ -36,13 +36,19 @@ from .attachments import (
     strategy_from_file,
 )
 from .encoding import encode
-from .messages import RecordedMessage
-from .metadata import BEYOND, PlanMetadata, RecordedPlan, RecordedTrip, typed, typed_values
-from .plain_messages import map_message
+from .messages import RecordedMessage, map_message
+from .metadata import (
+    BEYOND,
+    PlanMetadata,
+    RecordedPlan,
+    RecordedTrip,
+    software_versions,
+    typed,
+    typed_values,
+)
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, read_recording
 from .sources import Source
-from .versions import software_versions
 
 KIND = 'plan'
 

@@ -148,26 +148,28 @@ class RecordedDeparture:
         return np.vstack((driven[:near + 1], rest))
 
 
-class SharedParts:
-    """Parts that departures share are made ``once``; the last ``most`` results are kept."""
-
-    def __init__(self, most: int | None = None) -> None:
-        self.once: Callable[..., Any] = lru_cache(most)(lambda make, *of: make(*of))
+# Calls a function with arguments, once for equal ones: departures share parts.
+Once = Callable[..., Any]
 
 
-def read_departure(path: Path | str, shared: SharedParts | None = None) -> RecordedDeparture:
+def made_once(most: int | None = None) -> Once:
+    """Return what makes each part once, and keeps the last ``most`` of them."""
+    return lru_cache(most)(lambda make, *of: make(*of))
+
+
+def read_departure(path: Path | str, once: Once | None = None) -> RecordedDeparture:
     """Read one recorded departure and check its CRCs; raises UnreadableRecording."""
-    return departure_in(read_recording(path), shared or SharedParts())
+    return departure_in(read_recording(path), once or made_once())
 
 
-def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
+def departure_in(file: RecordingFile, once: Once) -> RecordedDeparture:
     """Return the departure in a file; raises UnreadableRecording if it is malformed."""
     if 'departure' not in file.entries:
         raise UnreadableRecording(file.path, 'it is a plan: ambush draw makes a departure of it')
-    return part(file.path, 'departure', lambda: _departure_in(file, shared.once))
+    return part(file.path, 'departure', lambda: _departure_in(file, once))
 
 
-def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDeparture:
+def _departure_in(file: RecordingFile, once: Once) -> RecordedDeparture:
     metadata, files = file.metadata, file.attachments
     parameters = parameters_from(typed_values(metadata.parameters),
                                  once(roads_from_file, files.get(ROADS_FILE)))

@@ -34,7 +34,7 @@ from ..planning.trip import Trip
 from .ground_check import GroundCheck, Now
 from .metadata import Metadata, PlanMetadata, RecordedTrip, numbers_of, typed
 from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
-from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
+from .recorded_departure import RecordedDeparture, departure_in, ground_of, made_once
 from .recorded_departures import MIN_BITS
 from .recording_errors import NoPermission, UnreadableRecording
 from .recording_file import read_recording
@@ -94,8 +94,8 @@ class Verifier:
     def __init__(self, replan: bool = False, map_file: Path | None = None,
                  roads_file: Path | None = None) -> None:
         self._replan = replan
-        self._shared = SharedParts(_KEPT)
-        self._ground = GroundCheck(map_file, roads_file, self._shared.once) if (
+        self._once = made_once(_KEPT)
+        self._ground = GroundCheck(map_file, roads_file, self._once) if (
             map_file or roads_file) else None
 
     def verify(self, path: Path) -> Verdict:
@@ -116,7 +116,7 @@ class Verifier:
                 verdict.value = saved.value
                 verdict.problems += self._plan_problems(saved)
             else:
-                departure = departure_in(file, self._shared)
+                departure = departure_in(file, self._once)
                 self._verify_departure(departure, verdict)
         except UnreadableRecording as error:
             verdict.denied = isinstance(error, NoPermission)
@@ -157,7 +157,7 @@ class Verifier:
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         trip, planning = departure.trip, departure.parameters.planning
         problems = [
-            *self._shared.once(network_problems, trip, departure.risk_map, planning,
+            *self._once(network_problems, trip, departure.risk_map, planning,
                                departure.metadata.trip),
             *certificate_problems(trip, planning),
             *value_problems(departure), *source_problems(departure),
@@ -165,13 +165,13 @@ class Verifier:
         if not problems:
             problems += self._draw_problems(departure)
         if not problems and self._replan:
-            problems += self._shared.once(replan_problems, trip, planning)
+            problems += self._once(replan_problems, trip, planning)
         return problems
 
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
-        ground = self._shared.once(ground_of, departure.trip, departure.planned_on,
+        ground = self._once(ground_of, departure.trip, departure.planned_on,
                                    parameters.occupancy, parameters.planning, departure.risk_map)
         plan, source = ground.plan, said.route_entropy_source
         spacing = parameters.values['route.path_spacing']

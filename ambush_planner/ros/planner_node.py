@@ -23,7 +23,7 @@ from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
 from ..game.value.face_flows import HAS_HIGHSPY
-from ..recordings.versions import software_versions
+from ..recordings.metadata import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
 from .conversions import installed_type
