@@ -24,10 +24,12 @@ _GONE = {
     '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
     '--load': _Gone(_LOADS),
     '--order': _Gone(_ORDER),
+    'diagnostics.error_hold': _Gone('leave it out: a failed request is shown for 30 s', 30.0),
     'game.ambushers': _Gone(
         'leave it out: k ambushers at different places cause at most k times the value '
         '(docs/theory.md, 2.3)', 1),
     'game.loads': _Gone(_LOADS, ()),
+    'queue.size': _Gone('leave it out: 8 solves may wait', 8),
     'strategy.max_exposure': _Gone(
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
     'trip.order': _Gone(_ORDER, 'given'),

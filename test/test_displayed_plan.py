@@ -139,9 +139,9 @@ def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(
     client.diagnostics(stale='no', departures='2')
 
 
-def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
+def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running, monkeypatch):
     client = running.client
-    running.use({'diagnostics.error_hold': 0.0})
+    monkeypatch.setattr('ambush_planner.ros.diagnostics._ERROR_HOLD', 0.0)
     update(client, 10, 0, np.full((20, 1), 100))
     client.diagnostics(stale='yes', state='ready', level=b'\1', code='NONE')
     wait_until(lambda: 'the new solve failed' in client.diagnostics()['message'], 'the reason')

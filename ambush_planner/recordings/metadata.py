@@ -30,6 +30,8 @@ BEYOND: Mapping[str, Any] = {
     'game.held_places': tuple[tuple[float, float, float], ...],
     'network.seed': int}
 _INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
+# Parameters that went and say nothing of a departure of one leg.
+_UNRELATED = ('trip.order', 'queue.size', 'diagnostics.error_hold')
 
 
 class InvalidEntry(AmbushPlannerError):
@@ -258,7 +260,7 @@ def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
     """
-    check_none_gone({**values, 'trip.order': 'given'})  # which says nothing of one leg
+    check_none_gone({name: value for name, value in values.items() if name not in _UNRELATED})
     kinds: dict[str, Any] = {
         name: list[str] if isinstance(each.default, list) else type(each.default)
         for name, each in PARAMETERS.items()}

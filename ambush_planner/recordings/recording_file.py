@@ -62,7 +62,10 @@ def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFil
     path = Path(path)
     data = bytes_in(path)
     try:
-        packed = list(StreamReader(BytesIO(data), emit_chunks=True, validate_crcs=True).records)
+        stream = BytesIO(data)
+        packed = list(StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
+        if stream.read(1):
+            raise ValueError('bytes follow the end, where other readers begin')
         # The summary repeats schemas and channels.
         packed = list(takewhile(lambda each: not isinstance(each, DataEnd), packed))
         if not with_messages:
