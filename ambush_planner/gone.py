@@ -25,10 +25,12 @@ _GONE = {
     '--load': _Gone(_LOADS),
     '--order': _Gone(_ORDER),
     '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),
+    'diagnostics.error_hold': _Gone('leave it out: a failed request is shown for 30 s', 30.0),
     'game.ambushers': _Gone(
         'leave it out: k ambushers at different places cause at most k times the value '
         '(docs/theory.md, 2.3)', 1),
     'game.loads': _Gone(_LOADS, ()),
+    'queue.size': _Gone('leave it out: 8 solves may wait', 8),
     'strategy.max_exposure': _Gone(
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
     'trip.order': _Gone(_ORDER, 'given'),
@@ -36,7 +38,7 @@ _GONE = {
 
 
 def remedy_for(name: str) -> str:
-    """Say that an option was removed, and what to do instead; '' if there never was one of this name."""
+    """Say that an option was removed, and what to do instead; '' if none had this name."""
     return f'{name} was removed: {_GONE[name].remedy}' if name in _GONE else ''
 
 

@@ -41,7 +41,7 @@ from report import conditions, new_parser, table
 from std_msgs.msg import Header
 
 from ambush_planner.maps.ros_messages import path_from_ros
-from ambush_planner.recordings import read_recording
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
 
 CELLS, RESOLUTION = 120, 0.5

@@ -15,7 +15,7 @@ from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings.attachments import strategy_file
 from ambush_planner.recordings.encoding import encode
-from ambush_planner.recordings.plain_messages import map_message, path_message, pose_message
+from ambush_planner.recordings.messages import map_message, path_message, pose_message
 
 START_NS = 1_700_000_000_000_000_000
 DAY_NS = 86_400_000_000_000

@@ -9,8 +9,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import pose, stage
 
 from ambush_planner.commands.replay import _message_class
-from ambush_planner.recordings import read_recording, recordings_in
 from ambush_planner.recordings.encoding import encode
+from ambush_planner.recordings.recorded_departures import recordings_in
+from ambush_planner.recordings.recording_file import read_recording
 
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
 

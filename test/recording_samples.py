@@ -12,17 +12,15 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.encoding import encode
+from ambush_planner.recordings.messages import RecordedMessage, qos_text, type_name
 
 START_NS = 1_700_000_000_123_456_789
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-VOLATILE = QoSProfile(depth=10)
+LATCHED, VOLATILE = qos_text(1, latched=True), qos_text(10, latched=False)
 INPUTS = {'map': '/alpha_map', 'start': '/start_pose', 'goal': '/goal_pose', 'path': '/path'}
 TYPES = (OccupancyGrid, PoseStamped, MarkerArray, PathMessage, DiagnosticArray)
 
@@ -135,7 +133,7 @@ def message_of(recorded):
 
 def fields(message):
     """The parts of a recorded message that come back from a file."""
-    return (message.topic, message.type, message.data, message.channel.qos, message.stamp_ns)
+    return (message.topic, message.type, message.data, message.qos, message.stamp_ns)
 
 
 def assert_same(sent, read):

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.recordings import type_name
+from ambush_planner.recordings.messages import type_name
 from ambush_planner.ros import planner_node
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode

@@ -150,8 +150,8 @@ def bad_updates(_):
 
 
 def full_queue(_):
-    with solving() as (slow, _):
-        slow.use({'queue.size': 1})
+    with solving() as (slow, _), pytest.MonkeyPatch.context() as patch:
+        patch.setattr('ambush_planner.worker.solve_queue._MAX_WAITING', 1)
         slow.client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(5.0, 50.0)))
         queue = slow.planner._dispatcher._plans.queue
         wait_until(lambda: len(queue.keys) == 2, 'the request')

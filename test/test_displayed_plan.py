@@ -26,7 +26,7 @@ from waiting import TIMEOUT, held
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.parameters import values as parameter_values
-from ambush_planner.recordings import read_departure
+from ambush_planner.recordings.recorded_departure import read_departure
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import subscriptions
 from ambush_planner.ros.current_map import CurrentMap
@@ -139,9 +139,9 @@ def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(
     client.diagnostics(stale='no', departures='2')
 
 
-def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
+def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running, monkeypatch):
     client = running.client
-    running.use({'diagnostics.error_hold': 0.0})
+    monkeypatch.setattr('ambush_planner.ros.diagnostics._ERROR_HOLD', 0.0)
     update(client, 10, 0, np.full((20, 1), 100))
     client.diagnostics(stale='yes', state='ready', level=b'\1', code='NONE')
     wait_until(lambda: 'the new solve failed' in client.diagnostics()['message'], 'the reason')

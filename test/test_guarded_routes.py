@@ -15,7 +15,8 @@ from ros_harness import MARKER_TOPICS, interface_of, pose, stage, wait_until
 from ros_yaml import type_of
 from waiting import unstamped
 
-from ambush_planner.recordings import read_recording, recordings_in
+from ambush_planner.recordings.recorded_departures import recordings_in
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.verify import Verifier
 
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'

@@ -58,8 +58,9 @@ def test_a_start_that_fails_leaves_nothing():
         assert threads() == before
 
 
-def test_an_error_of_a_request_disappears_and_a_bad_map_stays():
-    with stage(parameters={'diagnostics.error_hold': 0.5}) as running:
+def test_an_error_of_a_request_disappears_and_a_bad_map_stays(monkeypatch):
+    monkeypatch.setattr('ambush_planner.ros.diagnostics._ERROR_HOLD', 0.5)
+    with stage() as running:
         client = running.client
         assert not client.call('new_route').success
         report = client.diagnostics(code='NONE')

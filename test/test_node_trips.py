@@ -8,7 +8,8 @@ from ros_harness import header, pose, stage, wait_until
 
 from ambush_planner.commands import verify
 from ambush_planner.maps.ros_messages import path_from_ros
-from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings.recorded_departure import read_departure
+from ambush_planner.recordings.recorded_departures import recordings_in
 
 STOPS = ((2.5, 2.25), (7.0, 8.5), (7.25, 2.5))
 SPACING = {'network.spacing': 1.2}

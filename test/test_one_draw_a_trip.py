@@ -21,8 +21,8 @@ from waiting import TIMEOUT, answer_of, held
 
 from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
-from ambush_planner.recordings import durable_files, read_departures
-from ambush_planner.recordings.recorded_departures import together
+from ambush_planner.recordings import durable_files
+from ambush_planner.recordings.recorded_departures import read_departures, together
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import departures
 from ambush_planner.ros import recordings as recordings_module

@@ -18,8 +18,8 @@ from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.maps.risk_map_file import read_risk_map
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
-from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
+from ambush_planner.recordings.recorded_departure import read_departure
 
 YARD = ROOT / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
@@ -44,7 +44,7 @@ def test_python(numbers):
     (row,) = plan_trip(risk_map, START, GOAL, OPTIONS).frontier([1.2], [])
     with ThreadPoolExecutor(1) as pool:
         (solved,) = solve_many([Problem(risk_map, START, GOAL, OPTIONS)], pool)
-    read, _ = strategy_from_file(strategy_file(solved.answer.trip), OPTIONS.game)
+    read = strategy_from_file(strategy_file(solved.answer.trip), OPTIONS.game)
     for each in (row, solved.answer, read):
         assert (each.value, each.lower_bound) == same(numbers)
 

@@ -11,8 +11,8 @@ from ros_harness import stage
 from ambush_planner import GameOptions, InvalidOption, PlanningOptions, plan_trip
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.ros_messages import path_from_ros
-from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.plan_file import plan_bytes, saved_plan
+from ambush_planner.recordings.recorded_departures import recordings_in
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.plan_cache import PlanCache
 from ambush_planner.ros.plan_from_file import read_plan_for_node

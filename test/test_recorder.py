@@ -25,7 +25,7 @@ from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import PoseArray
 from mcap.reader import make_reader
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from recording_samples import (
     ATTACHMENTS,
     START_NS,
@@ -33,7 +33,6 @@ from recording_samples import (
     departure,
     fields,
     metadata_entries,
-    pose,
     read_with_mcap_ros2,
     read_with_rosbags,
     record,
@@ -45,8 +44,10 @@ from std_msgs.msg import Header
 from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError
-from ambush_planner.recordings import Recorder, RecordingFailed, read_recording
-from ambush_planner.recordings.recorder import prepare
+from ambush_planner.recordings.messages import qos_text
+from ambush_planner.recordings.recorder import Recorder, prepare
+from ambush_planner.recordings.recording_errors import RecordingFailed
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.schemas import definitions
 
 
@@ -79,7 +80,7 @@ def test_without_the_mcap_library_the_node_starts_and_a_recording_names_what_is_
 import sys
 sys.modules.update(dict.fromkeys(('mcap', 'mcap_ros2', 'lz4', 'zstandard')))
 import ambush_planner.ros.planner_node
-from ambush_planner.recordings import Recorder
+from ambush_planner.recordings.recorder import Recorder
 Recorder({str(tmp_path)!r}).record_departure([], {{}}, {{}})
 """
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
@@ -202,24 +203,20 @@ def test_definitions_are_those_installed():
         assert definition.text.splitlines()[:sum(map(bool, lines))] == [*filter(None, lines)]
 
 
-def test_qos_profiles_are_complete(tmp_path):
-    qos = QoSProfile(
-        depth=5, reliability=ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
-        deadline=Duration(seconds=1, nanoseconds=5))
-    message = recorded('/start_pose', pose(0.0, 0.0), qos, START_NS)
-    path = record(Recorder(tmp_path), [message])
-    (channel,) = [
-        each for each in summary_of(path).channels.values() if each.topic == '/start_pose'
-    ]
-    (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
+def test_qos_profiles_are_complete():
+    """As rosbag2 demands, and as rclpy has them."""
+    (profile,) = yaml.safe_load(qos_text(5, latched=True))
+    qos = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     infinite = {'sec': 9223372036, 'nsec': 854775807}
-    assert profile == {
-        'history': 'keep_last', 'depth': 5, 'reliability': 'best_effort',
-        'durability': 'transient_local', 'deadline': {'sec': 1, 'nsec': 5}, 'lifespan': infinite,
-        'liveliness': 'manual_by_topic', 'liveliness_lease_duration': infinite,
-        'avoid_ros_namespace_conventions': False,
-    }
+    for name, value in profile.items():
+        theirs = getattr(qos, name)
+        if isinstance(value, dict):
+            assert value == infinite and theirs == Duration()  # unspecified, so DDS' own
+        elif name == 'liveliness':
+            assert (value, theirs.short_key) == ('automatic', 'system_default')
+        else:
+            assert value == getattr(theirs, 'short_key', theirs), name
+    assert {f'_{name}' for name in profile} == {*QoSProfile.__slots__}
 
 
 def record_until_killed(directory):

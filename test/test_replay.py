@@ -25,7 +25,8 @@ from waiting import TIMEOUT, wait_until
 
 from ambush_planner.commands import replay
 from ambush_planner.commands.replay import _message_class, qos_from_yaml
-from ambush_planner.recordings import read_departure, read_recording
+from ambush_planner.recordings.recorded_departure import read_departure
+from ambush_planner.recordings.recording_file import read_recording
 from ambush_planner.recordings.schemas import definitions
 
 # The command, which finds who listens on a slow machine, too.

@@ -24,8 +24,7 @@ from ambush_planner.commands import report, report_words
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.plan import path_lengths
-from ambush_planner.recordings import recordings_in
-from ambush_planner.recordings.recorded_departures import read_departures
+from ambush_planner.recordings.recorded_departures import read_departures, recordings_in
 from ambush_planner.recordings.report_data import OBSTACLE, map_cells, map_data, sections_of
 from ambush_planner.routes.legs import main_corners
 

@@ -360,7 +360,7 @@ def test_a_node_drives_on_roads_and_its_recordings_hold(tmp_path, capsys):
         bad = running.planner.set_parameters([ros.Parameter('network.graph', value='/none')])[0]
         assert not bad.successful and 'network.graph: ' in bad.reason
         file.unlink()
-        running.use({'queue.size': 4})
+        running.use({'replan.tolerance': 0.1})
         assert client.call('new_route').success, 'the roads are known'
     code = verify.main([str(tmp_path / 'runs'), '--replan'])
     assert code == 0, capsys.readouterr().out

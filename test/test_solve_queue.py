@@ -49,9 +49,9 @@ def slow_request(time_limit=600.0):
     )
 
 
-def submit(queue, key, asked, size=8, background=False):
+def submit(queue, key, asked, background=False):
     """Queue a solve whose outcome is the plan."""
-    return queue.submit(key, asked, lambda plan: plan, size, background)
+    return queue.submit(key, asked, lambda plan: plan, background)
 
 
 def test_a_worker_that_cannot_be_forked_is_not_said_to_have_been_killed():
@@ -98,13 +98,14 @@ def test_an_internal_error_has_frames_but_no_values(queue):
     assert 'nowhere' not in str(caught.value) + caught.value.frames
 
 
-def test_a_background_solve_runs_last_and_gives_way_to_the_next_solve(queue):
+def test_a_background_solve_runs_last_and_gives_way_to_the_next_solve(queue, monkeypatch):
+    monkeypatch.setattr(solve_queue, '_MAX_WAITING', 1)
     submit(queue, 'slow', slow_request())
     begun(queue)
     first, last = (submit(queue, k, request(), background=True) for k in ('first', 'last'))
     with pytest.raises(SolveCancelled, match='a newer solve'):
         first.result(0.0)
-    asked = submit(queue, 'asked', request(), size=1)
+    asked = submit(queue, 'asked', request())
     with pytest.raises(SolveCancelled, match='a newer solve'):
         last.result(0.0)
     os.kill(process_id(queue._worker), signal.SIGKILL)

@@ -23,8 +23,8 @@ from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_f
 from ambush_planner.maps.risk_map_file import npz_bytes
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.new_ground import NewGround
-from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.plan_file import plan_bytes, read_plan, saved_plan
+from ambush_planner.recordings.recorded_departure import read_departure
 
 pytest.importorskip('matplotlib', reason='cards and reports have pictures')
 
@@ -184,7 +184,7 @@ def test_draw_says_what_changed_or_is_gone_and_draws_nothing(week):
 
 
 def read_departure_entries(path):
-    from ambush_planner.recordings import read_recording
+    from ambush_planner.recordings.recording_file import read_recording
 
     return read_recording(path).entries
 
@@ -193,7 +193,7 @@ def test_a_plan_with_departures_is_not_overwritten(week):
     assert run_here(draw, week / 'week/w.plan').code == 0
     before = (week / 'week/w.plan').read_bytes()
     done = planned(week)
-    assert done.code == 2 and '1 departure were drawn' in done.err and '--overwrite' in done.err
+    assert done.code == 2 and 'a plan with 1 departure (' in done.err and '--overwrite' in done.err
     assert (week / 'week/w.plan').read_bytes() == before
     assert planned(week, '--overwrite').code in (0, 1)
     assert (week / 'week/w.plan').read_bytes() != before

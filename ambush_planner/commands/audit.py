@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from . import cli, readers
 
 if TYPE_CHECKING:
-    from ..recordings import RecordedDeparture
     from ..recordings.audit import Audit
+    from ..recordings.recorded_departure import RecordedDeparture
 
 PICTURE = 'audit.png'
 SENSITIVITY = (
@@ -46,9 +46,8 @@ def parser() -> argparse.ArgumentParser:
 
 def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
     """Audit departures; return the audit (None: too few departures), findings, and notes."""
-    from ..recordings import source_findings
     from ..recordings.audit import NotAuditable, audit
-    from ..recordings.recorded_departures import drawn_twice
+    from ..recordings.recorded_departures import drawn_twice, source_findings
 
     findings = source_findings((part.path.name, part.metadata) for each in departures
                                for part in each.parts) + [

@@ -14,7 +14,7 @@ from . import cli
 from .positions import add_crs, in_named_system
 
 if TYPE_CHECKING:
-    from ..recordings import RecordedDeparture
+    from ..recordings.recorded_departure import RecordedDeparture
     from .card_page import Card
 
 EPILOG = """\
@@ -52,8 +52,8 @@ def add_speed(parser: argparse.ArgumentParser) -> None:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..recordings import read_departure
     from ..recordings.durable_files import write_all_durably
+    from ..recordings.recorded_departure import read_departure
     from .card_page import card_page
 
     of_plan = arguments.departure.suffix.lower() == PLAN

@@ -196,7 +196,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     names = [] if arguments.dry_run else plan_departures.names_in(folder)
     number = max((each for each, *_ in names), default=0)
     files: dict[Path, bytes] = {}
-    rows, last = [], plan_departures.last_id(folder) if names else ''
+    rows = []
     for k, day in enumerate(dates, start=1):
         drawn = plan_departures.draw_departure(saved, arguments.slot or '')
         few = saved.plan.few
@@ -208,8 +208,8 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
             files[path] = data
         if not arguments.dry_run:
             path = folder / plan_departures.file_name(number + k, day)
-            last, files[path] = plan_departures.departure_bytes(
-                saved, drawn, number + k, day, time.time_ns(), last, replaced.get(day, ''),
+            files[path] = plan_departures.departure_bytes(
+                saved, drawn, number + k, day, time.time_ns(), replaced.get(day, ''),
                 arguments.why if day in replaced else '')
             row['recording'] = cli.place(path)
         rows.append(row)

@@ -165,9 +165,9 @@ def _check_departures(arguments: argparse.Namespace) -> None:
         folder = departures_folder(path)
         if path.exists() and (drawn := names_in(folder)):
             raise cli.UsageError(
-                f'{cli.place(path)} is a plan from which {cli.count(len(drawn), "departure")} were '
-                f'drawn ({cli.place(folder)}): plan to a new name, or add --overwrite; the '
-                'recordings keep the plan that they were drawn from')
+                f'{cli.place(path)} is a plan with {cli.count(len(drawn), "departure")} '
+                f'({cli.place(folder)}): plan to a new name, or add --overwrite; the recordings '
+                'keep the plan that they were drawn from')
 
 
 def _hold_line(arguments: argparse.Namespace, plan: Plan) -> str:

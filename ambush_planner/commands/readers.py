@@ -12,7 +12,8 @@ from .cli import UsageError, existing, new_parser
 from .console import Console, place
 
 if TYPE_CHECKING:
-    from ..recordings import RecordedDeparture, UnreadableRecording
+    from ..recordings.recorded_departure import RecordedDeparture
+    from ..recordings.recording_errors import UnreadableRecording
 
 
 def reader_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -27,7 +28,7 @@ def reader_parser(command: str, description: str, epilog: str) -> argparse.Argum
 def read_all(place: Path, console: Console) -> tuple[
         list[RecordedDeparture], list[UnreadableRecording], dict[Path, str]]:
     """Return the departures below ``place`` in order of time, errors, and files struck, and why."""
-    from ..recordings import read_departures, recordings_in
+    from ..recordings.recorded_departures import read_departures, recordings_in
 
     errors: list[UnreadableRecording] = []
     struck: dict[Path, str] = {}

@@ -17,8 +17,8 @@ from ..errors import AmbushPlannerError, shown
 from . import cli, readers
 
 if TYPE_CHECKING:
-    from ..recordings import RecordingFile
     from ..recordings.messages import Channel
+    from ..recordings.recording_file import RecordingFile
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -120,7 +120,9 @@ class _Replay:
 
     def _files(self) -> Mapping[Path, set[Channel]]:
         """Return the readable files with their channels."""
-        from ..recordings import UnreadableRecording, read_recording, recordings_in
+        from ..recordings.recorded_departures import recordings_in
+        from ..recordings.recording_errors import UnreadableRecording
+        from ..recordings.recording_file import read_recording
 
         paths = recordings_in(self._options.recordings)
         found = {}
@@ -152,7 +154,7 @@ class _Replay:
 
     def _publish(self, files: Iterable[Path]) -> None:
         """Publish everything in time."""
-        from ..recordings import read_recording
+        from ..recordings.recording_file import read_recording
 
         for path in files:
             messages = [each for each in read_recording(path).messages
@@ -226,19 +228,14 @@ def publisher_of(node: Any, channel: Channel) -> Any:
 
 
 def qos_from_yaml(text: str) -> Any:
-    """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
-    from rclpy import qos
-    from rclpy.duration import Duration
+    """Return the profile (rclpy) of a channel; those of recordings are all reliable."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from ..recordings.messages import DURATIONS, fields_from_yaml
+    from ..recordings.messages import fields_from_yaml
 
-    fields = dict(fields_from_yaml(text))
-    for name in ('history', 'reliability', 'durability', 'liveliness'):
-        policy = getattr(qos, f'{name.capitalize()}Policy')
-        fields[name] = policy.get_from_short_key(fields[name])
-    for name in DURATIONS:
-        fields[name] = Duration(seconds=fields[name]['sec'], nanoseconds=fields[name]['nsec'])
-    return qos.QoSProfile(**fields)
+    fields = fields_from_yaml(text)
+    return QoSProfile(depth=fields['depth'],
+                      durability=DurabilityPolicy.get_from_short_key(fields['durability']))
 
 
 def _message_class(name: str) -> Any:

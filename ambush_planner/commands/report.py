@@ -40,8 +40,8 @@ def parser() -> argparse.ArgumentParser:
 def write_report(place: Path, output: Path, verify: bool,
                  console: cli.Console) -> tuple[cli.Exit, list[Section]]:
     """Write the page of the recordings in a file or folder; return the exit code and sections."""
-    from ..recordings import recordings_in
     from ..recordings.durable_files import write_all_durably
+    from ..recordings.recorded_departures import recordings_in
     from ..recordings.report_data import sections_of
     from ..recordings.verify import Verifier
     from .audit import audited

@@ -10,7 +10,7 @@ from ..arrays import NEGLIGIBLE
 from ..game.strategy import TripStrategy
 from ..parameters.table import PARAMETERS
 from ..planning.plan import path_lengths
-from ..recordings import RecordedDeparture
+from ..recordings.recorded_departure import RecordedDeparture
 from ..recordings.report_data import Section
 from ..words import (
     best_ambush,

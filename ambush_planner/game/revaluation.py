@@ -77,8 +77,8 @@ def bound_if_held(trip: TripStrategy, places: tuple[SecuredPlace, ...]) -> float
 
 
 def open_gap(strategy: Strategy | TripStrategy, options: StrategyOptions) -> float:
-    """The gap between value and bound beyond the risk slack; 0 if the solve was complete."""
-    if strategy.reason == 'stalled' or within_slack(strategy, options):
+    """The gap between value and bound beyond the risk slack; 0 if they are within it."""
+    if within_slack(strategy, options):
         return 0.0
     # With a length weight, the weighted sum is minimal and sets the scale.
     weighed = sum(price * strategy.expected_length for price in strategy.ambusher.prices

@@ -145,8 +145,6 @@ _DESCRIBED: dict[str, str | Declaration] = {
         0.05,
         'Share by which a change of the map may raise the value of the strategy before the planner '
         'solves again.'),
-    'queue.size': Declaration(
-        8, 'Maximum number of waiting solves; further requests are refused.', 1, 1000),
     'autostart': Declaration(
         True,
         'Whether the node configures and activates itself at the start; false: a lifecycle '
@@ -200,9 +198,6 @@ _DESCRIBED: dict[str, str | Declaration] = {
         '~/.ros/ambush_planner', 'Directory of the folders with recordings.', fixed=True),
     'recording.compression': Declaration(
         'zstd', 'Compression of the recordings.', choices=('zstd', 'lz4', 'none'), fixed=True),
-    'diagnostics.error_hold': Declaration(
-        30.0,
-        'Time for which the diagnostics show a failed request [s]; a success ends it earlier.'),
     'seed': Declaration(
         -1,
         "-1: routes are drawn with the operating system's entropy; 0 or more: always the same "

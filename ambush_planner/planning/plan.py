@@ -17,7 +17,8 @@ from .. import plan_methods
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.bottleneck import Bottleneck, find_bottleneck
-from ..game.strategy import Strategy, TripStrategy, within_slack
+from ..game.revaluation import open_gap
+from ..game.strategy import Strategy, TripStrategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
@@ -162,9 +163,7 @@ class Plan(Shown):
     @property
     def gap_is_wide(self) -> bool:
         """Return whether the strategies' gap is over ``max_gap``: better ones may exist."""
-        trip, options = self.trip, self.options
-        return (trip.gap > options.max_gap * trip.value
-                and not within_slack(trip, options.strategy))
+        return gap_is_wide(self.trip, self.options)
 
     def _summary(self) -> dict[str, str]:
         trip = self.drawn_from
@@ -283,6 +282,11 @@ class Plan(Shown):
     def _place(self, node: int) -> tuple[float, float]:
         x, y = self.network.points[node].tolist()
         return x, y
+
+
+def gap_is_wide(trip: TripStrategy, options: PlanningOptions) -> bool:
+    """Return whether the gap of strategies beyond the risk slack is over ``max_gap``."""
+    return open_gap(trip, options.strategy) > options.max_gap * trip.value
 
 
 def path_lengths(paths: Sequence[FloatArray]) -> FloatArray:

@@ -27,7 +27,7 @@ from ..network.construction import build_trip_graph
 from ..network.network import Network
 from .concerns import concerns
 from .options import PlanningOptions, grading, is_graded
-from .plan import Plan, PlanRequest, make_plan
+from .plan import Plan, PlanRequest, gap_is_wide, make_plan
 from .refinement import Round, refine
 from .solving import Ground, WarmStart
 
@@ -211,9 +211,8 @@ def _within_max_gap(plan: Plan) -> Plan:
 
 
 def _gap_is_open(trip: TripStrategy, options: PlanningOptions) -> bool:
-    """Return whether the time limit left a gap over ``max_gap`` beyond the risk slack."""
-    return trip.reason == 'time' and (
-        open_gap(trip, options.strategy) > options.max_gap * trip.value)
+    """Return whether the time limit left a wide gap."""
+    return trip.reason == 'time' and gap_is_wide(trip, options)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ the map's coordinates. Of plans that were made without ROS, ``map.npz`` holds th
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
@@ -36,10 +35,6 @@ from ..planning.plan import Plan
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
 MAP_FILE, FEW_FILE = 'map.npz', 'few.npz'
-NUMBERS = ('value', 'lower_bound', 'expected_length', 'expected_exposure', 'edge_entropy',
-           'route_entropy')
-# Rounding between releases of numpy and scipy, relative and absolute.
-_SAME = 1e-9
 # What all legs have in common: nodes, where the ambusher waits, and the number of legs (before
 # format 11 there was one).
 _NODES, _Q, _LEGS = ('points', 'alpha'), 'ambush_probability', 'legs'
@@ -56,19 +51,19 @@ _CIRCULATION = ('through', 'site', 'face', 'flow')
 # The edges of whole routes, if these are drawn, how many each has, and their shares.
 _MIXTURE = ('route_edges', 'route_counts', 'route_shares')
 _OF_LEG = (*_NETWORK, _P, *_ON_ROADS, *_BUDGET, *_CIRCULATION, *_MIXTURE)
-# What a leg loses at least against the ambusher.
-_LEG_BOUNDS = 'leg_bounds'
+# What a leg loses at least against the ambusher; before format 11, of the only one.
+_LEG_BOUNDS, _LOWER_BOUND = 'leg_bounds', 'lower_bound'
 # What a plan adds to the game's options [m]: tube, what a site stands for, the secured area.
 _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_distance'}
 # Why the search ended.
 _REASON = 'reason'
-_COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, *NUMBERS, *_PLANNED, _REASON)
+_COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, _LOWER_BOUND, *_PLANNED, _REASON)
 _ROADS = ('points', 'pairs', 'speeds', 'timed', 'names', 'name', 'places')
 # The lists of arrays of few routes.
 _RAGGED = ('paths', 'routes')
 # ``lower_bound`` is that of each leg.
-_OF_FEW = ('leg', 'shares', 'value', 'candidates', 'costs', 'curve')
-_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW, 'lower_bound')
+_OF_FEW = ('leg', 'shares', 'candidates', 'costs', 'curve')
+_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW, _LOWER_BOUND)
 
 
 def strategy_file(trip: TripStrategy) -> bytes:
@@ -76,7 +71,6 @@ def strategy_file(trip: TripStrategy) -> bytes:
     network = trip.game.network
     arrays: dict[str, Any] = {
         **{name: getattr(network, name) for name in (*_NODES, _REFINED)},
-        **{name: getattr(trip, name) for name in NUMBERS},
         **{name: getattr(trip.game.options, each) for name, each in _PLANNED.items()},
         _Q: trip.ambusher.q, _LEGS: len(trip.legs), _REASON: trip.reason,
         _LEG_BOUNDS: [leg.lower_bound for leg in trip.legs],
@@ -101,13 +95,11 @@ def _named(name: str, leg: int) -> str:
     return f'{name}_{leg}' if leg else name
 
 
-def strategy_from_file(data: bytes, options: GameOptions) -> tuple[TripStrategy,
-                                                                   Mapping[str, float]]:
-    """Return the strategies in the bytes of a ``strategy.npz``, and the numbers stated there.
+def strategy_from_file(data: bytes, options: GameOptions) -> TripStrategy:
+    """Return the strategies in the bytes of a ``strategy.npz``.
 
     ``options`` are the game's. Everything that follows from the probabilities, including the
-    certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations are
-    not recorded.
+    certificate, is computed from them.
     """
     common = arrays_in(BytesIO(data), _COMMON)
     own = [arrays_in(BytesIO(data), [_named(name, k) for name in _OF_LEG])
@@ -130,12 +122,12 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[TripStrategy,
                         tuple(float(each[_BUDGET[2]]) for each in content),
                         tuple(Circulation(*(each[name] for name in _CIRCULATION))
                               for each in content if _CIRCULATION[0] in each))
-    stated = {name: float(common[name]) for name in NUMBERS}
-    # Bounds of what was stated are enough: larger ones can take seconds.
-    enough = (1.0 - ROUNDING / 10.0) * common.get(_LEG_BOUNDS, np.array([stated['lower_bound']]))
+    # The bounds of the solve are enough: larger ones can take seconds.
+    bounds = common[_LEG_BOUNDS if _LEG_BOUNDS in common else _LOWER_BOUND]
+    enough = (1.0 - ROUNDING / 10.0) * np.atleast_1d(bounds)
     trip = make_strategies(legs, np.concatenate(p), [_mixture_in(each) for each in content],
                            ambusher, lower_bounds(legs, ambusher, targets=enough), reason=reason)
-    return replace(trip, reason=cast(Reason, reason)), stated
+    return replace(trip, reason=cast(Reason, reason))
 
 
 def _network_in(common: Mapping[str, Any], own: Mapping[str, Any]) -> Network:
@@ -155,28 +147,6 @@ def _mixture_in(own: Mapping[str, Any]) -> RouteMixture | None:
     edges, counts, shares = (own[name] for name in _MIXTURE)
     return RouteMixture(np.split(edges, np.cumsum(counts)[:-1]), shares,
                         np.zeros(len(counts), dtype=np.int64))
-
-
-def misstated(trip: TripStrategy,
-              stated: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-    """The ``NUMBERS`` that strategies do not have: name, what is stated, what they have.
-
-    A lower bound may be stated too low, as time may have limited the proof.
-    """
-    # The route entropy is a difference of two numbers of the edge entropy's size.
-    rounding = _SAME * max(1e-3, abs(trip.edge_entropy))
-    for name, said in stated.items():
-        found = getattr(trip, name)
-        if not (math.isclose(said, found, rel_tol=_SAME, abs_tol=rounding)
-                or (name == 'lower_bound' and said < found)):
-            yield name, said, found
-
-
-def misstated_few(few: FewRoutes, stated: float) -> list[str]:
-    """Say so if few routes have another value than what is stated."""
-    if math.isclose(few.value, stated, rel_tol=1e-6):
-        return []
-    return [f'few routes: the worst ambush costs {few.value:.9g}, not {stated:.9g}']
 
 
 def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) -> bytes:
@@ -218,15 +188,15 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
 def few_file(few: FewRoutes) -> bytes:
     """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
     arrays: dict[str, Any] = {name: getattr(few, name) for name in _OF_FEW}
-    arrays['lower_bound'] = [leg.lower_bound for leg in few.trip.legs]
+    arrays[_LOWER_BOUND] = [leg.lower_bound for leg in few.trip.legs]
     for name in _RAGGED:
         value = getattr(few, name)
         arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
     return _npz(arrays)
 
 
-def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
-    """Return the few routes of a plan in the bytes of a ``few.npz``, and the value stated there.
+def few_from_file(data: bytes, plan: Plan) -> FewRoutes:
+    """Return the few routes of a plan in the bytes of a ``few.npz``.
 
     Their strategy is computed from paths and shares.
     """
@@ -237,11 +207,10 @@ def few_from_file(data: bytes, plan: Plan) -> tuple[FewRoutes, float]:
               for name in _RAGGED}
     shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
     leg = frozen_array(content.get('leg', np.zeros(len(shares))), np.int64)  # once there was one
-    trip = mixed(plan, ragged['paths'], leg, shares, np.atleast_1d(content['lower_bound']), costs)
-    few = FewRoutes(
+    trip = mixed(plan, ragged['paths'], leg, shares, np.atleast_1d(content[_LOWER_BOUND]), costs)
+    return FewRoutes(
         **ragged, leg=leg, shares=shares, trip=trip, candidates=int(content['candidates']),
         costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
-    return few, float(content['value'])
 
 
 def _npz(arrays: Mapping[str, Any]) -> bytes:

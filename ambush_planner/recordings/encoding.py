@@ -153,17 +153,6 @@ def _bytes_of(found: Sequence[McapRecord]) -> bytes:
     return data
 
 
-def packed_part(chunk: bytes, size: int, last: bytes) -> bytes | None:
-    """Return the compressed data of the ``last`` message in a chunk of ``size`` bytes, unpacked.
-
-    None if it is not as ``encode`` writes it.
-    """
-    head = size - len(last)
-    begin = b''.join((_FRAME, size.to_bytes(8, 'little'), (head * 8).to_bytes(3, 'little')))
-    is_ours = len(last) >= _LARGE and chunk.startswith(begin)
-    return chunk[len(begin) + head:] if is_ours else None
-
-
 def _packed(head: bytes, last: RecordedMessage, compression: str) -> bytes:
     """Return what a chunk holds, compressed, which ends with the data of a message."""
     if compression == 'none':

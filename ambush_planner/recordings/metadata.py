@@ -4,12 +4,18 @@
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from datetime import datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
-from types import NoneType
+from types import MappingProxyType, NoneType
 from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+import scipy
 
 from ..arrays import Position
 from ..errors import AmbushPlannerError
@@ -24,6 +30,8 @@ BEYOND: Mapping[str, Any] = {
     'game.held_places': tuple[tuple[float, float, float], ...],
     'network.seed': int}
 _INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
+# Parameters that went and say nothing of a departure of one leg.
+_UNRELATED = ('trip.order', 'queue.size', 'diagnostics.error_hold')
 
 
 class InvalidEntry(AmbushPlannerError):
@@ -144,8 +152,6 @@ class Metadata:
     diversion
         None for a departure; else the route is the rest of its departure's, from where it was
         diverted, with the source of that leg in place of the convoy.
-    previous
-        ``recording_id`` of the recording made before this one in the same run; '' if unknown.
     plan, day
         The plan file that the departure was drawn from, and the day that it is for; None if a node
         made it.
@@ -167,7 +173,6 @@ class Metadata:
     call: RecordedCall
     value: float | None = None
     diversion: Diversion | None = None
-    previous: str = ''
     plan: RecordedPlan | None = None
     day: RecordedDay | None = None
 
@@ -184,6 +189,21 @@ class Metadata:
     def entries(self) -> dict[str, Any]:
         """Return the entries of the metadata record, as JSON values."""
         return asdict(self)
+
+
+@cache
+def software_versions() -> Mapping[str, str]:
+    """The versions of the planner and of the software that it computes with."""
+    return MappingProxyType({'ambush_planner': _version_of('ambush_planner'),
+                             'python': platform.python_version(), 'numpy': np.__version__,
+                             'scipy': scipy.__version__, 'rclpy': _version_of('rclpy')})
+
+
+def _version_of(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return 'not installed'
 
 
 def numbers_of(route: Route) -> tuple[tuple[int, ...], ...]:
@@ -240,7 +260,7 @@ def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
     """
-    check_none_gone({**values, 'trip.order': 'given'})  # which says nothing of one leg
+    check_none_gone({name: value for name, value in values.items() if name not in _UNRELATED})
     kinds: dict[str, Any] = {
         name: list[str] if isinstance(each.default, list) else type(each.default)
         for name, each in PARAMETERS.items()}

@@ -23,12 +23,11 @@ from ..planning.departure import draw_route
 from ..planning.plan import Route, path_lengths
 from .durable_files import make_private_folders
 from .encoding import encode
-from .metadata import Metadata, RecordedCall, RecordedDay, numbers_of
-from .plain_messages import path_message, pose_message
+from .messages import path_message, pose_message
+from .metadata import Metadata, RecordedCall, RecordedDay, numbers_of, software_versions
 from .plan_file import SavedPlan, ground_of_plan, recorded_plan, recorded_trip
 from .recording_errors import NoPermission, part
 from .recording_file import read_recording
-from .versions import software_versions
 
 SUFFIX = '.departures'
 # Distance up to which starts or goals of two plans are the same [m].
@@ -71,11 +70,10 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
 
 
 def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: str, stamp_ns: int,
-                    previous: str = '', replaces: str = '', why: str = '') -> tuple[str, bytes]:
-    """The id and the recording of a departure: the node's format, with the plan it was drawn from.
+                    replaces: str = '', why: str = '') -> bytes:
+    """The recording of a departure: the node's format, with the plan it was drawn from.
 
-    ``previous`` is the id of the departure before, ``replaces`` that of an earlier one for the same
-    day that was not driven, and ``why``.
+    ``replaces`` is the id of an earlier one for the same day that was not driven, and ``why``.
     """
     trip = recorded_trip(saved.plan, saved.names)
     covered = saved.slots.covered if saved.slots and drawn.slot_drawn else 1.0
@@ -91,10 +89,10 @@ def departure_bytes(saved: SavedPlan, drawn: DrawnDeparture, number: int, date: 
         {role: message.topic for role, message in roles.items()}, trip, (trip.start, trip.goal),
         False, numbers_of(drawn.route), (drawn.source,),
         RecordedCall('ambush draw', '', stamp_ns, stamp_ns, {'date': date}),
-        saved.plan.value * covered, previous=previous, plan=recorded_plan(saved),
+        saved.plan.value * covered, plan=recorded_plan(saved),
         day=RecordedDay(date, drawn.slot, drawn.slot_drawn, replaces, why,
                         local_zone(date, drawn.slot)))
-    return said.departure_id, encode(list(roles.values()), said.entries(), files, 'zstd')
+    return encode(list(roles.values()), said.entries(), files, 'zstd')
 
 
 def local_zone(date: str, slot: str) -> str:
@@ -126,12 +124,6 @@ def names_in(folder: Path) -> list[tuple[int, str, Path]]:
     found = ((match, path) for path in folder.glob('*.mcap')
              if (match := _NAME.fullmatch(path.name)))
     return sorted((int(match[1]), match[2], path) for match, path in found)
-
-
-def last_id(folder: Path) -> str:
-    """The id of the folder's last departure; '' if there is none. Raises UnreadableRecording."""
-    names = names_in(folder)
-    return _metadata_of(names[-1][2]).departure_id if names else ''
 
 
 def _metadata_of(path: Path) -> Metadata:

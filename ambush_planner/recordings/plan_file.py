@@ -30,21 +30,25 @@ from .attachments import (
     STRATEGY_FILE,
     few_file,
     few_from_file,
-    misstated,
-    misstated_few,
     roads_file,
     roads_from_file,
     strategy_file,
     strategy_from_file,
 )
 from .encoding import encode
-from .messages import RecordedMessage
-from .metadata import BEYOND, PlanMetadata, RecordedPlan, RecordedTrip, typed, typed_values
-from .plain_messages import map_message
+from .messages import RecordedMessage, map_message
+from .metadata import (
+    BEYOND,
+    PlanMetadata,
+    RecordedPlan,
+    RecordedTrip,
+    software_versions,
+    typed,
+    typed_values,
+)
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, read_recording
 from .sources import Source
-from .versions import software_versions
 
 KIND = 'plan'
 
@@ -150,12 +154,9 @@ def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
 
 
 def read_plan(path: Path | str) -> SavedPlan:
-    """Read a plan file, and check that its numbers are those of its strategy.
+    """Read a plan file; corridors are left to be measured for what is drawn.
 
-    Corridors are left to be measured for what is drawn.
-
-    Raises UnreadableRecording if it is damaged, was edited, is of another version, or is a recorded
-    departure.
+    Raises UnreadableRecording if it is damaged, of another version, or a recorded departure.
     """
     return plan_in(read_recording(path))
 
@@ -174,17 +175,11 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
                                  roads_from_file(files.get(ROADS_FILE)))
     planning = parameters.planning
     risk_map = map_from_bytes(files[MAP_FILE])
-    trip, stated = strategy_from_file(files[STRATEGY_FILE], planning.game)
-    for name, number, found in misstated(trip, stated):
-        raise UnreadableRecording(file.path, f'it was edited: its {name} is stated as '
-                                  f'{number:.9g}, its strategies have {found:.9g}; plan again')
+    trip = strategy_from_file(files[STRATEGY_FILE], planning.game)
     plan = Plan(trip, (), planning, node_spacing(risk_map, planning.network), about.seconds,
                 risk_map)
     if FEW_FILE in files:
-        few, value = few_from_file(files[FEW_FILE], plan)
-        if problems := misstated_few(few, value):
-            raise UnreadableRecording(file.path, f'it was edited: {problems[0]}; plan again')
-        plan = replace(plan, few=few)
+        plan = replace(plan, few=few_from_file(files[FEW_FILE], plan))
     message = next(each for each in file.messages if each.topic == said.topics['map'])
     return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, said.trip.names,
                      about.id, about.made_ns, files, message)

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -38,6 +37,7 @@ from .attachments import (
     roads_from_file,
     strategy_from_file,
 )
+from .messages import RecordedMessage
 from .metadata import Metadata, typed_values
 from .recording_errors import UnreadableRecording, part
 from .recording_file import RecordingFile, decode, read_recording
@@ -56,8 +56,6 @@ class RecordedDeparture:
     route
         Node indices of each leg from its source to its target. For a diversion this is the whole
         route: what was driven before, and the rest that ``drawn`` holds, after its source.
-    stated
-        The numbers that the file states of the strategies.
     trip
         The recorded strategies, their certificate computed from their probabilities.
     drawn_from
@@ -69,9 +67,9 @@ class RecordedDeparture:
         The maps of the plan and at the time of departure; the losses of the former.
     before
         What was recorded of the departure before this diversion, if that is known.
-    few, few_value
-        The few routes that it was drawn from, and the value that the file states of them;
-        ``drawn_from`` are then their strategies, and ``route`` is on their networks.
+    few
+        The few routes that it was drawn from, if any; ``drawn_from`` are then their strategies, and
+        ``route`` is on their networks.
     """
 
     path: Path
@@ -81,16 +79,14 @@ class RecordedDeparture:
     route: Route = field(repr=False)
     drawn: Route = field(repr=False)
     trip: TripStrategy
-    stated: Mapping[str, float]
     drawn_from: TripStrategy
     joined: JoinedPlan | None
     planned_on: OccupancyMap
     newest: OccupancyMap
     risk_map: RiskMap
-    _path_message: tuple[str, str, bytes] = field(repr=False)
+    _path_message: RecordedMessage = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
     few: FewRoutes | None = field(default=None, repr=False)
-    few_value: float = math.nan
 
     @cached_property
     def newest_risk_map(self) -> RiskMap:
@@ -139,7 +135,7 @@ class RecordedDeparture:
     @cached_property
     def recorded_poses(self) -> FloatArray:
         """The poses (L, 3) = (x, y, yaw) of the recorded path [m, m, rad]."""
-        return path_from_ros(decode(*self._path_message))
+        return path_from_ros(decode(self._path_message))
 
     @cached_property
     def path_poses(self) -> FloatArray:
@@ -152,32 +148,34 @@ class RecordedDeparture:
         return np.vstack((driven[:near + 1], rest))
 
 
-class SharedParts:
-    """Parts that departures share are made ``once``; the last ``most`` results are kept."""
-
-    def __init__(self, most: int | None = None) -> None:
-        self.once: Callable[..., Any] = lru_cache(most)(lambda make, *of: make(*of))
+# Calls a function with arguments, once for equal ones: departures share parts.
+Once = Callable[..., Any]
 
 
-def read_departure(path: Path | str, shared: SharedParts | None = None) -> RecordedDeparture:
+def made_once(most: int | None = None) -> Once:
+    """Return what makes each part once, and keeps the last ``most`` of them."""
+    return lru_cache(most)(lambda make, *of: make(*of))
+
+
+def read_departure(path: Path | str, once: Once | None = None) -> RecordedDeparture:
     """Read one recorded departure and check its CRCs; raises UnreadableRecording."""
-    return departure_in(read_recording(path), shared or SharedParts())
+    return departure_in(read_recording(path), once or made_once())
 
 
-def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
+def departure_in(file: RecordingFile, once: Once) -> RecordedDeparture:
     """Return the departure in a file; raises UnreadableRecording if it is malformed."""
     if 'departure' not in file.entries:
         raise UnreadableRecording(file.path, 'it is a plan: ambush draw makes a departure of it')
-    return part(file.path, 'departure', lambda: _departure_in(file, shared.once))
+    return part(file.path, 'departure', lambda: _departure_in(file, once))
 
 
-def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDeparture:
+def _departure_in(file: RecordingFile, once: Once) -> RecordedDeparture:
     metadata, files = file.metadata, file.attachments
     parameters = parameters_from(typed_values(metadata.parameters),
                                  once(roads_from_file, files.get(ROADS_FILE)))
     planning, occupancy = parameters.planning, parameters.occupancy
-    trip, stated = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
-    values, resolution, origin = occupancy_from_ros(decode(*file.defined(file.in_role('map'))))
+    trip: TripStrategy = once(strategy_from_file, files[STRATEGY_FILE], planning.game)
+    values, resolution, origin = occupancy_from_ros(decode(file.in_role('map')))
     # Maps that differ only in their header are one object.
     planned_on = once(_map, values.tobytes(), values.shape, resolution, origin)
     risk_map = (once(map_from_bytes, files[MAP_FILE]) if MAP_FILE in files
@@ -202,16 +200,15 @@ def _departure_in(file: RecordingFile, once: Callable[..., Any]) -> RecordedDepa
         if (value := metadata.value) is not None:
             drawn_from = with_certificate(drawn_from,
                                           Certificate(value, min(trip.lower_bound, value)))
-    few, few_value = None, math.nan
+    few: FewRoutes | None = None
     if FEW_FILE in files:
-        few, few_value = once(few_from_file, files[FEW_FILE], ground().plan)
+        few = once(few_from_file, files[FEW_FILE], ground().plan)
+        assert few
         drawn_from, route = few.trip, few.nodes(few.numbers(route))
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
-                             trip, stated, drawn_from, joined, planned_on, newest, risk_map,
-                             file.defined(message), few=few, few_value=few_value)
-
-
+                             trip, drawn_from, joined, planned_on, newest, risk_map, message,
+                             few=few)
 
 
 def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:

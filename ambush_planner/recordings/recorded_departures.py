@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..words import count
-from .bag_folder import FILE_NAME, listed_in
 from .metadata import Metadata
-from .recorded_departure import RecordedDeparture, SharedParts, read_departure
+from .recorded_departure import RecordedDeparture, made_once, read_departure
+from .recorder import FILE_NAME, listed_in
 from .recording_errors import UnreadableRecording, reading_from
 
 if TYPE_CHECKING:
@@ -54,10 +54,10 @@ def read_departures(
     departure that is left out because a later one replaces it, and why it was not driven.
     """
     known: dict[tuple[str, int], RecordedDeparture] = {}
-    shared = SharedParts()
+    once = made_once()
     for path in paths:
         try:
-            found = read_departure(path, shared)
+            found = read_departure(path, once)
         except UnreadableRecording as error:
             unreadable(error)
         else:
@@ -139,16 +139,11 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
             problems.append(f'copy: {each.path.name} holds the same departure as {original.name}')
     copies, notes = drawn_twice((each.path, said) for each, said in known)
     problems += copies
-    all_ids = {said.recording_id for _, said in known}
     for folder in dict.fromkeys(each.path.parent for each, _ in known):
         here = {said.recording_id: (each, said) for each, said in known
                 if each.path.parent == folder}
         if len(here) > 1 and folder not in unreadable:
             problems += _missing(folder, here)
-            early, said = min(here.values(), key=lambda each: each[1].departure)
-            if said.previous and said.previous not in all_ids:
-                notes.append(f'{folder.name}: the recording before {early.path.name} is in another '
-                             'folder, or missing')
         numbers = {said.departure for _, said in here.values()}
         if missing := max(numbers) - min(numbers) + 1 - len(numbers):
             notes.append(f'{folder.name}: no recording of {count(missing, "departure")} between '
@@ -158,12 +153,9 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
 
 def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iterator[str]:
     """Report recordings that others in a folder, or its list, say have been there."""
-    begins = min(said.departure for _, said in here.values())
     for each, said in here.values():
         name, diversion = each.path.name, said.diversion
         if diversion is None:
-            if said.previous and said.previous not in here and said.departure > begins:
-                yield f'missing: the recording before {name}'
             continue
         before = here.get(replace(said, diversion=replace(diversion, number=diversion.number - 1)
                                   if diversion.number > 1 else None).recording_id)

@@ -8,22 +8,25 @@ have mode 0700, files 0600.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from importlib import import_module
 from itertools import count
 from pathlib import Path
-from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
-from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_all_durably
 from .encoding import encode
-from .messages import RecordedMessage
-from .recording_errors import recording_to
+from .messages import Channel, RecordedMessage, fields_from_yaml
+from .recording_errors import UnreadableRecording, bytes_in, recording_to
+from .schemas import definitions
 
+# The list of a session folder's files. It is written as JSON, which is YAML and fast to write.
+FILE_NAME = 'metadata.yaml'
 SESSION_PREFIX = 'ambush_planner_'
 # Maximum number of recordings in a session folder; metadata.yaml lists all, and is written with
 # each.
@@ -36,7 +39,7 @@ class Recorder:
     """Records departures below ``directory``, in one session folder per recorder.
 
     The folder is made for the first departure, and a new one once it holds ``MAX_FILES`` or has
-    been taken away. Several threads may use one recorder.
+    been taken away.
 
     ``directory`` is made with mode 0700 if missing; ``compression`` is ``zstd``, ``lz4`` or
     ``none``.
@@ -47,7 +50,6 @@ class Recorder:
         self._folder: Path | None = None
         self._files: list[BagFile] = []
         self._next = 0
-        self._lock = Lock()
 
     def record_departure(self, messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
                          attachments: Mapping[str, bytes]) -> Path:
@@ -60,20 +62,19 @@ class Recorder:
         ordered = sorted(messages, key=lambda each: each.stamp_ns)
         with recording_to(self._directory):
             data = encode(ordered, entries, attachments, self._compression)
-        with self._lock:
-            folder = self._session_folder()
-            # A number is never used twice: a missing one is a departure whose recording failed.
-            path = folder / f'{folder.name}_{self._next}.mcap'
-            self._next += 1
-            with recording_to(path):
-                files = [*self._present(folder), describe_file(path.name, ordered)]
-                write_all_durably({path: data, folder / FILE_NAME: bag_text(files)})
-            self._files = files
-            return path
+        folder = self._session_folder()
+        # A number is never used twice: a missing one is a departure whose recording failed.
+        path = folder / f'{folder.name}_{self._next}.mcap'
+        self._next += 1
+        with recording_to(path):
+            files = [*self._present(folder), describe_file(path.name, ordered)]
+            write_all_durably({path: data, folder / FILE_NAME: bag_text(files)})
+        self._files = files
+        return path
 
     def remove(self, path: Path) -> None:
         """Remove the recording of a departure that has not left."""
-        with self._lock, recording_to(path):
+        with recording_to(path):
             path.unlink(missing_ok=True)
             self._files = self._present(path.parent)
             if self._files:
@@ -124,3 +125,67 @@ def _new_folder(wanted: Path) -> Path:
             return folder
         except FileExistsError:
             folder = wanted.with_name(f'{wanted.name}-{next(number)}')
+
+
+class BagFile(NamedTuple):
+    """One MCAP file: its name, first and last time [ns], and messages by (topic, type, QoS).
+
+    ``entry`` is what the list says of it, which is written again with each other file.
+    """
+
+    name: str
+    start_ns: int
+    end_ns: int
+    counts: Mapping[Channel, int]
+    entry: str
+
+
+def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
+    """Describe a file by its messages, which are in the order of time."""
+    start, end = messages[0].stamp_ns, messages[-1].stamp_ns
+    entry = json.dumps({'path': name, **_time_span(start, end), 'message_count': len(messages)})
+    return BagFile(name, start, end, Counter(each.channel for each in messages), entry)
+
+
+def bag_text(files: Sequence[BagFile]) -> bytes:
+    """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
+    counts: Counter[Channel] = Counter()
+    for each in files:
+        counts.update(each.counts)
+    start, end = min(each.start_ns for each in files), max(each.end_ns for each in files)
+    described = {'rosbag2_bagfile_information': {
+        'version': 9,
+        'storage_identifier': 'mcap',
+        **_time_span(start, end),
+        'message_count': sum(counts.values()),
+        'compression_format': '',  # MCAP compresses inside its chunks
+        'compression_mode': '',
+        'custom_data': {},
+        'ros_distro': os.environ.get('ROS_DISTRO', ''),
+        'topics_with_message_count': [
+            {'message_count': count, 'topic_metadata': {
+                'name': channel.topic, 'type': channel.type, 'serialization_format': 'cdr',
+                'offered_qos_profiles': [fields_from_yaml(channel.qos)],
+                'type_description_hash': definitions()[channel.type].type_hash}}
+            for channel, count in counts.items()
+        ],
+        'relative_file_paths': [each.name for each in files],
+        'files': [],
+    }}
+    head, end_of_list = json.dumps(described, ensure_ascii=False).rsplit(']', 1)
+    return f'{head}{", ".join(each.entry for each in files)}]{end_of_list}\n'.encode()
+
+
+def listed_in(folder: Path) -> list[str]:
+    """Return the files that the ``metadata.yaml`` of a folder lists; none unless it is ours."""
+    try:
+        content = json.loads(bytes_in(folder / FILE_NAME))
+        names = content['rosbag2_bagfile_information']['relative_file_paths']
+        return [name for name in names if isinstance(name, str)]
+    except (UnreadableRecording, ValueError, LookupError, TypeError, RecursionError):
+        return []
+
+
+def _time_span(start_ns: int, end_ns: int) -> dict[str, Any]:
+    return {'starting_time': {'nanoseconds_since_epoch': start_ns},
+            'duration': {'nanoseconds': end_ns - start_ns}}

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -17,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile, is_zipfile
 
 from ..parameters.table import PARAMETERS
-from .encoding import FORMAT, MAGIC, METADATA_RECORD, packed_part
+from .encoding import FORMAT, METADATA_RECORD
 from .messages import RecordedMessage
 from .metadata import Metadata, typed
 from .recording_errors import UnreadableRecording, bytes_in, check_size
+from .schemas import definitions
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord
@@ -35,15 +34,13 @@ _ADDED = ('network.all_lines_are_roads', 'network.road_column', 'network.two_way
 class RecordingFile:
     """The contents of one file, its messages in the order of time.
 
-    ``entries`` are those of the metadata record, with their JSON read, ``definitions`` the texts of
-    message definitions by type name.
+    ``entries`` are those of the metadata record, with their JSON read.
     """
 
     path: Path
     messages: tuple[RecordedMessage, ...]
     entries: Mapping[str, Any]
     attachments: Mapping[str, bytes]
-    definitions: Mapping[str, str]
 
     @cached_property
     def metadata(self) -> Metadata:
@@ -56,10 +53,6 @@ class RecordingFile:
         topic = self.metadata.topics[role]
         return next(each for each in self.messages if each.topic == topic)
 
-    def defined(self, message: RecordedMessage) -> tuple[str, str, bytes]:
-        """Return a message as ``decode`` takes it."""
-        return self.definitions[message.type], message.type, message.data
-
 
 def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFile:
     """Read a file and check its CRCs, by default also its messages; raises UnreadableRecording."""
@@ -69,21 +62,16 @@ def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFil
     path = Path(path)
     data = bytes_in(path)
     try:
-        packed = list(StreamReader(BytesIO(data), emit_chunks=True, validate_crcs=True).records)
+        stream = BytesIO(data)
+        packed = list(StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
+        if stream.read(1):
+            raise ValueError('bytes follow the end, where other readers begin')
         # The summary repeats schemas and channels.
         packed = list(takewhile(lambda each: not isinstance(each, DataEnd), packed))
-        _check_summary(data)
         if not with_messages:
             packed = [each for each in packed if not isinstance(each, Chunk)]
         check_size(path, sum(map(_unpacked_size, packed)))
-        found: list[McapRecord] = []
-        parts: dict[int, bytes] = {}
-        for record in packed:
-            found += _unpacked(record)
-            last = found[-1]
-            if isinstance(record, Chunk) and isinstance(last, Message):
-                part = packed_part(record.data, record.uncompressed_size, last.data)
-                parts |= {len(found) - 1: part} if part else {}
+        found: list[McapRecord] = [each for record in packed for each in _unpacked(record)]
     except UnreadableRecording:
         raise
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
@@ -112,7 +100,7 @@ def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFil
         entries = {name: json.loads(text) for name, text in texts.items()}
         if texts['format'] == _BEFORE:
             entries = _by_leg(path, entries)
-        return _contents(path, found, entries, parts)
+        return _contents(path, found, entries)
     except (ValueError, LookupError, RecursionError) as error:
         raise UnreadableRecording(
             path, f'its records are inconsistent ({type(error).__name__})'
@@ -133,6 +121,8 @@ def _by_leg(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
     if entries.get('diversion'):
         entries['diversion']['left'] = [entries['diversion']['left']]
     return entries
+
+
 def _unpacked_size(record: McapRecord) -> int:
     """Return what a record takes, with the arrays that are attached to it [bytes]."""
     from mcap.records import Attachment, Chunk
@@ -162,55 +152,37 @@ def _unpacked(record: McapRecord) -> Sequence[McapRecord]:
     return breakup_chunk(record, validate_crc=True)
 
 
-def _check_summary(data: bytes) -> None:
-    """Check the end of a file, which other readers begin with; the library does not.
-
-    Raises ValueError if bytes follow the end, or the summary (statistics, indexes, the footer) does
-    not have the CRC that the footer states.
-    """
-    if not data.endswith(MAGIC):
-        raise ValueError('bytes follow the end')
-    end = len(data) - len(MAGIC)  # of the footer, whose last 4 bytes are the CRC
-    start, _, stated = struct.unpack_from('<QQI', data, end - 20)
-    begin = start or end - 29  # of the summary, or of the footer if there is none
-    if stated not in (0, zlib.crc32(data[begin : end - 4])):
-        raise ValueError('the CRC of the summary differs')
-
-
-@lru_cache(maxsize=64)
-def _decoder(definition: str, kind: str) -> Any:
+@lru_cache
+def _decoder(kind: str) -> Any:
     from mcap.records import Schema
     from mcap.well_known import MessageEncoding
     from mcap_ros2.decoder import DecoderFactory
 
     # The decoder reads int8 one by one, in seconds for a large map, and uint8 as one slice.
-    text = re.sub(r'\bint8\[', 'uint8[', definition)
+    text = re.sub(r'\bint8\[', 'uint8[', definitions()[kind].text)
     schema = Schema(1, text.encode(), 'ros2msg', kind)
     return DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
 
 
-def decode(definition: str, kind: str, data: bytes) -> Any:
-    """Decode a message of the type ``kind`` by its definition."""
-    return _decoder(definition, kind)(data)
+def decode(message: RecordedMessage) -> Any:
+    """Decode a message of a type that recordings have."""
+    return _decoder(message.type)(message.data)
 
 
-def _contents(path: Path, found: Sequence[McapRecord], entries: Mapping[str, Any],
-              parts: Mapping[int, bytes]) -> RecordingFile:
-    """``parts`` has the compressed data of some messages by their numbers among the records."""
+def _contents(path: Path, found: Sequence[McapRecord],
+              entries: Mapping[str, Any]) -> RecordingFile:
     from mcap import records
 
     schemas = {each.id: each for each in found if isinstance(each, records.Schema)}
     channels = {each.id: each for each in found if isinstance(each, records.Channel)}
     messages = []
-    for k, each in enumerate(found):
+    for each in found:
         if isinstance(each, records.Message):
             channel = channels[each.channel_id]
             messages.append(RecordedMessage(
                 channel.topic, schemas[channel.schema_id].name, each.data,
-                channel.metadata['offered_qos_profiles'], each.log_time,
-                [each.data, parts[k]] if k in parts else []))
+                channel.metadata['offered_qos_profiles'], each.log_time))
     return RecordingFile(
         path, tuple(sorted(messages, key=lambda each: each.stamp_ns)), entries,
         {each.name: each.data for each in found if isinstance(each, records.Attachment)},
-        {each.name: each.data.decode() for each in schemas.values()},
     )

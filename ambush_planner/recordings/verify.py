@@ -9,7 +9,6 @@ certificate alone proves how close the strategy is to the best one.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -29,13 +28,13 @@ from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.departure import draw_route
 from ..planning.moved_start import other_rest
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
+from ..planning.plan import gap_is_wide
 from ..planning.solving import add_hiding_places
 from ..planning.trip import Trip
-from .attachments import misstated, misstated_few
 from .ground_check import GroundCheck, Now
 from .metadata import Metadata, PlanMetadata, RecordedTrip, numbers_of, typed
 from .plan_file import KIND, SavedPlan, plan_in, recorded_trip
-from .recorded_departure import RecordedDeparture, SharedParts, departure_in, ground_of
+from .recorded_departure import RecordedDeparture, departure_in, ground_of, made_once
 from .recorded_departures import MIN_BITS
 from .recording_errors import NoPermission, UnreadableRecording
 from .recording_file import read_recording
@@ -95,8 +94,8 @@ class Verifier:
     def __init__(self, replan: bool = False, map_file: Path | None = None,
                  roads_file: Path | None = None) -> None:
         self._replan = replan
-        self._shared = SharedParts(_KEPT)
-        self._ground = GroundCheck(map_file, roads_file, self._shared.once) if (
+        self._once = made_once(_KEPT)
+        self._ground = GroundCheck(map_file, roads_file, self._once) if (
             map_file or roads_file) else None
 
     def verify(self, path: Path) -> Verdict:
@@ -117,7 +116,7 @@ class Verifier:
                 verdict.value = saved.value
                 verdict.problems += self._plan_problems(saved)
             else:
-                departure = departure_in(file, self._shared)
+                departure = departure_in(file, self._once)
                 self._verify_departure(departure, verdict)
         except UnreadableRecording as error:
             verdict.denied = isinstance(error, NoPermission)
@@ -150,7 +149,7 @@ class Verifier:
         """Check a plan as each departure of it is."""
         plan, planning = saved.plan, saved.parameters.planning
         problems = [*network_problems(plan.trip, plan.own_map, planning, recorded_trip(plan)),
-                    *certificate_problems(plan.trip, {}, planning)]
+                    *certificate_problems(plan.trip, planning)]
         if not problems and self._replan:
             problems += replan_problems(plan.trip, planning)
         return problems
@@ -158,22 +157,21 @@ class Verifier:
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         trip, planning = departure.trip, departure.parameters.planning
         problems = [
-            *self._shared.once(network_problems, trip, departure.risk_map, planning,
+            *self._once(network_problems, trip, departure.risk_map, planning,
                                departure.metadata.trip),
-            *certificate_problems(trip, departure.stated, planning),
-            *(misstated_few(departure.few, departure.few_value) if departure.few else ()),
+            *certificate_problems(trip, planning),
             *value_problems(departure), *source_problems(departure),
         ]
         if not problems:
             problems += self._draw_problems(departure)
         if not problems and self._replan:
-            problems += self._shared.once(replan_problems, trip, planning)
+            problems += self._once(replan_problems, trip, planning)
         return problems
 
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest, said = departure.parameters, departure.newest, departure.metadata
-        ground = self._shared.once(ground_of, departure.trip, departure.planned_on,
+        ground = self._once(ground_of, departure.trip, departure.planned_on,
                                    parameters.occupancy, parameters.planning, departure.risk_map)
         plan, source = ground.plan, said.route_entropy_source
         spacing = parameters.values['route.path_spacing']
@@ -248,11 +246,9 @@ def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOp
     return problems
 
 
-def certificate_problems(trip: TripStrategy, stated: Mapping[str, float],
-                         planning: PlanningOptions) -> list[str]:
+def certificate_problems(trip: TripStrategy, planning: PlanningOptions) -> list[str]:
     """Check what the planner promises of every strategy, from its probabilities alone."""
-    problems = [f'strategy: its {name} is stated as {said:.12g}, its probabilities give '
-                f'{found:.12g}' for name, said, found in misstated(trip, stated)]
+    problems = []
     for leg in trip.legs:
         if planning.strategy.solver == 'max_entropy' and not is_acyclic(
                 leg.network, leg.edge_probability):
@@ -264,11 +260,10 @@ def certificate_problems(trip: TripStrategy, stated: Mapping[str, float],
 
 
 def gap_problems(trip: TripStrategy, planning: PlanningOptions) -> list[str]:
-    """Say so if value and lower bound are further apart than ``max_gap`` allows."""
-    gap = open_gap(trip, planning.strategy)
-    if gap <= planning.max_gap * trip.value:
+    """Say so if a gap that more time would have narrowed is wide."""
+    if trip.reason == 'stalled' or not gap_is_wide(trip, planning):
         return []
-    return [f'strategy: its certificate does not close, the gap is {gap:.3g}']
+    return [f'strategy: its certificate does not close, the gap is {trip.gap:.3g}']
 
 
 def value_problems(departure: RecordedDeparture) -> list[str]:

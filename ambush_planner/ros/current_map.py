@@ -20,8 +20,8 @@ from ..maps.occupancy import OccupancyMap, check_occupancy
 from ..maps.overlay import with_obstacles_of
 from ..maps.ros_messages import occupancy_from_ros, update_fault
 from ..parameters.values import COSTMAP_OBSTACLE
-from ..recordings import RecordedMessage, type_name
-from .topics import LATCHED
+from ..recordings.messages import RecordedMessage, type_name
+from .topics import LATCHED, offered
 
 # Where the bytes of a message have the time of its header.
 _STAMP = 4
@@ -43,7 +43,8 @@ class CurrentMap(OccupancyMap):
     @cached_property
     def recorded(self) -> RecordedMessage:
         """The message as recordings keep it, compressed once for all of them."""
-        return RecordedMessage(self.topic, type_name(OccupancyGrid), self.message, LATCHED, 0)
+        return RecordedMessage(self.topic, type_name(OccupancyGrid), self.message,
+                               offered(LATCHED), 0)
 
     def same_ground(self, other: CurrentMap) -> bool:
         """Return whether each cell covers the same ground on both maps."""

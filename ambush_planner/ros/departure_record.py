@@ -12,14 +12,20 @@ from rclpy.serialization import serialize_message
 from ..parameters.values import OF_PLAIN_NETWORK
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Route
-from ..recordings import RecordedMessage, type_name
 from ..recordings.attachments import MAP_CHANGES_FILE, map_changes_file
-from ..recordings.metadata import Diversion, Metadata, RecordedCall, RecordedTrip, numbers_of
-from ..recordings.versions import software_versions
+from ..recordings.messages import RecordedMessage, type_name
+from ..recordings.metadata import (
+    Diversion,
+    Metadata,
+    RecordedCall,
+    RecordedTrip,
+    numbers_of,
+    software_versions,
+)
 from ..routes.driven_path import Ends
 from .conversions import SentPath
 from .plan_cache import CachedPlan
-from .topics import LATEST
+from .topics import LATEST, offered
 from .trip import Trip
 
 
@@ -72,14 +78,14 @@ def recorded_messages(departure: Departure,
     call = departure.call
     inputs = [replace(departure.held.trip.map.recorded, stamp_ns=call.request_ns)]
     inputs += [RecordedMessage(full_name(topic), type_name(each), bytes(serialize_message(each)),
-                               LATEST, call.request_ns)
+                               offered(LATEST), call.request_ns)
                for _, topic, each in _inputs_of(departure.trip)]
     published = [replace(each, stamp_ns=min(max(call.request_ns, each.stamp_ns), call.response_ns))
                  for each in (*departure.markers, departure.report, departure.published) if each]
     return [*inputs, *published]
 
 
-def metadata_of(departure: Departure, previous: str, full_name: Callable[[str], str]) -> Metadata:
+def metadata_of(departure: Departure, full_name: Callable[[str], str]) -> Metadata:
     """Return the metadata record: what the departure was, and what it takes to draw it again."""
     trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
     topics = {'map': planned.map.topic, 'path': departure.published.topic,
@@ -92,7 +98,7 @@ def metadata_of(departure: Departure, previous: str, full_name: Callable[[str], 
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
         departure.joined, numbers_of(departure.route), tuple(departure.entropy_source),
         replace(departure.call, remarks=departure.remarks), departure.assessment.value,
-        departure.diversion, previous,
+        departure.diversion,
     )
 
 

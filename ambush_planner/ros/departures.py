@@ -100,7 +100,9 @@ class Departures:
             markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
         track = (trip_on(fit.cached.plan, route, rows, fit.trip.destination)
                  if fit.trip.robot else None)
-        self._set_out(track, departure, path, route, pending)
+        left = self._set_out(track, departure, path, route, pending)
+        if left.done() and left.exception():
+            self._count -= 1  # it has not left, so the next one has its number
         return True
 
     def divert(self, under_way: RobotTrip, trip: Trip, pending: Pending) -> bool:
@@ -146,10 +148,10 @@ class Departures:
         }
 
     def _set_out(self, track: TripUnderWay | None, departure: Departure, path: SentPath,
-                 route: Route, pending: Pending) -> None:
+                 route: Route, pending: Pending) -> Future[None]:
         """Publish a departure, at once or when it is recorded; it is under way from then on.
 
-        Only a robot has a ``track``.
+        Only a robot has a ``track``. Returns the future of its leaving.
         """
         departure = self._reporter.departing(departure)
         trip, answer = departure.trip, pending.answer
@@ -188,6 +190,7 @@ class Departures:
         if trip.robot:
             self.leaving[trip.robot] = left
         left.add_done_callback(settle)
+        return left
 
     def _check_clear(self, trip: Trip, rows: FloatArray) -> None:
         """Raise OutOfDate if a path (L, 3) is blocked on a map that came since it was drawn."""

@@ -22,6 +22,8 @@ from .error_codes import OK_CODE, code_of
 from .gate import ACTIVE
 from .topics import Publishers
 
+# Time for which a failed request is reported unless one succeeds [s].
+_ERROR_HOLD = 30.0
 # What errors concern, the most important first.
 _ERRORS = ('request', 'alpha_map', 'costmap', 'join', 'recording')
 
@@ -96,14 +98,13 @@ class Reporter:
 
     ``present`` returns the fields of the status that it looks up each time: the lifecycle state,
     what is missing, and whether a solve or a refinement runs or waits. A request's error is
-    reported for ``error_hold()`` [s], everything else as long as it lasts.
+    reported for ``_ERROR_HOLD``, everything else as long as it lasts.
     """
 
     def __init__(self, name: str, publishers: Publishers,
-                 present: Callable[[], Mapping[str, Any]],
-                 error_hold: Callable[[], float]) -> None:
+                 present: Callable[[], Mapping[str, Any]]) -> None:
         self._name, self._publishers = name, publishers
-        self._present, self._error_hold = present, error_hold
+        self._present = present
         self._failed_at = 0.0
         self._status = Status()
         self._lock = RLock()  # also while publishing, which keeps the reports in order
@@ -111,7 +112,7 @@ class Reporter:
     def report(self) -> None:
         """Publish the present status."""
         with self._lock:
-            if time.monotonic() - self._failed_at > self._error_hold():
+            if time.monotonic() - self._failed_at > _ERROR_HOLD:
                 self._status = self._status.noting('request', None)
             self._status = replace(self._status, **self._present())
             message = status_to_ros(self._status, self._name, self._publishers.clock.now().to_msg())

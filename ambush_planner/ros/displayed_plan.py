@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan
-from ..recordings import RecordedMessage
+from ..recordings.messages import RecordedMessage
 from ..recordings.schemas import MARKER_NAMES
 from ..worker.solve_errors import SolveCancelled
 from .diagnostics import Reporter

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from .. import errors
 from ..errors import AmbushPlannerError
-from ..recordings import RecordingFailed
+from ..recordings.recording_errors import RecordingFailed
 from ..worker.solve_errors import QueueFull, SolveCancelled, WorkerFailed
 
 

@@ -247,7 +247,7 @@ class PlanCache:
         """Solve, starting from a ``known`` plan for nearly the same."""
         warm = WarmStart.of(known.plan.trip) if known else None
         return self.queue.submit(task, task.request(warm), partial(self._solved, task),
-                                 task.parameters.values['queue.size'], background, low_priority)
+                                 background, low_priority)
 
     def _solved(self, task: Task, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""

@@ -16,9 +16,9 @@ from ..maps.occupancy import risk_from_occupancy
 from ..parameters.table import PARAMETERS, is_planned
 from ..parameters.values import NodeParameters
 from ..planning.plan import measured_corridors
-from ..recordings import UnreadableRecording
-from ..recordings.plain_messages import grid_values
+from ..recordings.messages import grid_values
 from ..recordings.plan_file import SavedPlan, read_plan
+from ..recordings.recording_errors import UnreadableRecording
 from .conversions import occupancy_to_ros, pose_to_ros
 from .current_map import CurrentMap, map_from
 from .trip import TripRequest

@@ -23,7 +23,7 @@ from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
 from ..game.value.face_flows import HAS_HIGHSPY
-from ..recordings.versions import software_versions
+from ..recordings.metadata import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
 from .conversions import installed_type
@@ -96,8 +96,7 @@ class PlannerNode(LifecycleNode):
             logger.info('plans are solved sooner with the Python package highspy: '
                         'pip install highspy')
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
-                                  Publishers(self, STATUS_TOPICS), self._present,
-                                  lambda: self._settings.current.values['diagnostics.error_hold'])
+                                  Publishers(self, STATUS_TOPICS), self._present)
         self._reporter.set(records=current.recording.enabled)
         self._error_boundary = ErrorBoundary(self.context, logger, self._reporter.note)
         self._at_end.callback(self._error_boundary.log_repeated)

@@ -18,9 +18,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from ..errors import AmbushPlannerError
 from ..parameters.values import RecordingOptions
 from ..planning.plan import Plan
-from ..recordings import Recorder, RecordingFailed
 from ..recordings.plan_file import attachments_of
-from ..recordings.recorder import prepare
+from ..recordings.recorder import Recorder, prepare
+from ..recordings.recording_errors import RecordingFailed
 from ..worker.solve_errors import for_the_log, known
 from .departure_record import Departure, map_changes, metadata_of, recorded_messages
 from .diagnostics import Reporter
@@ -63,7 +63,6 @@ class Recordings:
         self._condition = Condition()
         self._begun = time.monotonic()  # when the disk got what it is writing
         self._closing = False
-        self._previous = ''  # the recording_id of the last one
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
         self._thread.start()
 
@@ -162,9 +161,9 @@ class Recordings:
             if held.plan not in self._plan_files:
                 crs = held.task.parameters.occupancy.crs
                 self._plan_files[held.plan] = attachments_of(held.plan, crs)
-            metadata = metadata_of(queued.departure, self._previous, self._full_name)
             path = self._recorder.record_departure(
-                recorded_messages(queued.departure, self._full_name), metadata.entries(),
+                recorded_messages(queued.departure, self._full_name),
+                metadata_of(queued.departure, self._full_name).entries(),
                 {**self._plan_files[held.plan], **map_changes(queued.departure)})
         except Exception as error:  # the thread must live to write the next one
             if not self._options.required or self._settle(queued):
@@ -177,8 +176,6 @@ class Recordings:
             if queued.left.exception():
                 with suppress(RecordingFailed):  # a file more than departures, at worst
                     self._recorder.remove(path)
-                return
-        self._previous = metadata.recording_id
 
     def _settle(self, queued: _Queued) -> bool:
         """Return whether this is the first to decide if a departure leaves."""

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from ..errors import InvalidOption
 from ..planning.plan import Plan
-from ..recordings import type_name
+from ..recordings.messages import type_name
 from ..recordings.metadata import RecordedCall
 from .conversions import fields_of
 from .departure_record import Answer

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
-from ..recordings import RecordedMessage, type_name
+from ..recordings.messages import RecordedMessage, qos_text, type_name
 from .markers import MARKERS
 
 _RELIABLE, _LATCHING = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
@@ -35,6 +35,11 @@ PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED), 'plan': (PathMessage, LAT
                        **{f'~/{each}': (MarkerArray, LATCHED) for each in MARKERS}}
 # Topics that exist in all states of the node.
 STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
+
+
+def offered(qos: QoSProfile) -> str:
+    """Return a profile as a recording has it."""
+    return qos_text(qos.depth, qos.durability == _LATCHING)
 
 
 class Publishers:
@@ -59,7 +64,8 @@ class Publishers:
         data = message if isinstance(message, bytes) else serialize_message(message)
         kind, qos = self._topics[topic]
         name = name or self._publishers[topic].topic_name
-        return RecordedMessage(name, type_name(kind), data, qos, self.clock.now().nanoseconds)
+        return RecordedMessage(name, type_name(kind), data, offered(qos),
+                               self.clock.now().nanoseconds)
 
     def close(self) -> None:
         """Destroy the publishers, so that late subscribers get no latched message."""

@@ -16,6 +16,8 @@ from ..planning.plan import Plan, PlanRequest
 from .process import WorkerParent, WorkerProcess
 from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, known, shutting_down
 
+# Maximum number of solves that wait, besides the running and the background ones.
+_MAX_WAITING = 8
 _SUPERSEDED = 'a newer solve replaced this background solve'
 _WITHDRAWN = 'all callers have withdrawn'
 
@@ -80,8 +82,7 @@ class SolveQueue(Generic[_Key, _Result]):
         return [*running, *self._waiting.values()]
 
     def submit(self, key: _Key, request: PlanRequest, finish: Callable[[Plan], _Result],
-               size: int, background: bool = False,
-               low_priority: bool = False) -> Future[_Result]:
+               background: bool = False, low_priority: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
         The future raises the errors of ``WorkerProcess.solve``, or SolveCancelled.
@@ -90,15 +91,13 @@ class SolveQueue(Generic[_Key, _Result]):
         ----------
         finish
             Makes the outcome from the plan, in the queue's thread.
-        size
-            Number of solves that may wait, besides the running and the background ones.
         background
             No caller waits for it: it runs after all others, and the next solve of any kind
             replaces it, unless it is for the same key.
         low_priority
             The worker leaves the processor to other processes.
 
-        Raises what the queue refuses solves with, and QueueFull if ``size`` solves wait.
+        Raises what the queue refuses solves with, and QueueFull if too many wait.
         """
         with self._condition:
             self._check()
@@ -109,7 +108,7 @@ class SolveQueue(Generic[_Key, _Result]):
             superseded: list[_Solve[_Key, _Result]] = []
             if solve is None:
                 if not background:
-                    self._check_room(size)
+                    self._check_room()
                 superseded = self._end_background(running=not background)
                 solve = _Solve(key, request, finish, low_priority)
                 self._waiting[key] = solve
@@ -156,16 +155,16 @@ class SolveQueue(Generic[_Key, _Result]):
             self._end_running(_SUPERSEDED)
         return waiting
 
-    def _check_room(self, size: int) -> None:
+    def _check_room(self) -> None:
         running = self._running
         waiting = sum(not each.background for each in self._waiting.values())
         # If none is running, the first waiting solve is about to begin.
-        if waiting - (running is None) < size:
+        if waiting - (running is None) < _MAX_WAITING:
             return
         since = f' (for {time.monotonic() - running.begin:.1f} s)' if running else ''
         raise QueueFull(
-            f'a solve is running{since} and {size} others are waiting, the limit set by '
-            'queue.size; try again later, or call cancel'
+            f'a solve is running{since} and {_MAX_WAITING} others are waiting; try again later, or '
+            'call cancel'
         )
 
     def _end_running(self, why: str) -> None:

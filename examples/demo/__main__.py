@@ -25,8 +25,8 @@ from ambush_planner.map_figures import as_png
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.operations.frontier import trip_frontier
 from ambush_planner.planning.evaluation import evaluate
-from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.durable_files import write_all_durably
+from ambush_planner.recordings.recorded_departures import recordings_in
 from ambush_planner.recordings.report_data import Section
 
 from .figures import fixed_routes, routes_figure
