@@ -226,11 +226,6 @@ def colour_bar(axes: Axes, mappable: ScalarMappable, label: str, place: int = 0,
     axes.figure.colorbar(mappable, cax=bar, label=label, **style)
 
 
-def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
-    """Explain the colours of risk next to several axes."""
-    figure.colorbar(image, ax=axes, label=LOSS, **layout)
-
-
 def draw_roads(axes: Axes, roads: RoadGraph) -> None:
     """Draw all roads as thin grey lines."""
     lines = LineCollection(roads.points[roads.pairs], colors=ROAD, linewidths=1.1, zorder=2,

@@ -136,13 +136,6 @@ def test_departures_link_their_recordings_and_hold_neither_routes_nor_seeds(made
         assert ', '.join(map(str, each.route[0][:4].tolist())) not in page.text
 
 
-def test_settings_that_differ_from_the_defaults_come_first(made):
-    rows = report_words.settings(made[1])
-    assert rows[0] == ('game.secured_radius', '40.0', '-1.0')
-    assert [name for name, _, default in rows if default] == [name for name, *_ in rows[:2]]
-    assert 'seed' not in {name for name, *_ in rows} and len(rows) > 40
-
-
 def test_the_driven_paths_are_drawn_not_the_nodes(made):
     _, section = made
     data = map_data(section)
