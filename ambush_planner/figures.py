@@ -14,7 +14,6 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
-from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
@@ -75,12 +74,6 @@ def draw_ground(axes: Axes, trip: TripStrategy, risk_map: RiskMap, title: str,
         image = draw_map(axes, risk_map, title, avoid=places_of(trip))
     draw_ends(axes, trip, named=not small, size=0.5 if small else 1.0)
     return image
-
-
-def probability_bar(figure: Figure, lines: LineCollection, axes: Any,
-                    label: str = PASSES, **layout: Any) -> None:
-    """Explain the blue scale next to several axes."""
-    figure.colorbar(lines, ax=axes, label=label, format=PERCENT, **layout)
 
 
 def probability_scale(probability: npt.ArrayLike) -> LogNorm:

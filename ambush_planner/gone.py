@@ -24,6 +24,10 @@ _GONE = {
     '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
     '--load': _Gone(_LOADS),
     '--order': _Gone(_ORDER),
+    'audit -o': _Gone('the console says what it finds, and ambush report --verify shows it with '
+                      'the routes'),
+    'risk --roads': _Gone('the roads of a risk map are a layer: {roads: roads.gpkg, width: 8, '
+                          'factor: 0.5, passable: true} (docs/risk_layers.md)'),
     '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),
     'diagnostics.error_hold': _Gone('leave it out: a failed request is shown for 30 s', 30.0),
     'game.ambushers': _Gone(

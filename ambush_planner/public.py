@@ -30,7 +30,7 @@ from .maps.risk_layers import InvalidLayers
 from .maps.risk_map import RiskMap
 from .maps.risk_map_file import read_risk_map
 from .maps.tables import InvalidFeatures
-from .maps.terrain_file import risk_from_terrain
+from .maps.terrain_risk import risk_from_terrain
 from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .operations.frontier import FrontierRow, frontier

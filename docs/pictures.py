@@ -97,8 +97,8 @@ def trip(demo: Section) -> Figure:
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
     figures.draw_routes(right, [path[:, :2] for path in paths], figures.places_of(plan.trip))
     right.label_outer()
-    figures.probability_bar(figure, edges, left, location='bottom', shrink=0.9)
-    map_figures.risk_bar(figure, risk, right, location='bottom', shrink=0.9)
+    for axes, shown, label in ((left, edges, figures.PASSES), (right, risk, map_figures.LOSS)):
+        figure.colorbar(shown, ax=axes, label=label, location='bottom', shrink=0.9)
     figure.legend(handles=[figures.SITES, figures.SECURED_AREA, map_figures.OBSTACLE], ncols=3,
                   **LEGEND)
     return figure

@@ -3,7 +3,6 @@
 
 import re
 import shutil
-import stat
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from audit_samples import departure, drawn, parameters, record, record_drawn, sample_plan, source
-from matplotlib.image import imread
 
 from ambush_planner.commands import audit
 
@@ -42,28 +40,20 @@ def run(capsys, *arguments):
     return code, ' '.join(output.split())
 
 
-def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys):
-    out, before = tmp_path / 'out', set(good.iterdir())
-    code, text = run(capsys, good, '-o', out)
+def test_good_departures_pass(good, capsys):
+    before = set(good.iterdir())
+    code, text = run(capsys, good)
     assert code == 0 and 'Nothing suspicious' in text and 'FINDING' not in text
     assert '12 departures, 2023-11-15 22:13:20 UTC to 2023-11-26 22:13:20 UTC' in text
     assert re.search(r'caused [\d.]+ per departure\. Honest draws of 12 departures give .* in nine '
                      r'cases of ten, so this is normal\. .* the value, 0\.373, on', text)
     assert 'the times' not in text
-    assert [path.name for path in out.iterdir()] == ['audit.png'] and set(good.iterdir()) == before
-    assert stat.S_IMODE(out.stat().st_mode) == 0o700
-    assert stat.S_IMODE((out / 'audit.png').stat().st_mode) == 0o600
-    assert np.std(imread(out / 'audit.png')) > 0.05
-    (out / 'audit.png').write_text('mine')
-    with pytest.raises(SystemExit) as stop:
-        audit.main([str(good), '-o', str(out)])
-    assert stop.value.code == 2 and '--replace' in capsys.readouterr().err
-    assert (out / 'audit.png').read_text() == 'mine'
-    with pytest.raises(SystemExit):
-        audit.main([str(good), '-o', str(tmp_path / 'audit.png')])
-    assert '-o/--output: must be a folder, such as audit' in capsys.readouterr().err
-    assert audit.main([str(good), '-o', str(out), '--replace', '--quiet']) == 0
+    assert set(good.iterdir()) == before
+    assert audit.main([str(good), '--quiet']) == 0
     assert capsys.readouterr() == ('', '')
+    with pytest.raises(SystemExit):
+        audit.main([str(good), '-o', 'out'])
+    assert 'audit -o went: the console says what it finds' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(('routes', 'said'), [
@@ -92,9 +82,8 @@ def test_random_sources_that_repeat_are_short_or_fixed_are_found(
 
 def test_too_few_departures_and_strategies_with_cycles_exit_4(tmp_path, a_plan, capsys):
     few = recorded(tmp_path / 'few', a_plan, drawn(a_plan, 4))
-    code, text = run(capsys, few, '-o', tmp_path / 'out')
+    code, text = run(capsys, few)
     assert code == 4 and 'Not enough data: at least 5 departures' in text
-    assert not (tmp_path / 'out').exists()
     cyclic = sample_plan('interior_point')
     entries = {'parameters': parameters(**{'strategy.solver': 'interior_point'})}
     record(tmp_path / 'mixed', [

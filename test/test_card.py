@@ -5,23 +5,25 @@ import os
 import re
 import subprocess
 import threading
+from base64 import b64decode
 from datetime import datetime
+from io import BytesIO
 from itertools import pairwise
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from games import plain_options
-
-pytest.importorskip('matplotlib', reason='the map on a card needs matplotlib')
-
 from audit_samples import drawn, occupancy, parameters, record_drawn, sample_plan
 from commands import run_here
+from games import plain_options
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from test_report_browser import BINARY
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card, card_page, draw
+from ambush_planner.commands.card_map import card_map
 from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.occupancy import risk_from_occupancy
@@ -35,6 +37,7 @@ from ambush_planner.routes.legs import (
     distances_along,
     secured_stretches,
 )
+from ambush_planner.routes.way_points import WayPoint
 
 FRAME = 'datum 36.6 -84.3 0.2'
 NO_STOPS = np.empty((0, 2))
@@ -175,6 +178,42 @@ def test_a_card_on_roads_has_turns_names_and_the_times_of_the_roads(road_plan, t
                 [*map(float, degrees.split(', '))], abs=6e-6)
     again = run_here(card, *(tmp_path / 'road.departures').iterdir(), '-o', tmp_path / 'd.html')
     assert again.code == 0 and rows_of((tmp_path / 'd.html').read_text()) == table
+
+
+def test_the_map_of_a_card_is_true_to_scale_and_shows_its_ground():
+    """Places of the picture are those of the world, also on a turned map."""
+    obstacles, alpha = np.zeros((40, 60), bool), np.ones((40, 60))
+    obstacles[:4, 50:], alpha[30:] = True, 5.0
+    ground = RiskMap(alpha, obstacles, 10.0, (100.0, 200.0, 0.1))
+    path = ground.to_world([(50.0, 50.0), (300.0, 60.0), (500.0, 330.0)])
+    departure = card_page.Card(path, ground, path[[0, -1]], 40.0, [
+        WayPoint(xy, 0.0, name) for xy, name in zip(path, ('start', '', 'goal'), strict=True)],
+        None, None, None, 'Test')
+    made = card_map(departure, 100.0)
+    root = ElementTree.fromstring(made.svg)
+    tag = '{http://www.w3.org/2000/svg}'
+    (line,) = (each for each in root.iter(f'{tag}polyline') if each.get('class') == 'route')
+    drawn = np.array([pair.split(',') for pair in line.get('points').split()], float)
+    metres = float(made.scale.removeprefix('1:').replace(' ', '')) / 1000.0
+    np.testing.assert_allclose(np.diff(drawn, axis=0) * (metres, -metres), np.diff(path, axis=0),
+                               atol=0.02 * metres)
+    radii = [float(each.get('r')) for each in root.iter(f'{tag}circle')
+             if each.get('class') == 'secured']
+    assert radii == pytest.approx([40.0 / metres] * 2, abs=0.01)
+    names = {each.text for each in root.iter(f'{tag}text')}
+    assert {'1 start', '2', '3 goal', '400 m'} <= names and 'N' not in names, names
+    picture = root.find(f'{tag}image')
+    pixels = np.asarray(Image.open(BytesIO(b64decode(picture.get('href').partition(',')[2])))
+                        .convert('L'))
+    dots = len(pixels) / float(picture.get('height'))
+
+    def shade(uv):
+        """The mean shade of the ground around a place."""
+        x, y = ((drawn[0] + (ground.to_world(uv) - path[0]) / (metres, -metres)) * dots).astype(int)
+        return pixels[y - 9:y + 9, x - 9:x + 9].mean()
+
+    assert shade((550.0, 20.0)) < 60.0 < 120.0 < shade((300.0, 350.0)) < 140.0
+    assert shade((200.0, 100.0)) == 255.0
 
 
 def test_a_dry_run_is_a_training_on_card_and_receiver(road_plan, tmp_path):

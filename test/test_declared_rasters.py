@@ -24,9 +24,9 @@ HOLE = np.s_[8:20, 10:22]
 DEGREES = (1 / 3600, 0.0, -84.3, 0.0, -1 / 3600, 36.6)
 
 
-def read(path, name='elevation', **more):
+def read(path, is_risk=False, **more):
     """The values, north first, and what was said."""
-    raster, said = heard(read_raster, path, name, **more)
+    raster, said = heard(read_raster, path, is_risk, **more)
     return raster.values[::-1], said
 
 
@@ -51,7 +51,7 @@ def test_scale_and_offset_are_applied(scale, offset, kind, tmp_path):
 def test_scale_counts_for_risk_nodata_and_in_other_systems(tmp_path):
     half = (RISK // 2).astype(np.uint8)
     half[HOLE] = 255
-    values, _ = read(write(tmp_path / 'a.tif', half, scale=2.0, nodata=255), 'risk')
+    values, _ = read(write(tmp_path / 'a.tif', half, scale=2.0, nodata=255), True)
     assert np.isnan(values[HOLE]).all() and values[0, 0] == 2 * half[0, 0]
     tenths = as_stored(0.1, 0.0, 'int16')
     one, said = read(write(tmp_path / 'b.tif', tenths, 'EPSG:4326', DEGREES, scale=0.1))

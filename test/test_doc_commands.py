@@ -53,9 +53,8 @@ def test_the_commands_of_the_python_page_work(tmp_path):
     v, u = np.mgrid[0:165, 0:155] / 15.0
     grid = {'driver': 'GTiff', 'height': 165, 'width': 155, 'count': 1, 'crs': 'EPSG:32616',
             'transform': rasterio.Affine(180.0, 0.0, 0.0, 0.0, -180.0, 29700.0)}
-    for name, values in (('dem', 150.0 * np.sin(u) * np.cos(v)), ('roads', np.abs(v - 5.0) < 0.04)):
-        with rasterio.open(tmp_path / f'{name}.tif', 'w', dtype='float32', **grid) as file:
-            file.write(values.astype('float32'), 1)
+    with rasterio.open(tmp_path / 'dem.tif', 'w', dtype='float32', **grid) as file:
+        file.write((150.0 * np.sin(u) * np.cos(v)).astype('float32'), 1)
     terrain, frontier = blocks('docs/python.md', 'sh')
     # For one budget, on a network that is not refined, the commands take a tenth of the time.
     sooner = '--detours 1.1 --slacks 0.01 --set network.refine=0'

@@ -11,7 +11,7 @@ pytest.importorskip('geopandas', reason='vector files need geopandas')
 pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
 import geopandas
 import pyproj
-from commands import heard, table_under
+from commands import heard, run_here, table_under
 from field_samples import (
     CORNER,
     CRS,
@@ -30,14 +30,14 @@ from rasters import write_geotiff
 from scipy.io import netcdf_file
 from shapely.geometry import Point, Polygon, box
 
-from ambush_planner import AmbushPlannerError, read_risk_map, risk_from_terrain
+from ambush_planner import AmbushPlannerError, read_risk_map
+from ambush_planner.commands import risk as risk_command
 from ambush_planner.commands.positions import _xy, positions_in
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.risk_layers import risk_from_layers
 from ambush_planner.maps.road_file import read_roads
-from ambush_planner.maps.terrain_file import terrain_of_file
-from ambush_planner.maps.terrain_risk import TerrainOptions
+from ambush_planner.maps.terrain_risk import TerrainOptions, terrain_of_file
 from ambush_planner.maps.visibility import ViewOptions
 
 ROW, COLUMN = np.mgrid[:40, :40]
@@ -104,14 +104,6 @@ def risk(values, **declared):
     return say
 
 
-def road_raster(marks, place=PLACE, **declared):
-    """Make the risk map of a model and a raster of roads."""
-    def say(folder):
-        mask = tif(folder, marks, place=place, name='roads.tif', **declared)
-        return heard(risk_from_terrain, tif(folder), roads=mask, options=NEAR)[1]
-    return say
-
-
 def ditch(folder):
     fine = np.full((200, 200), 300.0, 'float32')
     fine[:, 90:92] = 290.0
@@ -144,9 +136,9 @@ GIS = {
     'NetCDF with `long_name: water depth`': netcdf(long_name='water depth'),
     'NetCDF whose `x` and `y` are in km, but its system in metres': netcdf(unit='km', length=1e3),
     'NetCDF with two variables': netcdf(names=('dem', 'error')),
-    'a raster of roads, 2 cells to the east': road_raster(np.eye(40), (*PLACE[:2], PLACE[2] + 20.0,
-                                                                    *PLACE[3:])),
-    'a raster of roads with -9999 for none': road_raster(np.where(np.eye(40), 1.0, -9999.0)),
+    'a raster of roads, `ambush risk dem.tif --roads roads.tif`': lambda folder: run_here(
+        risk_command, tif(folder), '--roads', tif(folder, name='roads.tif'), '-o', 'm.yaml'
+    ).err.strip(),
     'the ellipsoid of Bessel and no datum': heights(
         crs='+proj=tmerc +lon_0=15 +x_0=500000 +ellps=bessel +units=m'),
     'a site grid in feet': heights(crs=SITE),

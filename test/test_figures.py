@@ -144,10 +144,10 @@ def test_the_risk_map_is_the_largest_panel_and_has_the_shapes_of_its_layers(tmp_
     from ambush_planner.maps.risk_layers import Layer
 
     risk_map = RiskMap(np.ones((30, 40)), np.zeros((30, 40), bool), 10.0)
-    shapes = {'roads.gpkg': geopandas.GeoDataFrame(
-                  {'part': ['0.3 km']}, geometry=[LineString([(20, 20), (320, 120)])]),
-              'incidents.csv': geopandas.GeoSeries([Point(50, 60), Point(90, 200)])}
-    layers = [Layer(f'{name}: loss', np.ones((30, 40)), each) for name, each in shapes.items()]
+    shapes = {'roads': geopandas.GeoSeries([LineString([(20, 20), (320, 120)])]),
+              'incidents': geopandas.GeoSeries([Point(50, 60), Point(90, 200)])}
+    layers = [Layer(kind, f'{kind}: loss', np.ones((30, 40)), each)
+              for kind, each in shapes.items()]
     figure = layers_figure(risk_map, layers)
     figure.draw_without_rendering()
     whole, *panels = (each for part in figure.subfigs for each in part.axes)

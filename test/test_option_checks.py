@@ -69,7 +69,7 @@ def test_numpy_numbers_are_accepted(record):
     (OccupancyOptions, 'alpha_max', [0.5, np.inf, 1e291]),
     (OccupancyOptions, 'obstacle_threshold', [0, 102]),
     (OccupancyOptions, 'unknown_alpha', [np.nan, 1e291]),
-    (TerrainOptions, 'slope_limit', [0.0]), (TerrainOptions, 'road_factor', [1.5]),
+    (TerrainOptions, 'slope_limit', [0.0]),
     (TerrainOptions, 'weights', [(0.0,) * 4, (1.0, -1.0, 1.0, 1.0), (1.0, 1.0)]),
     (ViewOptions, 'weapon_range', [0.0]), (ViewOptions, 'vehicle_height', [-1.0]),
     (ViewOptions, 'person_height', [np.nan]), (ViewOptions, 'rays', [7]),

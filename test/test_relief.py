@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from commands import heard
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from ambush_planner.maps import (
     InvalidTerrain,
     Raster,
     elevation_from_raster,
-    mask_from_raster,
     relative_depth,
     slope,
 )
@@ -63,49 +61,6 @@ def test_a_sample_at_a_known_cells_centre_is_known():
 def test_rejects_malformed_elevations(heights, resolution, reason):
     with pytest.raises(InvalidTerrain, match=reason):
         Elevation(heights, resolution)
-
-
-def test_thin_roads_survive_on_coarser_cells():
-    roads = np.zeros((100, 100))
-    roads[50] = 1
-    mask = mask_from_raster(Raster(roads, 10.0, 10.0), Elevation(np.zeros((14, 14)), 70.0))
-    assert mask[7].all() and mask.sum() == 14
-
-
-def test_wide_roads_have_no_holes_on_finer_cells():
-    roads = np.zeros((10, 10))
-    roads[4] = 1
-    mask = mask_from_raster(Raster(roads, 70.0, 70.0), Elevation(np.zeros((70, 70)), 10.0))
-    assert mask[28:35].all() and mask.sum() == 7 * 70
-
-
-@pytest.mark.parametrize(('rows', 'corner', 'crs'), [
-    (50, None, 'EPSG:32616'), (60, (0.0, 600.0), 'EPSG:32616'), (60, (0.0, 0.0), 'EPSG:32617'),
-    (60, (0.0, 0.0), None),
-])
-def test_rejects_roads_that_cover_another_area(rows, corner, crs):
-    elevation = Elevation(np.zeros((60, 50)), 10.0, (0.0, 0.0), 'EPSG:32616')
-    with pytest.raises(InvalidTerrain, match='same area|the roads are in'):
-        mask_from_raster(Raster(np.zeros((rows, 50)), 10.0, 10.0, corner, crs), elevation)
-
-
-@examples(20)
-@given(st.integers(-20, 50), st.integers(-18, 40), st.integers(1, 4), st.booleans())
-def test_roads_lie_where_their_corner_says(down, left, ratio, known):
-    """Each road is a cell at a place of the world, also if its raster begins elsewhere."""
-    crs, step = 'EPSG:32616' if known else None, 12.0 / ratio
-    roads = np.zeros((100, 80))
-    rows, columns = np.random.default_rng(ratio).integers(0, 80, (2, 60))
-    roads[rows, columns] = 1
-    elevation = Elevation(np.zeros((60, 50)), 12.0, (100.0, 200.0), crs)
-    corner = 100.0 + 12.0 * left, 200.0 + 12.0 * down
-    mask, said = heard(mask_from_raster, Raster(roads, step, step, corner, crs), elevation)
-    expected = np.zeros((220, 220), bool)
-    expected[rows // ratio + down + 60, columns // ratio + left + 60] = True
-    np.testing.assert_array_equal(mask, expected[60:120, 60:110])
-    inside = [0 >= at and at + count // ratio >= size
-              for at, count, size in ((down, 100, 60), (left, 80, 50))]
-    assert ('lies beyond the area of the roads' in said) == (not all(inside))
 
 
 @examples(40)

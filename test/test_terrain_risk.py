@@ -6,7 +6,6 @@ import pytest
 
 from ambush_planner.maps import (
     Elevation,
-    InvalidTerrain,
     TerrainOptions,
     relative_depth,
     slope,
@@ -56,28 +55,8 @@ def test_cliffs_are_obstacles_and_the_largest_risk_is_none():
     assert (limited[[19, 20, 39, 40]] == 100).all() and (limited[25:35] < 100).all()
 
 
-def test_roads_cross_steep_terrain_and_cost_less():
-    heights = np.zeros((40, 40))
-    heights[20:] = 100.0
-    elevation = Elevation(heights, 10.0)
-    roads = np.zeros((40, 40), bool)
-    roads[:, 10] = True
-    without = terrain_map(elevation)
-    with_roads = terrain_map(elevation, TerrainOptions(road_factor=0.25), roads)
-    assert (without.values[19:21, 10] == 100).all()
-    assert (with_roads.values[:, 10] < 100).all()
-    np.testing.assert_array_equal(with_roads.values[~roads], without.values[~roads])
-    free = roads & (without.values < 100)
-    np.testing.assert_allclose(with_roads.values[free], without.values[free] / 4.0, atol=0.7)
-
-
-def test_unknown_terrain_stays_unknown_under_a_road():
+def test_unknown_terrain_stays_unknown():
     heights = hills()
     heights[5:9, 5:9] = np.nan
-    ground = terrain_map(Elevation(heights, 10.0), None, np.ones(heights.shape, bool))
+    ground = terrain_map(Elevation(heights, 10.0))
     np.testing.assert_array_equal(ground.values == -1, np.isnan(heights))
-
-
-def test_rejects_roads_of_another_shape():
-    with pytest.raises(InvalidTerrain, match='roads'):
-        terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))

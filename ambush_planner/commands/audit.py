@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import cli, readers
@@ -13,7 +12,6 @@ if TYPE_CHECKING:
     from ..recordings.audit import Audit
     from ..recordings.recorded_departure import RecordedDeparture
 
-PICTURE = 'audit.png'
 SENSITIVITY = (
     'What the test can find: one route driven every time in 5 departures, a few routes in turn in '
     'about 20, a mild preference for some stretches in about 100.'
@@ -27,9 +25,7 @@ departures has one. Impossible steps, fixed seeds, and random sources that repea
 are findings, too. The audit also simulates an observer who learns from each departure: before the
 next one he waits where an ambush would have cost the earlier ones most.
 
-You need at least five departures from strategies without cycles. -o DIR writes audit.png: where
-the convoy should have driven, where it did, and the loss that the observer would have caused. The
-picture shows secret routes, so it has mode 0600 and a new folder 0700.
+You need at least five departures from strategies without cycles.
 --json: {"verdict", "departures", "left_out", "findings", "p_value", "impossible", "value",
 "observer_loss", "observer_range", "unreadable", "struck": {FILE: WHY}}
 """
@@ -37,11 +33,8 @@ picture shows secret routes, so it has mode 0600 and a new folder 0700.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = readers.reader_parser(
-        'audit', 'Test recorded departures: do they follow the published strategies?', EPILOG
-    )
-    readers.add_output(made, PICTURE)
-    return made
+    return readers.reader_parser(
+        'audit', 'Test recorded departures: do they follow the published strategies?', EPILOG)
 
 
 def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
@@ -92,8 +85,6 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from .report_words import leaving
 
-    if options.output:
-        readers.refuse_existing(options.output / PICTURE, options.replace)
     departures, unreadable, struck = readers.read_all(options.recordings, console)
     result, findings, notes = audited(departures)
     if departures:
@@ -111,35 +102,11 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         'unreadable': [str(error) for error in unreadable],
         'struck': readers.struck_json(struck),
     }
-    if options.output and result:
-        _draw(options.output, departures, result, console)
     if findings:
         return cli.Exit.FINDING
     if unreadable:
         return cli.Exit.UNREADABLE
     return cli.Exit.HOLDS if result and not result.left_out else cli.Exit.TOO_FEW
-
-
-def _draw(folder: Path, departures: list[RecordedDeparture], result: Audit,
-          console: cli.Console) -> None:
-    """Write the picture: of the departures on the latest map, if there are several maps."""
-    from ..map_figures import as_png  # the text needs no matplotlib
-    from ..recordings.audit import NotAuditable, audit
-    from ..recordings.durable_files import write_all_durably
-    from .audit_figure import audit_figure
-
-    risk_map = departures[-1].risk_map
-    shown = [each for each in departures if each.risk_map is risk_map]
-    if len(shown) < len(departures):
-        console.say(f'{PICTURE} has the {len(shown)} departures on the latest map only.')
-        try:
-            result = audit(shown)
-        except NotAuditable as error:
-            console.say(f'There is no {PICTURE}: {error}.')
-            return
-    write_all_durably({folder / PICTURE: as_png(
-        audit_figure(risk_map, result), PICTURE, [departures[0].path.parent.name])})
-    console.secret([folder / PICTURE])
 
 
 main = cli.command(parser, _work)

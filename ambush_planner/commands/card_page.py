@@ -152,8 +152,8 @@ def card_page(card: Card, console: Console) -> str:
         training='<span>TRAINING</span>' * (3 * card.training), title=escape(title),
         secret='Training: do not drive this' if card.training else 'Secret: destroy after use',
         summary=f'{_near(card)}{distance(end)}{times}{zone}',
-        map=b64encode(picture.png).decode(), width=f'{picture.width:.1f}', scale=picture.scale,
-        tables=tables, two=' two' * (tables.count('<table>') > 1),
+        map=b64encode(picture.svg.encode()).decode(), width=f'{picture.width:.1f}',
+        scale=picture.scale, tables=tables, two=' two' * (tables.count('<table>') > 1),
         notes=''.join(f'<li>{note}</li>' for note in _notes(card)),
     )
 

@@ -230,10 +230,10 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         unknown, _, given = message.partition('unrecognized arguments: ')
-        if not unknown and given.startswith('--'):
+        if not unknown and given.startswith('-'):
             given = given.split()[0].partition('=')[0]
             near = get_close_matches(given, self._option_string_actions, 1)
-            message = remedy_for(given) or (
+            message = remedy_for(f'{self.prog.partition(" ")[2]} {given}') or remedy_for(given) or (
                 f'no option {given}' + (f'; did you mean {near[0]}?' if near else ''))
         self.exit(Exit.USAGE, f'{self.prog}: {message} (see {self.prog} --help)\n')
 

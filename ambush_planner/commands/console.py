@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import stat
 import sys
@@ -80,45 +79,30 @@ class Console:
               flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
-        """Yield the items, and print on a terminal how many are done."""
-        show = self.share_printer(what)
-        for done, item in enumerate(items, start=1):
-            yield item
-            show(done / len(items))
-
-    def share_printer(self, what: str) -> Callable[[float], None]:
-        """Return a function that prints the share done, 0..1, on a terminal as ``waiting`` does."""
-        begin, pause = self.seconds, 2.0
-
-        def show(share: float) -> None:
-            nonlocal pause
-            if share < 1.0 and self.seconds - begin > pause and sys.stderr.isatty():
-                self.step(f'{what}: {share:.0%} ...')
-                pause = 2.0 * pause + 2.0
-
-        return show
+        """Yield the items, and print how many are done as ``waiting`` does."""
+        with self.waiting(what) as tell:
+            for done, item in enumerate(items):
+                tell(f'{done} of {len(items)}')
+                yield item
 
     @contextmanager
-    def waiting(self, what: str) -> Iterator[Callable[[str, float], None]]:
+    def waiting(self, what: str) -> Iterator[Callable[[str], None]]:
         """After two seconds, print what is still running; repeat at doubling intervals.
 
-        Yields a function that takes the phase, and the value so far, which is printed if finite.
+        Yields a function that takes how far it is.
         """
         done, so_far = threading.Event(), ['']
-
-        def progress(phase: str, value: float) -> None:
-            so_far[0] = f' {phase}' + (f', value so far {value:.4g}' if value < math.inf else '')
 
         def tell() -> None:
             pause = 2.0
             while not done.wait(pause):
-                self.step(f'{what} ...{so_far[0]}')
+                self.step(f'{what} ... {so_far[0]}'.rstrip())
                 pause *= 2.0
 
         thread = threading.Thread(target=tell, daemon=True)
         thread.start()
         try:
-            yield progress
+            yield lambda text: so_far.__setitem__(0, text)
         finally:
             done.set()
             thread.join()

@@ -15,7 +15,7 @@ from ..colours import AMBUSHER
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
 from .planner_parser import planner_parser, source_names
-from .positions import places_on
+from .positions import read_ground
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,21 +52,19 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..maps.risk_map_file import read_risk_map
     from ..operations.frontier import DETOURS, SLACKS, trip_frontier
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
     check_outputs(arguments.output, console)
-    risk_map = read_risk_map(arguments.map, of_map)
-    (x, y), (to_x, to_y), _ = places_on(arguments, risk_map)
+    risk_map, (x, y), (to_x, to_y), _ = read_ground(arguments, of_map)
     detours, slacks = arguments.detours or DETOURS, arguments.slacks or SLACKS
-    show, solved = console.share_printer('budgets solved'), count(1)
-    rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
-                         lambda _: show(next(solved) / (len(detours) + len(slacks))))
-    budgets = planning.strategy
-    write_frontier(arguments.output, rows, budgets.max_detour, budgets.risk_slack,
-                   source_names(arguments))
+    solved, budgets = count(1), len(detours) + len(slacks)
+    with console.waiting('solving') as tell:
+        rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
+                             lambda _: tell(f'{next(solved)} of {budgets} budgets'))
+    write_frontier(arguments.output, rows, planning.strategy.max_detour,
+                   planning.strategy.risk_slack, source_names(arguments))
     console.line(_as_text(rows))
     files = [cli.place(path) for path in arguments.output]
     console.line('\n' + ', '.join(files))

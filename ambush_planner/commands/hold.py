@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from . import cli
 from .geo_files import add_outputs, check_outputs, write_table
 from .planner_parser import planner_parser, source_names
-from .positions import Position, places_on
+from .positions import Position, read_ground
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,14 +50,12 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..game.strategy import within_slack
-    from ..maps.risk_map_file import read_risk_map
     from ..operations.hold import places_to_hold
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
-    risk_map = read_risk_map(arguments.map, of_map)
     check_outputs(arguments.output, console)
-    start, goal, stops = places_on(arguments, risk_map)
+    risk_map, start, goal, stops = read_ground(arguments, of_map)
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
     limit = planning.strategy.time_limit
     with console.waiting(f'solving games, at most {limit:g} s (strategy.time_limit)'):

@@ -16,7 +16,7 @@ from ..errors import InvalidOption
 from ..words import distance, percent
 from . import cli, readers
 from .planner_parser import planner_parser, source_names
-from .positions import places_on
+from .positions import read_ground
 
 if TYPE_CHECKING:
     from ..maps.risk_map import RiskMap
@@ -67,15 +67,13 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
 
     from ..map_figures import as_png
-    from ..maps.risk_map_file import read_risk_map
     from ..operations.judge import NEAR, find_trips, judge
     from ..planning.concerns import concerns, is_sound
     from ..planning.options import solved_game
     from ..recordings.durable_files import write_all_durably
     from .judge_figure import judge_figure
 
-    risk_map = read_risk_map(arguments.map, of_map)
-    start, goal, _ = places_on(arguments, risk_map)
+    risk_map, start, goal, _ = read_ground(arguments, of_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
     game = solved_game(risk_map, planning)
     near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))

@@ -64,7 +64,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
         map_figures.frame(axes, risk_map, name, (low, high), ticks=2)
         risk = map_figures.draw_risk_map(axes, risk_map)
         figures.draw_ends(axes, trip, named=False, size=MARKS)
-        map_figures.scale_bar(axes, figures.places_of(trip))
+        map_figures.draw_scale_bar(axes, figures.places_of(trip))
         axes.label_outer()
         axes.set_xlabel(f'{text}\nmean length {distance(length)}', loc='left', linespacing=1.4)
         axes.annotate(f'{value:#.3g}', (0.0, 1.0), xycoords='axes fraction', xytext=(0, 22),

@@ -17,7 +17,7 @@ from ..words import distance, duration, over_legs, percent
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, check_outputs, tell_outputs
 from .planner_parser import planner_parser, source_names
-from .positions import places_on
+from .positions import read_ground
 
 if TYPE_CHECKING:
     from ..operations.slots import Slots
@@ -83,7 +83,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     _check_departures(arguments)
     import numpy as np
 
-    from ..maps.risk_map_file import read_risk_map
     from ..operations.few_routes import MAX_ROUTES
     from ..operations.slots import Slots
     from ..planning.concerns import concerns
@@ -105,14 +104,15 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.routes is not None and not 1 <= arguments.routes <= MAX_ROUTES:
         raise cli.UsageError(f'--routes must be a number from 1 to {MAX_ROUTES}')
     check_outputs(arguments.output, console)
-    risk_map = read_risk_map(arguments.map, of_map)
     rng = np.random.default_rng(arguments.seed)
-    start, goal, stops = places_on(arguments, risk_map)
+    risk_map, start, goal, stops = read_ground(arguments, of_map)
     limit = planning.strategy.time_limit
     what = f'at most {limit:g} s (strategy.time_limit)'
-    with console.waiting(what) as progress, warnings.catch_warnings():
+    with console.waiting(what) as tell, warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
-        plan = plan_trip(risk_map, start, goal, planning, stops=stops, progress=progress,
+        plan = plan_trip(risk_map, start, goal, planning, stops=stops,
+                         progress=lambda phase, value: tell(phase + (
+                             f', value so far {value:.4g}' if value < math.inf else '')),
                          routes=arguments.routes, rng=rng)
     plan = replace(plan, options=replace(plan.options, max_gap=PlanningOptions.max_gap))
     refused = plan.gap_is_wide and not arguments.accept_gap

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from ..arrays import FloatArray
+    from ..maps.occupancy import OccupancyOptions
     from ..maps.risk_map import RiskMap
     from .console import Console
 
@@ -184,17 +185,20 @@ def add_places(parser: argparse.ArgumentParser, stops: bool) -> None:
                             metavar='POSITION', help=_POSITIONS[end])
 
 
-def places_on(arguments: argparse.Namespace,
-              risk_map: RiskMap) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """Start, goal and stops (x, y) [m] of ``add_places``.
+def read_ground(arguments: argparse.Namespace, options: OccupancyOptions) -> tuple[
+        RiskMap, FloatArray, FloatArray, list[FloatArray]]:
+    """Read the map; also returns start, goal and stops (x, y) [m] of ``add_places`` on it.
 
     From then on, ``as_typed_places`` writes places as the start was typed. Raises
     InvalidCoordinates, and the errors of ``position_errors`` if a position is off the map.
     """
+    from ..maps.risk_map_file import read_risk_map
+
+    risk_map = read_risk_map(arguments.map, options)
     (start,), (goal,) = arguments.start, arguments.goal
     arguments.places_as = start, risk_map
     stops = enumerate(getattr(arguments, 'via', None) or (), start=1)
-    return (_xy('start', start, risk_map), _xy('goal', goal, risk_map),
+    return (risk_map, _xy('start', start, risk_map), _xy('goal', goal, risk_map),
             [_xy(f'stop {k}', stop, risk_map) for k, stop in stops])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared parts of commands that read recordings: arguments, departures, a folder for one file."""
+"""Shared parts of commands that read recordings: arguments and departures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .cli import UsageError, existing, new_parser
+from .cli import existing, new_parser
 from .console import Console, place
 
 if TYPE_CHECKING:
@@ -48,22 +48,3 @@ def struck_note(struck: Mapping[Path, str], total: int) -> str:
 def struck_json(struck: Mapping[Path, str]) -> dict[str, str]:
     """Return the files struck, and why."""
     return {place(path): why for path, why in struck.items()}
-
-
-def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:
-    """Add the options of a command that writes a file into a folder."""
-    def folder(text: str) -> Path:
-        if Path(text).suffix.lower() == Path(what).suffix:
-            raise argparse.ArgumentTypeError(f'must be a folder, such as {Path(what).stem}')
-        return Path(text)
-
-    parser.add_argument('-o', '--output', type=folder, metavar='DIR', required=required,
-                        help=f'folder for {what}; made if missing')
-    parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
-
-
-def refuse_existing(file: Path, replace: bool) -> None:
-    """Raise UsageError if the file exists, unless ``replace``."""
-    if file.exists() and not replace:
-        raise UsageError(f'{place(file)} exists already; add --replace, or choose another folder '
-                         'with -o')

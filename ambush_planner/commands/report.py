@@ -32,9 +32,17 @@ def parser() -> argparse.ArgumentParser:
         'report', 'Show recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
-    readers.add_output(made, PAGE, required=True)
+    made.add_argument('-o', '--output', type=_folder, metavar='DIR', required=True,
+                      help=f'folder for {PAGE}; made if missing')
+    made.add_argument('--replace', action='store_true', help='overwrite an existing page in DIR')
     made.add_argument('--verify', action='store_true', help='verify and audit the recordings')
     return made
+
+
+def _folder(text: str) -> Path:
+    if Path(text).suffix.lower() == '.html':
+        raise argparse.ArgumentTypeError('must be a folder, such as report')
+    return Path(text)
 
 
 def write_report(place: Path, output: Path, verify: bool,
@@ -79,7 +87,9 @@ def write_report(place: Path, output: Path, verify: bool,
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    readers.refuse_existing(options.output / PAGE, options.replace)
+    if (page := options.output / PAGE).exists() and not options.replace:
+        raise cli.UsageError(f'{cli.place(page)} exists already; add --replace, or choose another '
+                             'folder with -o')
     return write_report(options.recordings, options.output, options.verify, console)[0]
 
 

@@ -118,7 +118,6 @@ def _section(section: Section, folder: Path, name: str) -> str:
     data['colours'] = colours(section)
     left, bottom, right, top = data['box']
     ratio = min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO)
-    settings = words.settings(section)
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
         warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
@@ -136,8 +135,6 @@ def _section(section: Section, folder: Path, name: str) -> str:
         certificate=_paragraphs(words.certificate(section)),
         measures=_table(words.measures(section), 'first'),
         quantities=_table([(), *words.quantities(section)]),
-        changed=sum(bool(default) for _, _, default in settings),
-        settings=_table([('setting', 'value', 'default'), *settings]),
     )
 
 

@@ -40,7 +40,7 @@ def map_picture(section: Section, ratio: float) -> bytes:
     if trip.value > 0.0:
         figures.draw_sites(axes, trip)
     figures.draw_ends(axes, trip)
-    map_figures.scale_bar(axes, figures.places_of(trip))
+    map_figures.draw_scale_bar(axes, figures.places_of(trip))
     stream = BytesIO()
     figure.savefig(stream, format='jpeg', dpi=DOTS_PER_INCH, pil_kwargs={'quality': 80})
     return stream.getvalue()

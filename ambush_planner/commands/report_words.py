@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from ..arrays import NEGLIGIBLE
 from ..game.strategy import TripStrategy
-from ..parameters.table import PARAMETERS
 from ..planning.plan import path_lengths
 from ..recordings.recorded_departure import RecordedDeparture
 from ..recordings.report_data import Section
@@ -180,24 +179,6 @@ def leaving(departure: RecordedDeparture) -> str:
     """Return the day and slot that a plan's departure is for, or the time it leaves."""
     day = departure.metadata.day
     return f'{day.date} {day.slot}'.strip() if day else when(departure.stamp_ns)
-
-
-def settings(section: Section) -> list[tuple[str, str, str]]:
-    """Rows of all parameters but the seed: name, value, and the default if that differs.
-
-    Those that differ come first.
-    """
-    found: dict[str, set[str]] = {}
-    for each in section.departures:
-        for name, value in {'frame of the map': each.metadata.frame,
-                            **each.parameters.values}.items():
-            found.setdefault(name, set()).add(str(value) or 'empty')
-    rows = []
-    for name in sorted(found.keys() - {'seed'}):
-        value = found[name].pop() if len(found[name]) == 1 else 'differs between departures'
-        default = str(PARAMETERS[name].default) or 'empty' if name in PARAMETERS else value
-        rows.append((name, value, default if default != value else ''))
-    return sorted(rows, key=lambda row: not row[2])
 
 
 def _limits(budgets: Sequence[float], unit: str) -> str:

@@ -24,9 +24,8 @@ Make a risk map from an elevation model, or from layers of risk.
 _VIEW = {'weapon_range': 'range of weapons [m] (default: 300)',
          'vehicle_height': 'height of vehicles [m] (default: 2.5)',
          'person_height': 'eye height of a person [m] (default: 1.7)'}
-_GROUND = {'slope_limit': 'maximum drivable slope (rise/run, default: 0.42)',
-           'road_factor': 'risk on roads relative to open ground (default: 0.5)'}
-COMMON = ('-o', '--roads', '--resolution', '--weapon-range', '--slope-limit', '--crs')
+_GROUND = {'slope_limit': 'maximum drivable slope (rise/run, default: 0.42)'}
+COMMON = ('-o', '--resolution', '--weapon-range', '--slope-limit', '--crs')
 USAGE = 'ambush risk DEM_OR_LAYERS [options] -o MAP.yaml'
 EPILOG = """\
 A DEM is a GeoTIFF of heights, or an npz file. LAYERS.yaml has a line for each layer of risk, such
@@ -37,12 +36,11 @@ MAP.sources.json has the files that it was made from by name and hash, for ambus
 """
 DETAILS = """\
 DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
-unknown, and resolution [m]. --roads takes the same kinds of files (npz: roads);
-cells other than 0 are roads. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
+unknown, and resolution [m]. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
 weighted mean of four shares: depth of the cell below the ground within weapon range, share of that
 ground from which a vehicle can be seen, how close a person can come unseen, and slope.
-ambush_planner.maps has the formulas. A GeoTIFF in degrees is reprojected to its UTM zone, and the
-map keeps the coordinate system.
+ambush_planner.maps has the formulas. For roads in it, write layers: terrain and roads. A GeoTIFF
+in degrees is reprojected to its UTM zone, and the map keeps the coordinate system.
 
 LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas:
 
@@ -65,8 +63,6 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('-o', '--output', type=cli.file_of('.yaml', '.yml'), required=True,
                       metavar='MAP.yaml', help='the map to write')
     terrain = made.add_argument_group('with an elevation model')
-    terrain.add_argument('--roads', type=Path, metavar='FILE',
-                         help='raster of roads: cells other than 0')
     for name, text in {'resolution': "cell size [m] (default: the DEM's)", **_VIEW,
                        **_GROUND}.items():
         terrain.add_argument(f'--{name.replace("_", "-")}', type=float, metavar='X', help=text)
@@ -78,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    given = [name for name in ('roads', 'datum', 'crs') if getattr(arguments, name)]
+    given = [name for name in ('datum', 'crs') if getattr(arguments, name)]
     given += _given(arguments, ('resolution', *_VIEW, *_GROUND, 'weights'))
     if arguments.source.suffix.lower() in ('.yaml', '.yml'):
         if given:
@@ -97,7 +93,7 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     from ..map_figures import as_png
     from ..maps import TerrainOptions, ViewOptions
     from ..maps.risk_map_file import in_local_frame
-    from ..maps.terrain_file import terrain_of_file
+    from ..maps.terrain_risk import terrain_of_file
     from ..recordings.sources import list_sources
     from .risk_figure import layers_figure
 
@@ -105,15 +101,15 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
         cli.require(('pyproj', 'rasterio'))
     options = TerrainOptions(view=ViewOptions(**_given(arguments, _VIEW)),
                              **_given(arguments, (*_GROUND, 'weights')))
-    grid = terrain_of_file(arguments.source, options, arguments.resolution, arguments.roads,
-                           arguments.crs or None, console.share_printer('lines of sight'))
+    with console.waiting('lines of sight') as tell:
+        grid = terrain_of_file(arguments.source, options, arguments.resolution,
+                               arguments.crs or None, lambda share: tell(f'{share:.0%}'))
     picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
                      [arguments.source.name])
     if arguments.datum:
         grid = in_local_frame(grid, crs_text(arguments))
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
-    files.append(list_sources(files, [each for each in (arguments.source, arguments.roads)
-                                      if each]))
+    files.append(list_sources(files, [arguments.source]))
     console.line(_summary(grid))
     unknown = 'no GeoTIFF is written, because the coordinate system is unknown: give it with --crs'
     return _told(files, grid.losses, [] if grid.crs else [unknown], console)
@@ -132,7 +128,9 @@ def _of_layers(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.sources import layer_files, list_sources
     from .risk_figure import layers_figure
 
-    joined = risk_from_layers(arguments.source, progress=console.share_printer('lines of sight'))
+    with console.waiting('joining layers') as tell:
+        joined = risk_from_layers(
+            arguments.source, progress=lambda share: tell(f'lines of sight {share:.0%}'))
     grid = occupancy_of(joined.risk_map)
     output = arguments.output
     files = _written(output, grid, 'Risk map from layers.',

@@ -23,12 +23,12 @@ from ..maps.risk_map import RiskMap
 # Width of the map, and of a panel of a layer, without what is next to it [inches]; panels in a row.
 _WIDE, _NARROW, _COLUMNS = 5.0, 1.9, 2
 _FONT = 8.0  # of names of places [points]
-# How shapes of layers are drawn on the map: roads, incidents, and outlines of polygons.
-_ROADS: dict[str, Any] = {'color': map_figures.ROAD, 'linewidth': 0.9}
-_INCIDENTS: dict[str, Any] = {'color': ROUTES[0], 'marker': 'X', 'markersize': 7.0,
-                              'linestyle': 'none', 'markeredgecolor': 'white',
-                              'markeredgewidth': 0.6}
-_OUTLINES: dict[str, Any] = {'color': '#1146b0', 'linewidth': 1.4, 'linestyle': 'dotted'}
+# How shapes of layers are drawn on the map, by the kind of layer.
+_STYLES: dict[str, dict[str, Any]] = {
+    'roads': {'color': map_figures.ROAD, 'linewidth': 0.9},
+    'incidents': {'color': ROUTES[0], 'marker': 'X', 'markersize': 7.0, 'linestyle': 'none',
+                  'markeredgecolor': 'white', 'markeredgewidth': 0.6},
+    'polygons': {'color': '#1146b0', 'linewidth': 1.4, 'linestyle': 'dotted'}}
 
 
 def layers_figure(risk_map: RiskMap, layers: Sequence[Layer]) -> Figure:
@@ -61,9 +61,8 @@ def _draw_shapes(axes: Axes, layers: Sequence[Layer]) -> list[Line2D]:
     for layer in layers:
         if layer.shapes is None:
             continue
-        style = (_ROADS if 'part' in layer.shapes else
-                 _INCIDENTS if set(layer.shapes.geom_type) == {'Point'} else _OUTLINES)
-        if style is _INCIDENTS:
+        style = _STYLES[layer.kind]
+        if layer.kind == 'incidents':
             axes.plot(layer.shapes.x, layer.shapes.y, zorder=6, **style)
         else:
             layer.shapes.plot(ax=axes, aspect=None, zorder=5, **style)
@@ -95,9 +94,5 @@ def _draw(axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     if layer.values.dtype != bool:
         map_figures.colour_bar(axes, image, '')
     if layer.shapes is not None:
-        parts = {'column': 'part', 'cmap': 'tab10', 'legend': True, 'legend_kwds': {
-            'title': 'connected parts', 'fontsize': 'small', 'loc': 'upper left',
-            'bbox_to_anchor': (1.3, 1.05), 'frameon': False}}
-        style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
-        layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
+        layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, color=ROUTES[0], markersize=4.0)
     axes.set(xticks=[], yticks=[], xlabel='', ylabel='')

@@ -7,7 +7,7 @@ from files of several kinds, and ``coordinates`` converts to latitude and longit
 ``relief`` and ``visibility`` describe the terrain; ``terrain_risk`` converts it to a risk map.
 """
 
-from .elevation import Elevation, InvalidTerrain, Raster, elevation_from_raster, mask_from_raster
+from .elevation import Elevation, InvalidTerrain, Raster, elevation_from_raster
 from .occupancy import OccupancyMap, OccupancyOptions
 from .relief import relative_depth, slope
 from .risk_map import RiskMap
@@ -17,6 +17,6 @@ from .visibility import ViewOptions, Views, viewshed
 
 __all__ = [
     'Elevation', 'InvalidTerrain', 'OccupancyMap', 'OccupancyOptions', 'Raster', 'RiskMap',
-    'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster', 'mask_from_raster',
-    'read_risk_map', 'relative_depth', 'slope', 'terrain_map', 'viewshed',
+    'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster', 'read_risk_map',
+    'relative_depth', 'slope', 'terrain_map', 'viewshed',
 ]

@@ -114,15 +114,15 @@ def utm_zone(latitude: float, longitude: float) -> Any:
 
     Raises InvalidCoordinates if there is none: beyond 84 degrees north or 80 degrees south.
     """
-    pyproj = _pyproj()
-    if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:
-        longitude = 9.0  # zone 32 is widened for the Norwegian coast
-    here = pyproj.aoi.AreaOfInterest(longitude, latitude, longitude, latitude)
-    found = pyproj.database.query_utm_crs_info('WGS 84', here)
-    if not found:
+    if not -80.0 <= latitude <= 84.0:
         raise InvalidCoordinates(f'no UTM zone contains latitude {latitude:g}, longitude '
                                  f'{longitude:g}; reproject the map by hand')
-    return pyproj.CRS.from_authority(found[0].auth_name, found[0].code)
+    zone = int((longitude + 180.0) // 6.0) % 60 + 1
+    if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:
+        zone = 32  # is widened for the Norwegian coast
+    elif latitude >= 72.0 and 0.0 <= longitude < 42.0:
+        zone = 31 + 2 * int((longitude + 3.0) // 12.0)  # those of Svalbard
+    return horizontal(f'EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}')
 
 
 def metric_system(crs: Any, x: float, y: float) -> Any:

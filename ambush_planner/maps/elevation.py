@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import BoolArray, FloatArray, frozen_array
-from ..errors import AmbushPlannerError, warn
+from ..arrays import FloatArray, frozen_array
+from ..errors import AmbushPlannerError
 from .risk_map import LOSSES
 
 HeightArray = npt.NDArray[np.float32]
@@ -23,7 +23,7 @@ _MIN_WEIGHT = 1e-6
 
 
 class InvalidTerrain(AmbushPlannerError, ValueError):
-    """An elevation model, a road mask or a map file is malformed."""
+    """An elevation model or a map file is malformed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,56 +109,6 @@ def _interpolated(values: npt.NDArray[Any], row: FloatArray) -> npt.NDArray[Any]
     # The unknown neighbour of a known height that a place coincides with does not count.
     between = np.where(np.abs(share) <= _MIN_WEIGHT, low, low + share * (high - low))
     return np.where(np.abs(share - 1.0) <= _MIN_WEIGHT, high, between)
-
-
-def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
-    """Resample a mask (nonzero means set) to the cells of ``elevation`` (H, W).
-
-    A cell is set if the mask is set at its centre, or if it contains the centre of a set mask cell,
-    so that thin roads survive on coarser cells. If both corners are known, the mask lies where its
-    corner says, and a warning counts the cells beyond it; else it must have the same size.
-
-    Raises InvalidTerrain if it does not, lies elsewhere, or is in another coordinate system.
-    """
-    shape, resolution = elevation.heights.shape, elevation.resolution
-    shift = np.zeros(2)
-    if (least := np.fmin.reduce(raster.values, axis=None)) < 0.0:
-        raise InvalidTerrain(f'the raster of roads has the value {least:g}, and all but 0 are '
-                             'roads; declare the number for no data with gdal_edit.py -a_nodata')
-    if raster.corner is not None and elevation.corner is not None:
-        if raster.crs != elevation.crs:
-            raise InvalidTerrain(f'the roads are in {raster.crs or "an unknown coordinate system"},'
-                                 f' the elevation in {elevation.crs or "an unknown one"}; name '
-                                 'that of a file that has none with --crs')
-        shift = np.subtract(raster.corner, elevation.corner)
-    elif (size := tuple(map(len, _positions(raster, resolution)))) != shape:
-        raise InvalidTerrain(
-            f'the roads cover {size[0]} x {size[1]} cells of {resolution:g} m, the elevation '
-            f'{shape[0]} x {shape[1]}; both files must cover the same area'
-        )
-    marked, mask = np.nan_to_num(raster.values) != 0.0, np.zeros(shape, bool)
-    steps = raster.row_step, raster.column_step
-    # Of the centre of each row and column: which one of the other raster contains it.
-    at = [np.floor(((np.arange(count) + 0.5) * resolution - away) / step + _MIN_WEIGHT).astype(int)
-          for count, step, away in zip(shape, steps, shift[::-1], strict=True)]
-    of = [np.floor(((np.arange(count) + 0.5) * step + away) / resolution).astype(int)
-          for count, step, away in zip(marked.shape, steps, shift[::-1], strict=True)]
-    inside = [(index >= 0) & (index < count) for index, count in zip(at, marked.shape, strict=True)]
-    covered = float(np.prod([np.mean(each) for each in inside]))
-    if covered == 0.0:
-        raise InvalidTerrain(f'the roads begin at {raster.corner}, the elevation at '
-                             f'{elevation.corner}, and nothing of it is in their area; both files '
-                             'must cover the same area')
-    if covered < 1.0:
-        warn(f'the roads begin at {raster.corner}, the elevation at {elevation.corner}: '
-             f'{100.0 * (1.0 - covered):.3g} % of it lies beyond the area of the roads')
-    rows, columns = (index[each] for index, each in zip(at, inside, strict=True))
-    mask[np.ix_(*inside)] = marked[np.ix_(rows, columns)]
-    rows, columns = np.nonzero(marked)
-    rows, columns = of[0][rows], of[1][columns]
-    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
-    mask[rows[inside], columns[inside]] = True
-    return mask
 
 
 def _positions(raster: Raster, resolution: float) -> tuple[FloatArray, FloatArray]:

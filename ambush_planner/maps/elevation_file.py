@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rasters from files: heights, values of a risk map, masks. GeoTIFF, other GDAL formats, and .npz.
+"""Rasters from files: heights, or values of a risk map. GeoTIFF, other GDAL formats, and .npz.
 
 What a file declares is applied or refused: scale, offset, unit, vertical system, nodata, masks,
 colours, coordinate system. Heights that cannot be heights are unknown. Warnings count them.
 
-An .npz file holds the array ``elevation`` (or ``roads``) (H, W) [m], northernmost row first as in a
-GeoTIFF, NaN if unknown, and the cell size ``resolution`` [m].
+An .npz file holds the array ``elevation`` (H, W) [m], northernmost row first as in a GeoTIFF, NaN
+if unknown, and the cell size ``resolution`` [m].
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _ROWS = 512
 _CACHE = 64  # of GDAL [MB]
 
 
-def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> Raster:
-    """Read the array ``name`` of an .npz file, or the band of a GeoTIFF as one.
+def read_raster(path: Path, is_risk: bool = False, crs: str | None = None) -> Raster:
+    """Read heights from an .npz file or a GeoTIFF, or the values of a risk map from a GeoTIFF.
 
-    ``name`` is 'elevation', 'roads' (a mask) or 'risk' (-1..100, NaN if unknown, whole numbers).
-    A file without a coordinate system gets ``crs``. One whose units are not metres
-    on the ground (degrees, feet, Web Mercator) is reprojected to its UTM zone: heights by bilinear
-    interpolation, others by nearest cells.
+    Those of a risk map are whole numbers, -1..100, NaN if unknown. A file
+    without a coordinate system gets ``crs``. One whose units are not metres on the ground (degrees,
+    feet, Web Mercator) is reprojected to its UTM zone: heights by bilinear interpolation, others by
+    nearest cells.
 
     Raises InvalidTerrain if the file is malformed or too large, or if a GeoTIFF needs rasterio and
     it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
@@ -57,13 +57,15 @@ def read_raster(path: Path, name: str = 'elevation', crs: str | None = None) -> 
     is_npz = path.suffix.lower() == '.npz'
     if not is_npz:
         refuse_other_kinds(path, InvalidTerrain)
-    return (_read_npz if is_npz or zipfile.is_zipfile(path) else _read_gdal)(path, name, crs)
+    if is_npz or zipfile.is_zipfile(path):
+        return _read_npz(path, crs)
+    return _read_gdal(path, is_risk, crs)
 
 
-def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
+def _read_npz(path: Path, crs: str | None) -> Raster:
     try:
-        found = arrays_in(path, (name, 'resolution'))
-        values = found[name].astype(np.float32)[::-1]
+        found = arrays_in(path, ('elevation', 'resolution'))
+        values = found['elevation'].astype(np.float32)[::-1]
         resolution = float(found['resolution'])
     except KeyError as error:
         raise InvalidTerrain(f'{path}: no array {error}; see ambush risk --help for the '
@@ -74,45 +76,43 @@ def _read_npz(path: Path, name: str, crs: str | None) -> Raster:
         raise InvalidTerrain(f'{path}: must be (H, W), got shape {values.shape}')
     if not 0.0 < resolution < math.inf:
         raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution:g}')
-    if name == 'elevation':
-        _fill_holes(path, values)
+    _fill_holes(path, values)
     return Raster(values, resolution, resolution, crs=crs)
 
 
-def _read_gdal(path: Path, name: str, crs: str | None) -> Raster:
+def _read_gdal(path: Path, is_risk: bool, crs: str | None) -> Raster:
     rasterio = import_extra('rasterio', f'{path}: formats other than .npz', 'gis', InvalidTerrain)
     with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE):
         warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)  # refused
         try:
             dataset = rasterio.io.DatasetReader(path, driver=list(_DRIVERS))
         except rasterio.errors.RasterioError as error:
-            others = {'risk': '; a risk map is a .yaml for map_server, an .npz, or such a raster',
-                      'elevation': '; a .yaml has layers, or is a map for map_server'}
+            other = ('; a risk map is a .yaml for map_server, an .npz, or such a raster' if is_risk
+                     else '; a .yaml has layers, or is a map for map_server')
             raise InvalidTerrain(
                 f'{path}: no raster that is read, such as GeoTIFF, .asc, .hgt and NetCDF; convert '
-                'it with gdal_translate, shapes with gdal_rasterize' + others.get(name, '')
+                'it with gdal_translate, shapes with gdal_rasterize' + other
             ) from error
         try:
             with dataset:
-                return _of_dataset(path, dataset, name, crs)
+                return _of_dataset(path, dataset, is_risk, crs)
         except rasterio.errors.RasterioIOError as error:
             raise InvalidTerrain(f'{path}: it is damaged, or ends early') from error
         except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
             raise InvalidTerrain(f'{path}: {str(error).rstrip(".")}') from error
 
 
-def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
+def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
-    _check(path, dataset, name)
+    _check(path, dataset)
     system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
     units.check_axes(path, units.tags_of(dataset), system)
-    metres = units.metres_per_unit(path, dataset) if name == 'elevation' else 1.0
-    values = _values(dataset, metres)
-    if name == 'elevation':
-        _fill_holes(path, values)
-    elif name == 'risk':
+    values = _values(dataset, 1.0 if is_risk else units.metres_per_unit(path, dataset))
+    if is_risk:
         _refuse_heights(path, dataset, values)
-    raster = _in_metres(path, values, dataset.transform, system, name != 'elevation')
+    else:
+        _fill_holes(path, values)
+    raster = _in_metres(path, values, dataset.transform, system, is_risk)
     if crs and system and not (agree(crs, system.to_wkt()) or agree(crs, str(raster.crs))):
         raise InvalidTerrain(f'{path}: the file is in {system.name}, not in {crs}; leave out '
                              '--crs (crs), or correct the file')
@@ -121,7 +121,7 @@ def _of_dataset(path: Path, dataset: Any, name: str, crs: str | None) -> Raster:
     return replace(raster, losses=(least, most))
 
 
-def _check(path: Path, dataset: Any, name: str) -> None:
+def _check(path: Path, dataset: Any) -> None:
     """Raise InvalidTerrain if an open rasterio dataset is not a raster of one kind of value."""
     from rasterio.enums import ColorInterp
 
@@ -136,7 +136,7 @@ def _check(path: Path, dataset: Any, name: str) -> None:
     if dataset.count != 1 and not has_alpha:
         raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
                              'gdal_translate -b')
-    if dataset.colorinterp[0] == ColorInterp.palette and name != 'roads':
+    if dataset.colorinterp[0] == ColorInterp.palette:
         raise InvalidTerrain(f'{path}: its band has a table of colours: a picture, not values; if '
                              'its numbers are values, use gdal_translate -colorinterp gray')
     grid = dataset.transform

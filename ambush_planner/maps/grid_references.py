@@ -53,16 +53,10 @@ def utm_references(lat_lon: FloatArray) -> list[str]:
 
     Raises InvalidCoordinates near the poles, which have no UTM zone.
     """
-    from pyproj import Transformer
-
-    found, zones = [], {}  # it takes 0.2 s to look up a zone
-    for place in lat_lon:
-        latitude, longitude = place
-        key = longitude // 3.0, latitude // 8.0  # finer than zones and their exceptions
-        if key not in zones:
-            zones[key] = utm_zone(latitude, longitude)
-        zone = zones[key]
-        east, north = Transformer.from_crs(WGS84, zone).transform(*place)
+    found = []
+    for latitude, longitude in lat_lon.tolist():
+        zone = utm_zone(latitude, longitude)
+        east, north = converter(horizontal(WGS84), zone).transform(longitude, latitude)
         found.append(f'{zone.utm_zone[:-1]} {zone.utm_zone[-1]} {int(east)} {int(north)}')
     return found
 

@@ -27,11 +27,9 @@ from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
 from .road_file import places_in
-from .road_joints import connected_parts
 from .road_tags import select_roads
 from .tables import InvalidFeatures
-from .terrain_file import terrain_of_file
-from .terrain_risk import TerrainOptions
+from .terrain_risk import TerrainOptions, terrain_of_file
 from .vector_file import attribute_values, read_features_on
 from .visibility import ViewOptions
 
@@ -70,10 +68,11 @@ class Layer:
     """The contribution of a line, for pictures.
 
     ``values`` (H, W) are losses, changes of them, or numbers of incidents; booleans say which cells
-    a layer covers that changes no losses. ``shapes`` are those of a vector layer, for roads with
-    the length of their connected ``part``, and the ``names`` there.
+    a layer covers that changes no losses. ``kind`` is that of the line, ``shapes`` are those of a
+    vector layer (the borders of polygons), and ``names`` those there.
     """
 
+    kind: str
     title: str
     values: FloatArray | BoolArray
     shapes: GeoPandasBase | None = None
@@ -196,7 +195,8 @@ def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution:
         OccupancyOptions(alpha_min=0.0, alpha_max=_number('loss', values['loss'])))
     shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.
-    return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)])
+    return _Joined(ground, ground.nearest_free_alpha(),
+                   [Layer('terrain', f'{path.name}: loss', shown)])
 
 
 def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
@@ -253,7 +253,7 @@ class _Joined:
                                   'layer a buffer [m], which all shapes grow by')
         given = features
         features = given.set_geometry(given.buffer(size).where(size > 0.0, given.geometry))
-        shown = connected_parts(given) if roads else features.boundary
+        shown = given if roads else features.boundary
         before = self.loss
         loss, factor = (attribute_values(features, key, values[key]) for key in ('loss', 'factor'))
         if roads:  # those with the same value count once
@@ -274,7 +274,8 @@ class _Joined:
                            for keys in (('loss', 'factor'), self.masks))
         effects = [f'change by {" and ".join(changes)}'] * bool(changes) + others
         shade = self.loss - before if changes else self._cover(features, roads)
-        self.layers.append(Layer(f'{name}: {", ".join(effects)}', shade, shown))
+        self.layers.append(Layer('roads' if roads else 'polygons',
+                                 f'{name}: {", ".join(effects)}', shade, shown))
 
     def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply incidents, with a remark if there are few."""
@@ -301,8 +302,8 @@ class _Joined:
                 'chance')
         added = _number('loss', values['loss']) * density / density.max()
         self.loss = self.loss + added
-        self.layers += [Layer(f'{name}: loss', added, features.geometry),
-                        Layer(f'{name}: number within {near:.0f} m', count)]
+        self.layers += [Layer('incidents', f'{name}: loss', added, features.geometry),
+                        Layer('incidents', f'{name}: number within {near:.0f} m', count)]
 
     def _sum(self, features: GeoDataFrame, values: FloatArray) -> FloatArray:
         """The sum (H, W) of the values (K,) of those shapes that contain a cell's centre."""

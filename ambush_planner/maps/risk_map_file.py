@@ -13,19 +13,17 @@ from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import FloatArray, arrays_in
+from ..arrays import arrays_in
 from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates
 from .elevation_file import read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions, agreed_crs
-from .risk_map import GRADES, GradedLosses, RiskMap, to_map_axes
+from .risk_map import GradedLosses, RiskMap, to_map_axes
 
 _UNKNOWN = 255  # in a GeoTIFF
 # Graded losses in an npz file, instead of ``alpha``.
 _GRADED = ('levels', 'grades')
-# Rows from one to the next of those that say first whether there are few different losses.
-_SAMPLED = 50
 
 
 def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> RiskMap:
@@ -68,7 +66,7 @@ def _read_grid(path: Path, options: OccupancyOptions) -> RiskMap:
 
 
 def _read_raster(path: Path) -> OccupancyMap:
-    raster = read_raster(path, 'risk')
+    raster = read_raster(path, is_risk=True)
     if not math.isclose(raster.row_step, raster.column_step, rel_tol=1e-5):
         step = min(raster.row_step, raster.column_step)
         raise InvalidRiskMap(
@@ -94,7 +92,7 @@ def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
     try:
         content = arrays_in(path, (*_GRADED, *(field.name for field in fields(RiskMap))))
         alpha: Any = (GradedLosses(*(content[name] for name in _GRADED)) if _GRADED[0] in content
-                      else _graded(content.pop('alpha')))
+                      else content.pop('alpha'))
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
         return RiskMap(alpha, content['obstacles'], float(content['resolution']),
                        (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs),
@@ -103,19 +101,6 @@ def _read_npz(path: Path | BytesIO, crs: str | None) -> RiskMap:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
     except (BadZipFile, EOFError, TypeError, ValueError) as error:
         raise InvalidRiskMap(f'{path}: {error}') from error
-
-
-def _graded(alpha: FloatArray) -> GradedLosses | FloatArray:
-    """The same losses (H, W) in grades, if these are few."""
-    levels = np.unique(alpha[::_SAMPLED])
-    if alpha.ndim != 2 or not 0 < len(levels) < GRADES or alpha.dtype != np.float64:
-        return alpha
-    grades = np.empty(alpha.shape, np.uint8)
-    for row, losses in zip(grades, alpha, strict=True):
-        row[:] = np.minimum(np.searchsorted(levels, losses), len(levels) - 1)
-        if not np.array_equal(levels[row], losses):
-            return alpha
-    return GradedLosses(levels, grades)
 
 
 def map_from_bytes(data: bytes) -> RiskMap:

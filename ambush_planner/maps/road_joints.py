@@ -23,8 +23,6 @@ NEAR_END, NEAR_VERTEX = 0.05, 0.002
 # Difference in height of roads that do not meet, and height of a level [m].
 CLEARANCE, STOREY = 2.0, 5.0
 METRES_PER_DEGREE = 111_320.0
-# Maximum number of connected parts with colours of their own in pictures.
-MAX_NAMED = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,9 @@ def cut_at_meetings(given: Segments, level: IndexArray) -> tuple[Segments, int]:
     """
     cut, place, at = _meetings(given, level)
     spots = at[np.unique(place)]
-    count, _ = _parts(cKDTree(spots).query_pairs(2.0 * NEAR_END, output_type='ndarray'), len(spots))
+    near = cKDTree(spots).query_pairs(2.0 * NEAR_END, output_type='ndarray')
+    count = connected_components(coo_matrix((np.ones(len(near)), tuple(near.T)), [len(spots)] * 2),
+                                 directed=False)[0] if len(spots) else 0
     # The places of each segment, in their order.
     number = np.arange(len(given.pairs))
     segment = np.concatenate((number, cut, number))
@@ -138,23 +138,3 @@ def _heights_at(given: Segments, segment: IndexArray, at: FloatArray) -> FloatAr
     share = ((at - a) * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1)
     low, high = given.heights[given.pairs[segment]].T
     return np.asarray(low + np.clip(share, 0.0, 1.0) * (high - low))
-
-
-def _parts(pairs: IndexArray, count: int) -> tuple[int, IndexArray]:
-    """The number of connected parts of ``count`` places that are joined in pairs, and theirs."""
-    joined = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), [count] * 2)
-    return connected_components(joined, directed=False) if count else (0, np.zeros(0, np.int64))
-
-
-def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
-    """The pieces of lines, and the length of the connected ``part`` that each belongs to."""
-    import geopandas
-    import shapely
-
-    given = segments_of(lines)
-    part = _parts(given.pairs, len(given.points))[1][given.pairs[:, 0]]
-    pieces = shapely.linestrings(given.points[given.pairs])
-    km = np.bincount(part, shapely.length(pieces)) / 1000.0
-    least = np.sort(km)[-MAX_NAMED:][0]
-    names = [f'{each:.4g} km' if each >= least else 'shorter' for each in km]
-    return geopandas.GeoDataFrame({'part': [names[k] for k in part]}, geometry=pieces)

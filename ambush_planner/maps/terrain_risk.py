@@ -10,9 +10,8 @@ Four factors, each 0..1, make an ambush in a cell costly:
   an attacker can come that close unseen.
 * slope: divided by ``slope_limit``: on steep terrain the vehicle is slow and longer under fire.
 
-The cell value is round(99 * risk), where risk is the weighted mean of the factors, multiplied by
-``road_factor`` on roads because the convoy drives fast there. Cells steeper than ``slope_limit``
-are obstacles (100) unless they contain a road; cells of unknown height are unknown (-1).
+The cell value is round(99 * risk), where risk is the weighted mean of the factors. Cells steeper
+than ``slope_limit`` are obstacles (100); cells of unknown height are unknown (-1).
 
 Off-road trucks climb slopes of about 0.60 on firm, even ground. The default limit is 30 % lower to
 allow for soil, load and steeper spots within a cell. The weights are a judgement, not a
@@ -23,15 +22,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from ..arrays import BoolArray, frozen_array
-from ..errors import InvalidOption
+from ..errors import InvalidOption, warn
 from ..option_checks import allowed, check_at_least, check_options
-from .elevation import Elevation, InvalidTerrain
-from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap
-from .relief import relative_depth, slope
+from .elevation import Elevation, elevation_from_raster
+from .elevation_file import read_raster
+from .occupancy import OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions
+from .relief import barriers, relative_depth, slope
+from .risk_map import RiskMap
 from .visibility import ViewOptions, viewshed
 
 FULL_DEPTH = 0.4
@@ -49,8 +51,6 @@ class TerrainOptions:
         Maximum drivable slope (rise/run).
     weights
         Weights of depth, exposure, approach and slope; only their ratio matters.
-    road_factor
-        Factor 0..1 on the risk of cells with a road.
 
     Raises InvalidOption if a number is out of range.
     """
@@ -58,7 +58,6 @@ class TerrainOptions:
     view: ViewOptions = field(default_factory=ViewOptions)
     slope_limit: float = allowed(0.42, low=1e-3)
     weights: tuple[float, float, float, float] = (0.4, 0.2, 0.2, 0.2)
-    road_factor: float = allowed(0.5, high=1.0)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -70,23 +69,14 @@ class TerrainOptions:
 
 
 def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
-                roads: BoolArray | None = None,
                 progress: Callable[[float], None] | None = None,
-                barriers: BoolArray | None = None) -> OccupancyMap:
-    """Compute the risk of terrain as values of a map; ``roads`` (H, W) marks cells with a road.
+                obstacles: BoolArray | None = None) -> OccupancyMap:
+    """Compute the risk of terrain as values of a map; ``obstacles`` (H, W) are further ones.
 
-    ``barriers`` (H, W) marks cells that are obstacles unless they have one. ``progress`` is called
-    with the completed share of the work.
-
-    Raises InvalidTerrain if the weapon range is shorter than a cell, or ``roads`` has another
-    shape.
+    ``progress`` is called with the completed share of the work. Raises InvalidTerrain if the
+    weapon range is shorter than a cell.
     """
     options = options or TerrainOptions()
-    shape = elevation.heights.shape
-    roads = np.zeros(shape, bool) if roads is None else np.asarray(roads, dtype=bool)
-    if roads.shape != shape:
-        raise InvalidTerrain(f'roads must have the shape of the elevation, {shape}, '
-                             f'got {roads.shape}')
     reach, steepness = options.view.weapon_range, slope(elevation)
     depth, views = relative_depth(elevation, reach), viewshed(elevation, options.view, progress)
     shares = (
@@ -96,13 +86,62 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     total = sum(options.weights)
     weighed = zip(options.weights, shares, strict=True)
     risk = sum(weight / total * share for weight, share in weighed)
-    risk = np.where(roads, options.road_factor, 1.0) * risk
     unknown = np.isnan(elevation.heights)
     values = np.where(unknown, UNKNOWN, np.rint(99.0 * np.where(unknown, 0.0, risk)))
     blocked = steepness > options.slope_limit
-    if barriers is not None:
-        blocked |= barriers
-    blocked &= ~roads & ~unknown
+    if obstacles is not None:
+        blocked |= obstacles
+    blocked &= ~unknown
     values = frozen_array(np.where(blocked, OBSTACLE, values), np.int8)
     origin = (*(elevation.corner or (0.0, 0.0)), 0.0)
     return OccupancyMap(values, elevation.resolution, origin, elevation.crs)
+
+
+def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
+                      weapon_range: float = 300.0, options: TerrainOptions | None = None,
+                      occupancy: OccupancyOptions | None = None) -> RiskMap:
+    """Make the risk map of an elevation model, as ``ambush risk`` does.
+
+    Parameters
+    ----------
+    file
+        A GeoTIFF (extra ``gis``) or an npz file.
+    resolution
+        Cell size [m]; None: the elevation model's.
+    weapon_range
+        Range of weapons [m]; ``options``, if given, has its own.
+    options
+        Conversion of terrain to risk.
+    occupancy
+        How risk 0..99 is converted to losses.
+
+    Returns
+    -------
+    RiskMap
+        With the coordinate system of the elevation model.
+
+    Raises
+    ------
+    InvalidTerrain, OSError
+        A file or an option cannot be used.
+
+    Examples
+    --------
+    >>> risk_map = risk_from_terrain('dem.tif', weapon_range=500.0)  # doctest: +SKIP
+    """
+    options = options or TerrainOptions(view=ViewOptions(weapon_range=weapon_range))
+    return terrain_of_file(file, options, resolution).risk_map(occupancy)
+
+
+def terrain_of_file(file: Path | str, options: TerrainOptions, resolution: float | None = None,
+                    crs: str | None = None,
+                    progress: Callable[[float], None] | None = None) -> OccupancyMap:
+    """Make the map of an elevation model, whose system is ``crs`` if the file has none."""
+    raster = read_raster(Path(file), crs=crs)
+    elevation = elevation_from_raster(raster, resolution or 0.0)
+    crossed = barriers(raster, elevation, options.slope_limit)
+    if share := float(np.mean(crossed & ~np.isnan(elevation.heights))):
+        warn(f'{file}: {100.0 * share:.2g} % of the cells of {elevation.resolution:g} m cannot be '
+             'crossed, because of narrower ground that is too steep or unknown in the cells of the '
+             'file; they are obstacles')
+    return terrain_map(elevation, options, progress, crossed)

@@ -16,7 +16,7 @@ from ambush_planner.figures import SECURED_AREA, SITES
 from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.game.strategy import Strategy, TripStrategy
-from ambush_planner.map_figures import HALO, OBSTACLE, WIDTH, risk_bar
+from ambush_planner.map_figures import HALO, LOSS, OBSTACLE, WIDTH
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
 
@@ -71,7 +71,7 @@ def routes_figure(risk_map: RiskMap, trip: TripStrategy, routes: Sequence[FloatA
             arrowprops={'arrowstyle': '-', 'relpos': (0.5, 0.0 if side == 'left' else 1.0),
                         'linewidth': 1.2},
         )
-    risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
+    figure.colorbar(risk, ax=[left, right], label=LOSS, location='bottom', shrink=0.5, aspect=40)
     figure.legend(handles=[SITES, SECURED_AREA, OBSTACLE], loc='outside lower center', ncols=2,
                   frameon=False)
     return figure
