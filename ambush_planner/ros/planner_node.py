@@ -29,7 +29,7 @@ from .compute_path import ACTIONS, ComputePath
 from .conversions import installed_type
 from .diagnostics import Reporter
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary, protect_services
+from .errors import ErrorBoundary, protect_services
 from .gate import ACTIVE, Gate
 from .inputs import Inputs
 from .listener import Listener
