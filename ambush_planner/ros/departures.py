@@ -169,14 +169,15 @@ class Departures:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
                 self._reporter.departed(departure)
-            diverted = ' diverted' if departure.diversion else ''
-            self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
             if under_way and trip.parameters.recording.required:  # in the recordings' thread
                 self._thread.submit(lambda: self.trips.add(under_way))
             elif under_way:
                 self.trips.add(under_way)
             took_ns = departure.call.response_ns - departure.call.request_ns
             answer.set_result(Answer(path, departure.remarks, took_ns, departure))
+            diverted = ' diverted' if departure.diversion else ''
+            # Last: to find out who logs takes rclpy longer than all of the above.
+            self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
 
         def settle(left: Future[None]) -> None:
             if self.leaving.get(trip.robot) is left:
