@@ -106,7 +106,6 @@ class PlannerNode(LifecycleNode):
                 serving = ComputePath(self, self._error_boundary, self._requests, self._settings,
                                       name, action)
                 self._at_end.callback(serving.server.destroy)
-        self._at_end.callback(self._settings.close)
         self._at_end.callback(self._wait_for_recordings)
         self._at_end.callback(lambda: self._at_cleanup.close())
         # A steady clock: diagnostics go on while simulated time is paused.
