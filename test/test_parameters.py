@@ -10,8 +10,7 @@ import yaml
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
-from test_roads import nav2_graph
-from waiting import answer_of, held, wait_until
+from waiting import answer_of
 
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
@@ -21,7 +20,6 @@ from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.parameters.table import PARAMETERS
 from ambush_planner.parameters.values import parameters_from
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
-from ambush_planner.ros import parameter_changes
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
@@ -86,7 +84,8 @@ def test_defaults_are_the_cores_own():
     *(({name: value}, 'read-only') for name, value in (
         ('seed', 7), ('path__publish', False), ('parameters__locked', True),
         ('recording__enabled', False), ('recording__directory', '/tmp'),
-        ('recording__compression', 'lz4'), ('recording__required', True))),
+        ('recording__compression', 'lz4'), ('recording__required', True),
+        ('network__graph', '/roads.gpkg'), ('network__two_way', True))),
 ])
 def test_bad_values_are_refused_with_the_reason(node, values, words):
     before = [node.get_parameter(name).value for name in PARAMETERS]
@@ -189,26 +188,13 @@ def test_contradicting_parameters_are_reported_and_requests_refused():
         assert 'contradict' not in client.diagnostics(departures='1')['message']
 
 
-def test_a_file_with_roads_is_read_while_the_node_goes_on(tmp_path):
-    file, pipe = tmp_path / 'graph.geojson', tmp_path / 'pipe'
-    file.write_text(nav2_graph([(0, 1), (1, 0), (1, 2), (2, 1), (0, 3), (3, 2)]))
-    os.mkfifo(pipe)
-    with stage() as running:
-        client, planner = running.give(start=(1.0, 1.0), goal=(9.0, 1.0)), running.planner
-        assert 'is not a regular file' in change(planner, network__graph=str(pipe)).reason
-        assert 'No such file' in change(planner, network__graph=str(tmp_path / 'none.gpkg')).reason
-        with held(parameter_changes, 'read_roads') as (reads, _):
-            answer = change(planner, network__graph=str(file), network__method='graph')
-            assert answer.successful and 'is being read' in answer.reason
-            wait_until(reads.is_set, 'the reading')
-            assert 'is being read' in client.call('new_route').message
-            client.last('/diagnostics', len(client.received['/diagnostics']) + 2)
-            client.diagnostics(code='INVALID_OPTION')
-        assert client.call_until('new_route', lambda answer: answer.success)
-        client.diagnostics(state='ready', code='NONE', departures='1')
-        file.write_text('no roads')
-        assert change(planner, network__node_crossings=True).successful
-        words = 'network.graph: '
-        wait_until(lambda: words in client.call('new_route').message, words)
-        assert change(planner, network__method='uniform_delaunay').successful
-        assert client.call('new_route').success
+def test_roads_that_cannot_be_read_stop_the_start_and_a_method_without_them_is_refused(
+        node, tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    (tmp_path / 'text.geojson').write_text('no roads')
+    for name, words in (('pipe', 'is not a regular file'), ('none.gpkg', 'No such file'),
+                        ('text.geojson', 'network.graph: ')):
+        with pytest.raises(InvalidOption, match=words):
+            start(network__graph=str(tmp_path / name), network__method='graph')
+    answer = change(node, network__method='graph')
+    assert not answer.successful and 'must name a file with roads' in answer.reason

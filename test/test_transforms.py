@@ -18,7 +18,7 @@ from waiting import wait_until
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
-from ambush_planner.ros.error_codes import FrameMismatch
+from ambush_planner.ros.errors import FrameMismatch
 from ambush_planner.ros.listener import Listener
 from ambush_planner.ros.topics import TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms

@@ -12,6 +12,7 @@ from typing import Any
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
+from ..maps.road_file import ROAD_OPTIONS
 from ..network.construction import NetworkOptions
 from ..option_checks import MAX_LENGTH
 from ..planning.options import DriveOptions
@@ -52,7 +53,8 @@ def _declared(name: str, described: str | Declaration) -> Declaration:
     allowed = field.metadata['allowed']
     default: Any = allowed.automatic if field.default is None else field.default
     low = allowed.low if isinstance(default, str) else min(allowed.low, default)
-    return Declaration(default, described, low, allowed.high, allowed.choices)
+    return Declaration(default, described, low, allowed.high, allowed.choices,
+                       option in ('graph', *ROAD_OPTIONS))
 
 
 # The options of a plan only have a description here.

@@ -9,11 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
 from pathlib import Path
-from stat import S_ISDIR, S_ISREG
 from types import MappingProxyType
 from typing import Any
-
-import numpy as np
 
 from ..errors import InvalidCoordinates, InvalidOption
 from ..game.game import GameOptions
@@ -21,7 +18,7 @@ from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.coordinates import Coordinates
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import MAX_LOSS
-from ..maps.road_file import ROAD_OPTIONS, RoadGraph
+from ..maps.road_file import ROAD_OPTIONS, RoadGraph, read_roads
 from ..maps.vector_file import file_and_layer
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
@@ -33,10 +30,8 @@ COSTMAP_OBSTACLE = 99
 _PLAIN_NODES = 1000
 # Parameters in which it differs from what is asked for.
 OF_PLAIN_NETWORK = ('network.refine', 'network.target_nodes')
-# Maximum size of a file with roads: to read its text holds up everything else in Python [bytes].
-_MAX_ROADS = 100_000_000
-# Stands for any file with roads.
-_SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
+
+
 @dataclass(frozen=True)
 class RecordingOptions:
     """Directory, compression and obligation of the recordings of departures.
@@ -115,44 +110,34 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
     )
 
 
-def roads_named(values: Mapping[str, Any]) -> tuple[Any, ...] | None:
-    """Return what ``read_roads`` takes if values name a file with roads to plan on, else None."""
-    graph = values['network.graph'] if values['network.method'] == 'graph' else ''
-    return (graph, *(values[f'network.{name}'] for name in ROAD_OPTIONS)) if graph else None
+def roads_named(values: Mapping[str, Any]) -> RoadGraph | None:
+    """Read the roads of network.graph, if it names a file; raises InvalidOption."""
+    if not (graph := values['network.graph']):
+        return None
+    path, _ = file_and_layer(graph)
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would never end
+        raise InvalidOption(f'network.graph: {path} is not a regular file')
+    try:
+        return read_roads(graph, **{name: values[f'network.{name}'] for name in ROAD_OPTIONS})
+    except InvalidOption as error:
+        raise InvalidOption(f'network.{error}') from error
 
 
-def check_possible(changes: Mapping[str, Any]) -> None:
+def check_possible(changes: Mapping[str, Any], roads: RoadGraph | None) -> None:
     """Raise InvalidOption if changes contradict all values that other parameters may have."""
     others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'network.graph': 'any',
-               'game.ambush_radius': 1.0}
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'game.ambush_radius': 1.0}
     for solver in reversed(SOLVERS):  # the reason given is that of the first solver
-        values = {**others, 'strategy.solver': solver, **changes}
         try:
-            parameters_from(values, _SOME_ROADS if values['network.graph'] else None)
+            parameters_from({**others, 'strategy.solver': solver, **changes}, roads)
             return
         except InvalidOption as error:
             refused = error
     raise refused
 
 
-def check_named(values: Mapping[str, Any]) -> None:
-    """Check what values name, a file and a coordinate system; the file is not read.
-
-    Raises InvalidOption if ``network.graph`` is not there, no file, such as a pipe that would never
-    end, or too large; or if ``map.crs`` is unknown to pyproj, if that is installed.
-    """
-    if graph := values.get('network.graph'):
-        path, _ = file_and_layer(graph)
-        try:
-            found = path.stat()
-        except (OSError, ValueError) as error:
-            raise InvalidOption(f'network.graph: {error}') from error
-        if not (S_ISREG(found.st_mode) or S_ISDIR(found.st_mode)):
-            raise InvalidOption(f'network.graph: {path} is not a regular file')
-        if found.st_size > _MAX_ROADS:
-            raise InvalidOption(f'network.graph: {path} has {found.st_size / 1e6:.0f} MB, at most '
-                                f'{_MAX_ROADS / 1e6:.0f} are read; cut it to the area of the map')
+def check_crs(values: Mapping[str, Any]) -> None:
+    """Raise InvalidOption if ``map.crs`` is unknown to pyproj, if that is installed."""
     if (crs := values.get('map.crs')) and find_spec('pyproj'):
         try:
             Coordinates(crs)

@@ -11,6 +11,7 @@ import os
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 
 TEMPORARY = '.tmp'
@@ -46,9 +47,9 @@ def write_all_durably(files: Mapping[Path, bytes]) -> None:
 
 def make_private_folders(path: Path) -> None:
     """Make the folder ``path`` and the missing ones above it, with mode 0700 or 2770."""
-    for folder in reversed([path, *path.parents]):
-        if not folder.is_dir():
-            make_private_folder(folder, exist_ok=True)  # another process may make it meanwhile
+    missing = takewhile(lambda folder: not folder.is_dir(), (path, *path.parents))
+    for folder in reversed([*missing]):
+        make_private_folder(folder, exist_ok=True)  # another process may make it meanwhile
 
 
 def make_private_folder(path: Path, exist_ok: bool = False) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -24,6 +25,8 @@ from .schemas import definitions
 if TYPE_CHECKING:
     from mcap.records import McapRecord
 
+# Size of the CRC of the summary, and of what ends a file [bytes].
+_END = 4 + 8
 # The format before, in which a trip was one network, and a route one list of its nodes.
 _BEFORE = '10'
 # Parameters that it did not have; the defaults are what it did.
@@ -64,8 +67,10 @@ def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFil
     try:
         stream = BytesIO(data)
         packed = list(StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
-        if stream.read(1):
-            raise ValueError('bytes follow the end, where other readers begin')
+        footer: Any = packed[-1]
+        # Other readers begin with the summary, whose CRC the library does not check.
+        if stream.read(1) or footer.summary_crc != zlib.crc32(data[footer.summary_start:-_END]):
+            raise ValueError('the end differs')
         # The summary repeats schemas and channels.
         packed = list(takewhile(lambda each: not isinstance(each, DataEnd), packed))
         if not with_messages:

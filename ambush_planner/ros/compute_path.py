@@ -14,8 +14,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from .departure_record import Answer
-from .error_boundary import ErrorBoundary
-from .error_codes import FrameMismatch, Refusal, code_of
+from .errors import ErrorBoundary, FrameMismatch, Refusal, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .requests import Requests

@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 
 from ..arrays import FloatArray
 from ..recordings import cdr
-from .error_codes import Refusal
+from .errors import Refusal
 
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:

@@ -20,7 +20,6 @@ from ..planning.plan import Route
 from ..planning.trip_under_way import TripUnderWay, trip_on
 from ..recordings.metadata import Diversion, RecordedCall, numbers_of
 from ..routes.driven_path import Ends, tight_turns
-from .conversions import SentPath
 from .departure_record import Answer, Departure
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
@@ -94,13 +93,12 @@ class Departures:
         remarks = (f'the path joins the routes of an earlier start: value '
                    f'{fit.assessment.value:.4g}, from there {fit.cached.plan.value:.4g}'
                    ) if fit.joined else ''
-        path, driven = self._driven(fit.trip, fit.cached, pending, source, route, rows, fit.ends)
-        departure = Departure(
-            id=str(uuid4()), number=self._count, held=fit.cached, joined=fit.joined is not None,
-            markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks, **driven)
         track = (trip_on(fit.cached.plan, route, rows, fit.trip.destination)
                  if fit.trip.robot else None)
-        left = self._set_out(track, departure, path, route, pending)
+        left = self._depart(
+            pending, fit.trip, fit.cached, source, rows, route, route, fit.ends, track,
+            id=str(uuid4()), number=self._count, joined=fit.joined is not None,
+            markers=self._displayed.markers, assessment=fit.assessment, remarks=remarks)
         if left.done() and left.exception():
             self._count -= 1  # it has not left, so the next one has its number
         return True
@@ -120,71 +118,67 @@ class Departures:
             return False
         if not pending.is_wanted():
             return True
-        path, driven = self._driven(trip, held, pending, source, drawn.route, drawn.poses, ends)
-        departure = Departure(
-            id=under_way.id, number=under_way.number, held=held, joined=False, markers=(),
+        self._depart(
+            pending, trip, held, source, drawn.poses, drawn.route,
+            whole_route(under_way.route, drawn.route), ends,
+            trip_on(held.plan, drawn.route, drawn.poses, track.destination, track.passed),
+            id=under_way.id, number=under_way.number, joined=False, markers=(),
             assessment=under_way.assessment,
             diversion=Diversion(number, numbers_of(under_way.route), tuple(ahead.tolist())),
             remarks=f'departure {under_way.number} diverted: its path is no longer clear, and '
-                    'another route of its plan is', **driven)
-        self._set_out(
-            trip_on(held.plan, drawn.route, drawn.poses, track.destination, track.passed),
-            departure, path, whole_route(under_way.route, drawn.route), pending)
+                    'another route of its plan is')
         return True
 
-    def _driven(self, trip: Trip, held: CachedPlan, pending: Pending, source: list[int],
-                route: Route, rows: FloatArray, ends: Ends) -> tuple[SentPath, dict[str, Any]]:
-        """Return a path, and the fields of its departure that say what is driven, for whom."""
-        # The times of a departure ascend, even if the clock is set back.
-        leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
-        path = trip.path(rows, leaving)
-        # It is recorded on its topic, or under the service that returns it.
-        topic = '' if trip.parameters.values['path.publish'] else f'{pending.call.service}/path'
-        return path, {
-            'call': replace(pending.call, response_ns=leaving), 'trip': trip, 'ends': ends,
-            'entropy_source': source, 'route': route,
-            'published': self._publishers.as_recorded('path', path.data, topic),
-            'tight_turns': tight_turns(rows, held.plan.options.drive.turning_radius),
-        }
-
-    def _set_out(self, track: TripUnderWay | None, departure: Departure, path: SentPath,
-                 route: Route, pending: Pending) -> Future[None]:
+    def _depart(self, pending: Pending, trip: Trip, held: CachedPlan, source: list[int],
+                rows: FloatArray, route: Route, whole: Route, ends: Ends,
+                track: TripUnderWay | None, **said: Any) -> Future[None]:
         """Publish a departure, at once or when it is recorded; it is under way from then on.
 
-        Only a robot has a ``track``. Returns the future of its leaving.
+        It is driven along ``rows`` (L, 3); a diversion's ``route`` is the rest of the ``whole``
+        one. Only a robot has a ``track``; what is ``said`` are the other fields of the departure.
+        Returns the future of its leaving.
         """
-        departure = self._reporter.departing(departure)
-        trip, answer = departure.trip, pending.answer
+        # The times of a departure ascend, even if the clock is set back.
+        leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
+        path, publishes = trip.path(rows, leaving), trip.parameters.values['path.publish']
+        # It is recorded on its topic, or under the service that returns it.
+        topic = '' if publishes else f'{pending.call.service}/path'
+        departure = self._reporter.departing(Departure(
+            call=replace(pending.call, response_ns=leaving), trip=trip, held=held, ends=ends,
+            entropy_source=source, route=route,
+            published=self._publishers.as_recorded('path', path.data, topic),
+            tight_turns=tight_turns(rows, held.plan.options.drive.turning_radius), **said))
         diversions = departure.diversion.number if departure.diversion else 0
         under_way = None if track is None else RobotTrip(
             track, replace(pending.trip_request, parameters=trip.parameters), departure.id,
-            departure.number, diversions, departure.assessment, ref(departure.held), route,
+            departure.number, diversions, departure.assessment, ref(held), whole,
             (self.trips.now(), trip.stamp))
 
         def leave() -> None:
             with self._gate.leaving:
                 self._gate.check()
                 self._check_clear(trip, path.poses)
-                if trip.parameters.values['path.publish']:
+                if publishes:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
                 self._reporter.departed(departure)
-            diverted = ' diverted' if departure.diversion else ''
-            self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
             if under_way and trip.parameters.recording.required:  # in the recordings' thread
                 self._thread.submit(lambda: self.trips.add(under_way))
             elif under_way:
                 self.trips.add(under_way)
             took_ns = departure.call.response_ns - departure.call.request_ns
-            answer.set_result(Answer(path, departure.remarks, took_ns, departure))
+            pending.answer.set_result(Answer(path, departure.remarks, took_ns, departure))
+            diverted = ' diverted' if departure.diversion else ''
+            # Last: to find out who logs takes rclpy longer than all of the above.
+            self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
 
         def settle(left: Future[None]) -> None:
             if self.leaving.get(trip.robot) is left:
                 del self.leaving[trip.robot]
             if isinstance(error := left.exception(), OutOfDate):
-                self._thread.submit(lambda: self._retry(pending), answer)
+                self._thread.submit(lambda: self._retry(pending), pending.answer)
             elif error:
-                answer.set_exception(error)
+                pending.answer.set_exception(error)
 
         left = self._recordings.publish(departure, leave)
         if trip.robot:

@@ -18,7 +18,7 @@ from ..planning.concerns import concerns, plan_numbers
 from ..planning.plan import Plan
 from ..worker.solve_errors import SolveCancelled
 from .departure_record import Departure
-from .error_codes import OK_CODE, code_of
+from .errors import OK_CODE, code_of
 from .gate import ACTIVE
 from .topics import Publishers
 

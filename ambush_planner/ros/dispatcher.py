@@ -26,7 +26,7 @@ from .departure_record import Answer
 from .departures import Departures, Pending
 from .diagnostics import Reporter
 from .displayed_plan import DisplayedPlan
-from .error_codes import Refusal
+from .errors import Refusal
 from .gate import Gate
 from .inputs import Inputs
 from .parameter_changes import NodeSettings

@@ -7,7 +7,7 @@ from threading import RLock
 
 from ..errors import AmbushPlannerError
 from ..worker.solve_errors import shutting_down
-from .error_codes import Refusal
+from .errors import Refusal
 
 ACTIVE = 'active'
 # Why requests are refused in the other states.

@@ -18,7 +18,7 @@ from ..errors import AmbushPlannerError, InvalidPose, InvalidRiskMap
 from ..maps.ros_messages import pose_from_ros, position_from_ros
 from .conversions import message_from, pose_to_ros
 from .current_map import CurrentMap, map_from
-from .error_codes import FrameMismatch, Refusal
+from .errors import FrameMismatch, Refusal
 from .parameter_changes import NodeSettings
 from .transforms import FrameTransforms
 from .trip import Trip, TripRequest

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from threading import RLock, Thread
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -19,24 +18,20 @@ from rclpy.parameter import Parameter
 
 from ..errors import InvalidOption, telling_warnings
 from ..gone import check_none_gone
-from ..maps.road_file import ROAD_OPTIONS, read_roads
 from ..parameters.table import PARAMETERS, Declaration
 from ..parameters.values import (
     NodeParameters,
-    check_named,
+    check_crs,
     check_possible,
     parameters_from,
     roads_named,
 )
 from ..recordings.plan_file import SavedPlan
-from ..worker.solve_errors import known
 from .gate import Gate
 from .plan_from_file import planned_parameters, read_plan_for_node
 
 # Maximum of a whole number in ROS.
 _MAX_INT64 = 2**63 - 1
-# Parameters whose change has the roads read again.
-_OF_ROADS = ('network.method', 'network.graph', *(f'network.{name}' for name in ROAD_OPTIONS))
 
 
 class NodeSettings:
@@ -45,9 +40,8 @@ class NodeSettings:
     The changes of one request must be possible for some values of the other parameters. They may
     contradict the present values, for instance while ``ros2 param load`` sets one parameter after
     the other; then ``current`` keeps the last values that agreed, and ``contradiction`` is the
-    reason, with which ``changed`` is called after each change. The same while a file with roads is
-    being read, which takes a thread of its own. With ``parameters.locked`` changes are refused
-    while the ``gate`` is open.
+    reason, with which ``changed`` is called after each change. A file with roads is read now. With
+    ``parameters.locked`` changes are refused while the ``gate`` is open.
 
     ``saved`` is the plan that the node starts from, if it is given one; its options are set first.
 
@@ -57,21 +51,18 @@ class NodeSettings:
 
     def __init__(self, node: Node, gate: Gate, changed: Callable[[str], None]) -> None:
         self._node, self._gate, self._changed = node, gate, changed
-        self._warning = node.get_logger().warning
         node.declare_parameters(
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
         )
         _check_unknown(node)
         self.saved = _saved_plan(node)
         values = self._values()
-        check_named(values)
-        roads = self.saved.plan.options.network.roads if self.saved else None
-        with telling_warnings(self._warning):
-            self.current = parameters_from(values, roads)
+        check_crs(values)
+        with telling_warnings(node.get_logger().warning):
+            self._roads = (self.saved.plan.options.network.roads if self.saved else
+                           roads_named(values))
+            self.current = parameters_from(values, self._roads)
         self.contradiction = ''
-        # The roads in use, what they were or are read from, and why there are none.
-        self._roads, self._read_from = self.current.planning.network.roads, roads_named(values)
-        self._fault, self._lock = '', RLock()
         node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._update)
@@ -81,11 +72,6 @@ class NodeSettings:
         if self.contradiction:
             raise InvalidOption(self.contradiction)
         return self.current
-
-    def close(self) -> None:
-        """Report no more changes: roads may still be being read when the node ends."""
-        with self._lock:
-            self._changed = lambda _: None
 
     def _values(self) -> dict[str, Any]:
         planned = self.saved.parameters.values if self.saved else {}  # also what is no parameter
@@ -101,48 +87,21 @@ class NodeSettings:
                     'active: parameters.locked is true')
         ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
         try:
-            check_named(ours)
-            check_possible(ours)
+            check_crs(ours)
+            check_possible(ours, self._roads)
         except InvalidOption as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _update(self, changes: list[Parameter]) -> None:
-        """Use the values, or have the roads read that they name."""
-        named = roads_named(self._values())
-        if named and (named != self._read_from or any(each.name in _OF_ROADS for each in changes)):
-            with self._lock:
-                self._roads, self._read_from = None, named
-                self._fault = f'network.graph {named[0]} is being read'
-            Thread(target=self._read_roads, args=named, name='roads', daemon=True).start()
-        self._use()
-
-    def _read_roads(self, *named: Any) -> None:
-        """Read roads, and use them unless others are named by then."""
-        roads, fault = None, ''
-        try:
-            with telling_warnings(self._warning):
-                file, *how = named
-                roads = read_roads(file, **dict(zip(ROAD_OPTIONS, how, strict=True)))
-        except Exception as error:
-            fault = f'network.{known(error)}'
-        with self._lock:
-            if named == self._read_from:
-                self._roads, self._fault = roads, fault
-        self._use()
-
-    def _use(self) -> None:
+    def _update(self, _: list[Parameter]) -> None:
         """Make the present values the current ones if they agree."""
-        with self._lock:
-            values = self._values()
-            fault = self._fault if roads_named(values) else ''
-            try:
-                if not fault:
-                    self.current = parameters_from(values, self._roads)
-            except InvalidOption as error:
-                fault = f'parameters contradict each other: {error}'
-            self.contradiction = f'requests are refused: {fault}' if fault else ''
-            self._changed(self.contradiction)
+        self.contradiction = ''
+        try:
+            self.current = parameters_from(self._values(), self._roads)
+        except InvalidOption as error:
+            self.contradiction = ('requests are refused: parameters contradict each other: '
+                                  f'{error}')
+        self._changed(self.contradiction)
 
 
 def _saved_plan(node: Node) -> SavedPlan | None:

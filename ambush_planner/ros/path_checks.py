@@ -13,8 +13,7 @@ from ..errors import InvalidPose
 from ..maps.ros_messages import path_from_ros
 from ..planning.clear_ground import WAY_OUT, ClearGround
 from .conversions import installed_type
-from .error_boundary import ErrorBoundary
-from .error_codes import FrameMismatch
+from .errors import ErrorBoundary, FrameMismatch
 from .inputs import Inputs
 from .listener import Listener
 from .parameter_changes import NodeSettings

@@ -48,7 +48,8 @@ def read_plan_for_node(path: str) -> SavedPlan:
 def planned_parameters(saved: SavedPlan) -> dict[str, Any]:
     """The parameters that a plan sets, by name."""
     return {name: value for name, value in saved.parameters.values.items()
-            if name in PARAMETERS and (is_planned(name) or name == 'map.preset')}
+            if name in PARAMETERS and not PARAMETERS[name].fixed
+            and (is_planned(name) or name == 'map.preset')}
 
 
 def inputs_of(saved: SavedPlan, parameters: NodeParameters,

@@ -29,7 +29,7 @@ from .compute_path import ACTIONS, ComputePath
 from .conversions import installed_type
 from .diagnostics import Reporter
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary, protect_services
+from .errors import ErrorBoundary, protect_services
 from .gate import ACTIVE, Gate
 from .inputs import Inputs
 from .listener import Listener
@@ -106,7 +106,6 @@ class PlannerNode(LifecycleNode):
                 serving = ComputePath(self, self._error_boundary, self._requests, self._settings,
                                       name, action)
                 self._at_end.callback(serving.server.destroy)
-        self._at_end.callback(self._settings.close)
         self._at_end.callback(self._wait_for_recordings)
         self._at_end.callback(lambda: self._at_cleanup.close())
         # A steady clock: diagnostics go on while simulated time is paused.

@@ -23,7 +23,7 @@ from ..recordings.metadata import RecordedCall
 from .conversions import fields_of
 from .departure_record import Answer
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary, send_until_known
+from .errors import ErrorBoundary, send_until_known
 from .serial_executor import started
 from .topics import REQUESTS
 from .trip import TripRequest

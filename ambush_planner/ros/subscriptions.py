@@ -18,11 +18,9 @@ from rclpy.subscription import Subscription
 
 from ..maps.occupancy import NO_RISK, carries_risk
 from .conversions import installed_type, message_from
-from .current_map import CurrentMap
 from .diagnostics import Reporter
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary
-from .error_codes import FrameMismatch, Refusal
+from .errors import ErrorBoundary, FrameMismatch, Refusal
 from .inputs import MAX_STOPS, Arrived, Inputs
 from .listener import Listener
 from .parameter_changes import NodeSettings
@@ -128,6 +126,7 @@ class Subscriptions:
                          read: Callable[[Any], Any] = lambda message: message) -> None:
         """Subscribe to serialised poses: unreadable bytes would end the executor."""
         name = self._node.resolve_topic_name(topic)
+        self._topics[name] = LATEST
 
         def accept(data: Any) -> None:
             if len(data) > _MAX_POSES_SIZE:  # rclpy would take seconds for each megabyte
@@ -135,7 +134,6 @@ class Subscriptions:
                               f'{MAX_STOPS} poses are allowed')
             setattr(self._inputs, role, read(message_from(data, kind, name)))
 
-        self._topics[name] = LATEST
         def receive(data: Any) -> None:
             self._error_boundary.attempt(name, 'request', lambda: accept(data))
 
@@ -148,25 +146,20 @@ class Subscriptions:
             self._use_maps()
 
     def _use_maps(self) -> None:
+        """Join the maps, and warn while they carry no risk."""
         before, new = self._inputs.map, self._inputs.join_maps()
         self._reporter.note('join', None)
-        if new is not None:
-            self._look_for_risk(new)
-            if new is not before:
-                self._announce(new, before)
-                self._dispatcher.map_changed()
-
-    def _look_for_risk(self, new: CurrentMap) -> None:
-        """Warn while a map without risk is used."""
+        if new is None:
+            return
         judged = new, self._settings.current.occupancy
         if judged != self._judged:
             self._judged = judged
             self._reporter.note('risk', '' if carries_risk(new.values, judged[1]) else NO_RISK)
-
-    def _announce(self, new: CurrentMap, before: CurrentMap | None) -> None:
-        """Log a map of another size, place or frame: costmaps come every second."""
-        if before is None or not new.same_ground(before):
+        if new is before:
+            return
+        if before is None or not new.same_ground(before):  # costmaps come every second
             height, width = new.values.shape
             self._node.get_logger().info(
                 f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
                 f'{new.frame[:80]!r}')
+        self._dispatcher.map_changed()

@@ -24,7 +24,7 @@ from ..maps.tf_buffer import (
     rigid_motion,
 )
 from .conversions import installed_type
-from .error_codes import FrameMismatch
+from .errors import FrameMismatch
 from .listener import Listener
 from .topics import TF, TF_STATIC
 
