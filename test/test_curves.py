@@ -33,7 +33,7 @@ from ambush_planner.game.value.potential import Potential
 def proof(game, detour):
     """The ambusher whom the LP in potentials finds, the budget, and the LP's bound."""
     budget = length_budget(game, detour)
-    lp = Potential(Legs((game,), (budget,)), [make_faces(game)], 1e-3)
+    lp = Potential(Legs((game,), (budget,)), make_faces(game), 1e-3)
     lp.solve(math.inf)
     ambusher = lp.ambush.ambusher(game, np.ones(len(game.sites), dtype=bool))
     return ambusher, budget, lp.bound

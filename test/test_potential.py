@@ -22,7 +22,7 @@ from games import (
     terrain_network,
     value_by_routes,
 )
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_routes import legs_on, worst_loss
 from test_trip import roads_of
@@ -34,6 +34,7 @@ from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.legs import Legs
+from ambush_planner.game.value.entries import Entries
 from ambush_planner.game.value.face_flows import FaceFlows
 from ambush_planner.game.value.potential import POTENTIAL, Potential
 from ambush_planner.game.value.routes import Routes
@@ -44,8 +45,8 @@ def one_leg(game, detour=np.inf) -> Legs:
 
 
 def lp_of(legs, gap=1e-3) -> Potential:
-    """The LP of a trip's legs, solved."""
-    lp = Potential(legs, [make_faces(game) for game in legs.games], gap)
+    """The LP of a leg, solved."""
+    lp = Potential(legs, make_faces(legs.games[0]), gap)
     lp.solve(math.inf)
     return lp
 
@@ -83,18 +84,22 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     once, (later, q) = lp_of(one_leg(game, detour)), lp_in_parts(game, detour, parts)
     assert later.bound == pytest.approx(once.bound, rel=POTENTIAL.precision)
     assert len(later.q) == len(game.sites)
-    ambusher = Ambusher(at_nodes(game, q), tuple(later.prices))
+    ambusher = Ambusher(at_nodes(game, q), (later.price,))
     proved = lower_bounds(one_leg(game, detour), ambusher)
     assert proved == pytest.approx(later.bound, rel=1e-6)
 
 
 @examples(30)
-@given(st.integers(0, 10**6), st.integers(0, 2), st.sampled_from([0.0, 1.0, 2.5]),
+@given(st.integers(0, 10**6), st.sampled_from([(0, 0.0), (0, 1.0), (0, 2.5), (1, 0.0), (2, 0.0)]),
        st.sampled_from([1.0, 1.05, 1.3, math.inf]))
-def test_potentials_of_legs_have_the_value_of_their_routes(seed, stops, reach, detour):
+def test_potentials_and_entries_of_legs_have_the_value_of_routes(seed, stops_and_reach, detour):
     """And the judge reproduces the bound from the circulations, or from q alone."""
+    stops, reach = stops_and_reach
+    assume(stops or detour > 1.0)  # a mixture of potentials keeps a budget up to rounding
     legs = legs_on(roads_of(seed, stops, 6), reach, detour)
-    lp, routes = lp_of(legs), Routes(legs, 1e-3)
+    routes = Routes(legs, 1e-3)
+    lp = Entries(legs, 1e-4) if stops else Potential(legs, make_faces(legs.games[0]), 1e-3)
+    lp.solve(math.inf)
     routes.solve(math.inf)
     assert lp.value >= routes.bound * (1.0 - 1e-6) and lp.bound <= routes.value * (1.0 + 1e-6)
     assert lp.bound >= lp.value * (1.0 - 1.1e-3) - 1e-9
@@ -143,7 +148,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
-    lp = Potential(one_leg(game, 1.2), [make_faces(game)], 1e-3)
+    lp = Potential(one_leg(game, 1.2), make_faces(game), 1e-3)
     with pytest.raises(TimeLimit, match='before the LP in potentials'):
         lp.solve(time.monotonic() - 1.0)
     assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))

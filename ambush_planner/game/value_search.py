@@ -15,17 +15,17 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray
 from .ambusher import Ambush
 from .distribution.chain import MarkovChain, chain_of_legs
-from .faces import Faces, make_faces
+from .faces import make_faces
 from .hits import Law
-from .legs import Legs
-from .search import Search, SearchProblem
+from .search import Program, Search, SearchProblem
 from .tolerance import ROUNDS, ceiling
 from .value.cut import solve_by_min_cut
+from .value.entries import Entries
 from .value.potential import Potential
 from .value.routes import ROUTES, Routes
 
-# Optimality gaps of a program in potentials, and of one over routes [tolerances].
-POTENTIAL_GAP, ROUTES_GAP = 0.1, 0.3
+# Optimality gaps of programs in potentials, over routes, and over entries [tolerances].
+POTENTIAL_GAP, ROUTES_GAP, ENTRIES_GAP = 0.1, 0.3, 0.1
 # The gap of one in potentials that only says where a network is to be refined [tolerances].
 ROUGH_GAP = 0.5
 # How often sites join before the distribution is sought; more often while the value is 0. In the
@@ -38,13 +38,21 @@ def find_value(problem: SearchProblem, rough: bool = False) -> Search:
 
     A ``rough`` search is less precise, until it is finished (``tighten``).
     """
-    tolerance, legs = problem.search_tolerance, problem.legs
-    faces, gap = planar_faces(legs), ROUGH_GAP if rough else POTENTIAL_GAP
-    program = (Potential(legs, faces, gap * tolerance, problem.first_value)
-               if faces else Routes(legs, ROUTES_GAP * tolerance))
-    search = Search(problem, program)
+    search = Search(problem, _program(problem, ROUGH_GAP if rough else POTENTIAL_GAP))
     find_sites(search)
     return search
+
+
+def _program(problem: SearchProblem, gap: float) -> Program:
+    """The program for the value; one in potentials ends at a relative ``gap`` [tolerances]."""
+    legs, tolerance = problem.legs, problem.search_tolerance
+    if len(legs.games) > 1 and legs.no_reentry:
+        return Entries(legs, ENTRIES_GAP * tolerance)
+    if len(legs.games) == 1:
+        faces = make_faces(legs.games[0])
+        if faces and faces.same_both_ways(legs.budgets[0].cost):
+            return Potential(legs, faces, gap * tolerance, problem.first_value)
+    return Routes(legs, ROUTES_GAP * tolerance)
 
 
 def find_value_by_max_flow(problem: SearchProblem) -> Search | None:
@@ -85,17 +93,6 @@ def tighten(search: Search) -> None:
     if isinstance(search.program, Potential):
         search.program.tighten(POTENTIAL_GAP * search.tolerance)
         search.solve_program()
-
-
-def planar_faces(legs: Legs) -> list[Faces]:
-    """The faces of all legs; empty if a network is not planar, or costs differ by direction."""
-    found = []
-    for game, budget in zip(legs.games, legs.budgets, strict=True):
-        faces = make_faces(game)
-        if faces is None or not faces.same_both_ways(budget.cost):
-            return []
-        found.append(faces)
-    return found
 
 
 def find_sites(search: Search, sweeps: int = SWEEPS) -> None:

@@ -3,10 +3,9 @@
 
     minimise cost' x   subject to   A x = 0,   low <= x <= high
 
-Column e of A takes x_e from the node tail_e and brings it to the node head_e. Nodes of one *share*
-may together pass half of what enters and leaves them at most as often as the share's own column
-allows, which has a cost of its own. The model stays in HiGHS' memory: columns that join at 0 and
-costs that change keep the basis feasible, so the primal simplex method goes on from it.
+Column e of A takes x_e from the node tail_e and brings it to the node head_e. The model stays in
+HiGHS' memory: columns that join at 0 and costs that change keep the basis feasible, so the primal
+simplex method goes on from it.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _OPTIONS: dict[str, Any] = {
 
 
 class FlowSolution(NamedTuple):
-    """x (columns,), the potential (rows,) of nodes and rows of shares, and the cost."""
+    """x (columns,), the potential (nodes,), and the cost."""
 
     x: FloatArray
     potential: FloatArray
@@ -81,11 +80,11 @@ class FaceFlows:
 
     def add_nodes(self, count: int) -> IndexArray:
         """Add nodes, in balance; return their numbers."""
-        return self._add_rows(count, 0.0)
-
-    def add_shares(self, count: int) -> IndexArray:
-        """Add rows of shares; return their numbers."""
-        return self._add_rows(count, -self._highs.kHighsInf)
+        none = np.zeros(0)
+        self._model.addRows(count, np.zeros(count), np.zeros(count), 0, np.zeros(count, np.int32),
+                            none.astype(np.int32), none)
+        self._rows += count
+        return np.arange(self._rows - count, self._rows)
 
     def release(self, node: int) -> None:
         """Let a node be out of balance: the others of its graph then say all."""
@@ -94,18 +93,12 @@ class FaceFlows:
 
     def add_columns(self, rows: IndexArray, entries: FloatArray, cost: FloatArray, low: FloatArray,
                     high: FloatArray) -> IndexArray:
-        """Add columns with ``entries`` (K, R) in ``rows`` (K, R), -1: none. Return numbers."""
-        used, count = rows >= 0, len(rows)
-        starts = np.cumsum(used.sum(axis=1)) - used.sum(axis=1)
-        self._model.addCols(count, cost, low, high, int(used.sum()), starts.astype(np.int32),
-                            rows[used].astype(np.int32), entries[used].astype(np.float64))
+        """Add columns with ``entries`` (K, 2) in ``rows`` (K, 2). Return their numbers."""
+        count = len(rows)
+        self._model.addCols(count, cost, low, high, rows.size, 2 * np.arange(count, dtype=np.int32),
+                            rows.ravel().astype(np.int32), entries.ravel())
         self._columns += count
         return np.arange(self._columns - count, self._columns)
-
-    def set_entries(self, rows: IndexArray, columns: IndexArray, entry: float) -> None:
-        """Set entries (K,) of columns that have none in these rows."""
-        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-            self._model.changeCoeff(row, column, entry)
 
     def start_at(self, limit: IndexArray) -> None:
         """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
@@ -123,10 +116,6 @@ class FaceFlows:
         """Change the costs of columns (K,)."""
         self._model.changeColsCost(len(columns), columns.astype(np.int32), cost)
 
-    def change_limits(self, columns: IndexArray, high: FloatArray) -> None:
-        """Let columns (K,) be between -high and high (K,)."""
-        self._model.changeColsBounds(len(columns), columns.astype(np.int32), -high, high)
-
     def solve(self, deadline: float) -> FlowSolution:
         """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
         left = _time_left(deadline)
@@ -140,13 +129,6 @@ class FaceFlows:
         found = self._model.getSolution()
         return FlowSolution(np.array(found.col_value), np.array(found.row_dual),
                             self._model.getInfo().objective_function_value)
-
-    def _add_rows(self, count: int, low: float) -> IndexArray:
-        none = np.zeros(0)
-        self._model.addRows(count, np.full(count, low), np.zeros(count), 0,
-                            np.zeros(count, np.int32), none.astype(np.int32), none)
-        self._rows += count
-        return np.arange(self._rows - count, self._rows)
 
 
 def _time_left(deadline: float) -> float:

@@ -1,23 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least value on planar two-way networks within their length budgets: an LP in face potentials.
+"""The least value on a planar two-way network within its length budget: an LP in face potentials.
 
-Every flow of size 1 on a leg is the flow of one reference route plus the differences of a potential
-of the faces. Its level lines, driven as routes, meet disc j at most as often as the potential
-varies on the rim of the disc. So the least value is the least z for which some potentials vary on
-the rims of disc j by at most z / alpha_j, added up over the legs, and keep the budgets
-(docs/theory.md, section 7). For a fixed z, and weights of the legs that add up to 1, the least
-weighted length is a linear program. Its dual is a circulation between faces for each leg: through
-links, at most their weighted shares of the budget, and through discs, where no leg's flow exceeds
-what all share. The discs' flows are an ambusher, and Newton's method on z gives the bound that
-this ambusher proves. Mixtures of the potentials that were found on the way keep all budgets: the
-least value of these is the value, and its prices of the budgets are the next weights. New sites,
-and faces at which a disc exceeds its share, are new columns of the same model.
+Every flow of size 1 is the flow of one reference route plus the differences of a potential of the
+faces. Its level lines, driven as routes, meet disc j at most as often as the potential varies on
+the rim of the disc. So the least value is the least z for which some potential varies on the rim of
+disc j by at most z / alpha_j and keeps the budget (docs/theory.md, section 7). For a fixed z, the
+least length is a linear program. Its dual is a circulation between faces: through links, at most
+their shares of the budget, and through discs. The discs' flows are an ambusher, and Newton's method
+on z gives the bound that this ambusher proves. Mixtures of the potentials that were found on the
+way keep the budget: the least value of these is the value. New sites, and faces at which a disc
+exceeds its cap, are new columns of the same model.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +46,6 @@ class PotentialSearch(NamedTuple):
     endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
     points: int = 24  # most potentials of which mixtures are made
     near: float = 0.2  # share of the value below which a site's largest loss is left out of these
-    follow: float = 0.8  # how far the legs' weights go towards the prices of a mixture at once
     stalls: int = 8  # rounds without a better value or bound after which a search ends
 
 
@@ -57,91 +53,75 @@ POTENTIAL = PotentialSearch()
 
 
 class _Point(NamedTuple):
-    """Potentials (F,) of all faces, how often they hit (legs, S), and shares (legs,) of budgets."""
+    """A potential (F,) of faces, how often it hits each site (S,), and its share of the budget."""
 
     potential: FloatArray
     hits: FloatArray
-    used: FloatArray
+    used: float
 
 
 class Potential:
-    """The LP of all legs, at first with the game's sites; ``solve`` goes on from where it is.
+    """The LP of a leg, at first with the game's sites; ``solve`` goes on from where it is.
 
     Attributes
     ----------
     bound : float
         No strategy has a smaller value, as the ambusher proves who waits at the sites by ``q``
-        (S,) and has the ``prices`` (legs,) of the budgets.
+        (S,) and has the ``price`` of the budget.
     value : float
         What the ``flow`` costs at the sites so far.
     """
 
     apart = 0.0  # of sites that join at once [reaches]
 
-    def __init__(self, legs: Legs, faces: Sequence[Faces], gap: float,
-                 first: float = np.inf) -> None:
-        """The search for z begins at ``first``, or at half the largest loss a leg if less."""
-        self.legs, count = legs, len(faces)
+    def __init__(self, legs: Legs, faces: Faces, gap: float, first: float = np.inf) -> None:
+        """The search for z begins at ``first``, or at half the largest loss if that is less.
+
+        ``legs`` has one leg, whose ``faces`` these are.
+        """
+        self.legs, self.faces, (self._budget,) = legs, faces, legs.budgets
         self.tighten(gap)
         self._z, self.bound, self.value = first, 0.0, np.inf
-        self.q, self.prices = np.zeros(0), np.zeros(count)
+        self.q, self.price = np.zeros(0), 0.0
         self._circulations: tuple[Circulation, ...] = ()
-        self._weights = np.full(count, 1.0 / count)
-        self._loss, self._unavoidable = np.zeros(0), np.zeros((count, 0), dtype=bool)
+        self._loss, self._unavoidable = np.zeros(0), np.zeros(0, dtype=bool)
         self._entering = csr_matrix((0, legs.edge_count))
-        # Pairs of a face and a part of a rim, part by part; the leg, site and row of each part.
+        # Pairs of a face and a part of a rim, part by part; the site and row of each part.
         self._face, self._offset, self._part, self._first = (
             np.zeros(0, dtype=np.int64) for _ in range(4))
-        self._part_leg, self._part_site, self._part_row = (
-            np.zeros(0, dtype=np.int64) for _ in range(3))
-        # Columns: the pairs that joined, up out of a face or down into one; those of sites, and
-        # the rows of legs at sites, if there is more than one leg.
+        self._part_site, self._part_row = (np.zeros(0, dtype=np.int64) for _ in range(2))
+        # Columns: the pairs that joined, up out of a face or down into one.
         self._joined, self._columns = (np.zeros(0, dtype=np.int64) for _ in range(2))
-        self._up, self._site_column = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
-        self._share_row = np.zeros((count, 0), dtype=np.int64)
-        self._blend = np.zeros((0, 0))  # (legs, points)
+        self._up = np.zeros(0, dtype=bool)
+        self._blend = np.zeros(0)  # (points,)
         self._flows = FaceFlows()
-        self._face_first = np.cumsum([0, *(each.count for each in faces)])
-        self._rows = self._flows.add_nodes(int(self._face_first[-1]))
-        self._legs = [_LegLinks(each, budget, first)
-                      for each, budget, first in zip(faces, legs.budgets, self._face_first,
-                                                     strict=False)]
-        self._start_with_links()
-        self._potential = np.zeros(len(self._rows))
-        # The first point: the shortest routes, which are within all budgets.
-        used = np.array([leg.used_budget(self._potential) for leg in self._legs])
-        self._points = [_Point(self._potential, np.zeros((count, 0)), used)]
+        self._rows = self._flows.add_nodes(faces.count)
+        self._links = self._add_links()
+        self._potential = np.zeros(faces.count)
+        # The first point: the shortest route, which is within the budget.
+        self._points = [_Point(self._potential, np.zeros(0),
+                               self._links.used_budget(self._potential))]
         self.add_sites(legs.entering, legs.loss)
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
-        known, count = len(self._loss), len(loss)
-        unavoidable = []
-        for number, (leg, rows) in enumerate(zip(self._legs, self.legs.rows_by_leg(entering),
-                                                 strict=True)):
-            discs = leg.faces.discs(rows)
-            order = np.argsort(discs.part, kind='stable')
-            first = np.unique(discs.part[order], return_index=True)[1]
-            parts = len(self._part_leg)
-            self._first = np.append(self._first, len(self._face) + first)
-            self._face = np.append(self._face, leg.first_face + discs.face[order])
-            self._offset = np.append(self._offset, discs.offset[order])
-            self._part = np.append(self._part, parts + discs.part[order])
-            self._part_leg = np.append(self._part_leg, np.full(len(first), number))
-            self._part_site = np.append(self._part_site, known + discs.disc[order][first])
-            self._part_row = np.append(self._part_row, self._flows.add_nodes(len(first)))
-            unavoidable.append(discs.unavoidable)
-        self._loss, self.q = np.append(self._loss, loss), np.append(self.q, np.zeros(count))
-        self._unavoidable = np.hstack((self._unavoidable, unavoidable))
+        known, parts, discs = len(self._loss), len(self._part_site), self.faces.discs(entering)
+        order = np.argsort(discs.part, kind='stable')
+        first = np.unique(discs.part[order], return_index=True)[1]
+        self._first = np.append(self._first, len(self._face) + first)
+        self._face = np.append(self._face, discs.face[order])
+        self._offset = np.append(self._offset, discs.offset[order])
+        self._part = np.append(self._part, parts + discs.part[order])
+        self._part_site = np.append(self._part_site, known + discs.disc[order][first])
+        self._part_row = np.append(self._part_row, self._flows.add_nodes(len(first)))
+        self._loss, self.q = np.append(self._loss, loss), np.append(self.q, np.zeros(len(loss)))
+        self._unavoidable = np.append(self._unavoidable, discs.unavoidable)
         self._entering = csr_matrix(vstack((self._entering, entering)))
-        self._site_column = np.append(self._site_column, np.full(count, -1))
-        self._share_row = np.hstack((self._share_row, np.full((len(self._legs), count), -1)))
-        self._points = [point._replace(hits=np.hstack((point.hits, self._hits(
-            point.potential, known)))) for point in self._points]
-        certain = self._loss * self._unavoidable.sum(axis=0)  # every route of a leg meets the site
+        self._points = [point._replace(hits=np.append(point.hits, self._hits(
+            point.potential, known))) for point in self._points]
+        certain = self._loss * self._unavoidable  # every route meets the site
         if certain.max(initial=0.0) > self.bound:
-            self.bound, self.prices = float(certain.max()), np.zeros(len(self._legs))
-            self._circulations = ()
+            self.bound, self.price, self._circulations = float(certain.max()), 0.0, ()
             self.q = np.zeros(len(certain))
             self.q[certain.argmax()] = 1.0
         self._mix(math.inf)
@@ -157,20 +137,20 @@ class Potential:
         Raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed; what was found
         until then counts.
         """
-        if not len(self._loss) or not any(len(leg.real) for leg in self._legs):
+        if not len(self._loss) or not len(self._links.real):
             self.value = self.bound  # or there is but one route
             return
-        z = max(min(self._z, self._loss.max() * len(self._legs) / 2.0), self.bound)
+        z = max(min(self._z, self._loss.max() / 2.0), self.bound)
         if self.bound == 0.0 and self.legs.avoiding(self._entering):
-            z = 0.0  # unless the routes that avoid all sites exceed a budget
+            z = 0.0  # unless the routes that avoid all sites exceed the budget
         self._join(z)
         stalled = 0
         while stalled < POTENTIAL.stalls:
-            keeps_budgets, before = self._solve_at(z, deadline), (self.value, self.bound)
+            keeps_budget, before = self._solve_at(z, deadline), (self.value, self.bound)
             new = self._join(z)
-            if keeps_budgets and new > POTENTIAL.many * len(self._joined):
+            if keeps_budget and new > POTENTIAL.many * len(self._joined):
                 continue
-            if keeps_budgets and len(self._legs) == 1:
+            if keeps_budget:
                 self._use_last()  # a mixture with others costs more
             else:
                 self._mix(deadline)
@@ -180,68 +160,54 @@ class Potential:
             gained = self.value < before[0] * (1.0 - ROUNDING) or (
                 self.bound > before[1] * (1.0 + ROUNDING))
             stalled = 0 if gained or new else stalled + 1
-            z = (max(self.bound, POTENTIAL.step * min(z, self.value)) if keeps_budgets
+            z = (max(self.bound, POTENTIAL.step * min(z, self.value)) if keeps_budget
                  else self.bound * (1.0 + self._precision / 2.0))
             self._join(z)
 
     @property
     def flow(self) -> FloatArray:
-        """The strategies (M,) of the legs, without cycles and within the budgets."""
-        found = []
-        for number, leg in enumerate(self._legs):
-            game, budget = leg.faces.game, leg.budget
-            shortest = shortest_route_strategy(game, budget.cost)
-            p = None
-            if (potential := self._best_potential(number)) is not None:
-                p = conserved_strategy(game, leg.faces.flow(potential), ROUNDING)
-            if p is None:
-                found.append(shortest)
-                continue
-            used = float(p[p > 0.0] @ budget.reduced_cost[p > 0.0])
-            share = min(budget.margin / used, 1.0) if used > 0.0 else 1.0
-            found.append(without_cycles(game.network, share * p + (1.0 - share) * shortest))
-        return np.concatenate(found)
+        """The strategy (M,), without cycles and within the budget."""
+        budget, (game,) = self._budget, self.legs.games
+        shortest, p = shortest_route_strategy(game, budget.cost), None
+        if len(self._blend):
+            p = conserved_strategy(game, self.faces.flow(self._mixed_potential()), ROUNDING)
+        if p is None:
+            return shortest
+        used = float(p[p > 0.0] @ budget.reduced_cost[p > 0.0])
+        share = min(budget.margin / used, 1.0) if used > 0.0 else 1.0
+        return without_cycles(game.network, share * p + (1.0 - share) * shortest)
 
     @property
     def ambush(self) -> Ambush:
         """The ambusher who proves the bound."""
-        return Ambush(self.q, self.prices, self._circulations)
+        return Ambush(self.q, np.array([self.price]), self._circulations)
 
-    def level_lines(self, count: int) -> list[list[IndexArray]]:
-        """Routes of each leg, as its edges, along ``count`` level lines: about the flow."""
-        found = []
-        for number, leg in enumerate(self._legs):
-            network, potential = leg.faces.game.network, self._best_potential(number)
-            edges: list[IndexArray] = []
-            if potential is not None:
-                edges = [np.flatnonzero(leg.faces.flow(np.floor(potential - level)))
-                         for level in (np.arange(count) + 0.5) / count]
-            found.append([route_edges(network, shortest_route(network, edge, leg.budget.cost))
-                          for edge in edges])
-        return found
+    def level_lines(self, count: int) -> list[IndexArray]:
+        """Routes, as edges, along ``count`` level lines: about the flow."""
+        if not len(self._blend):
+            return []
+        network, potential = self.faces.game.network, self._mixed_potential()
+        edges = [np.flatnonzero(self.faces.flow(np.floor(potential - level)))
+                 for level in (np.arange(count) + 0.5) / count]
+        return [route_edges(network, shortest_route(network, edge, self._budget.cost))
+                for edge in edges]
 
-    def _best_potential(self, number: int) -> FloatArray | None:
-        """The mixture of potentials of a leg's faces; None before there is any."""
-        if not self._blend.size:
-            return None
-        own = slice(self._face_first[number], self._face_first[number + 1])
-        known = self._points[: self._blend.shape[1]]
-        return np.asarray(sum(share * point.potential[own] for share, point in zip(
-            self._blend[number], known, strict=True)))
+    def _mixed_potential(self) -> FloatArray:
+        known = self._points[: len(self._blend)]
+        return np.asarray(sum(share * point.potential
+                              for share, point in zip(self._blend, known, strict=True)))
 
-    def _start_with_links(self) -> None:
+    def _add_links(self) -> _Links:
         """The model without discs at its optimum: links of the shortest-path tree are full."""
-        start = []
-        for leg, weight in zip(self._legs, self._weights, strict=True):
-            faces, real = leg.faces, leg.real
-            rows = self._rows[leg.first_face + np.column_stack((faces.left, faces.right))[real]]
-            high = weight * leg.capacity[real]
-            leg.columns = self._flows.add_columns(
-                rows, np.tile([1.0, -1.0], (len(real), 1)), -faces.crossed[real].astype(np.float64),
-                -high, high)
-            self._flows.release(int(self._rows[leg.first_face]))
-            start.append(leg.full_links())
-        self._flows.start_at(np.concatenate(start))
+        links, faces = _Links(self.faces, self._budget), self.faces
+        real, high = links.real, links.capacity[links.real]
+        links.columns = self._flows.add_columns(
+            self._rows[np.column_stack((faces.left, faces.right))[real]],
+            np.tile([1.0, -1.0], (len(real), 1)), -faces.crossed[real].astype(np.float64),
+            -high, high)
+        self._flows.release(int(self._rows[0]))
+        self._flows.start_at(links.full_links())
+        return links
 
     def _heights(self, potential: FloatArray, first: int = 0) -> FloatArray:
         """The potential at each pair of a face and a part, from pair ``first`` on."""
@@ -254,30 +220,26 @@ class Potential:
         return np.asarray(np.maximum.reduceat(height, begins) - np.minimum.reduceat(height, begins))
 
     def _hits(self, potential: FloatArray, first_site: int = 0) -> FloatArray:
-        """Return the hits of the level lines by each site (legs, K), from ``first_site`` on."""
-        hits = np.zeros((len(self._legs), len(self._loss) - first_site))
+        """Return the hits of the level lines by each site (K,), from ``first_site`` on."""
+        hits = np.zeros(len(self._loss) - first_site)
         parts = np.flatnonzero(self._part_site >= first_site)
         if len(parts):
             at = int(self._first[parts[0]])  # later sites have later parts
             spread = self._spreads(self._heights(potential, at), self._first[parts] - at)
-            np.maximum.at(hits, (self._part_leg[parts], self._part_site[parts] - first_site),
-                          spread)
-        return np.where(self._unavoidable[:, first_site:], 1.0, hits)
+            np.maximum.at(hits, self._part_site[parts] - first_site, spread)
+        return np.where(self._unavoidable[first_site:], 1.0, hits)
 
     def _join(self, z: float) -> int:
         """Add the extreme faces of the discs that exceed z, and those just too far apart.
 
-        Where several legs meet a disc, each counts in proportion to how much it varies. Returns the
-        number of pairs that are new.
+        Returns the number of pairs that are new.
         """
         height = self._heights(self._potential)
         spread = self._spreads(height, self._first)
-        hits = self._hits(self._potential)
-        site, fixed = self._part_site, self._unavoidable.sum(axis=0)
+        hits, site = self._hits(self._potential), self._part_site
         most = z * (1.0 + self._precision / 2.0) / self._loss
-        over = (hits.sum(axis=0) > most + ROUNDING)[site] & (spread > ROUNDING)
-        over &= ~self._unavoidable[self._part_leg, site]
-        left = np.maximum(most - fixed, 0.0) / np.maximum(hits.sum(axis=0) - fixed, ROUNDING)
+        over = ((hits > most + ROUNDING) & ~self._unavoidable)[site] & (spread > ROUNDING)
+        left = most / np.maximum(hits, ROUNDING)
         last, pairs = np.append(self._first[1:], len(self._face)), []
         for part in np.flatnonzero(over).tolist():
             order = self._first[part] + height[self._first[part] : last[part]].argsort()
@@ -293,146 +255,96 @@ class Potential:
 
     def _add_pairs(self, pair: IndexArray, up: BoolArray) -> None:
         """Add the columns of pairs (K,): out of the face into the disc if ``up``, or back."""
-        part, face = self._part[pair], self._rows[self._face[pair]]
-        disc, leg, site = self._part_row[part], self._part_leg[part], self._part_site[part]
-        if len(self._legs) > 1:
-            self._share_sites(leg, site)
-        rows = np.column_stack((np.where(up, face, disc), np.where(up, disc, face),
-                                self._share_row[leg, site]))
+        face, disc = self._rows[self._face[pair]], self._part_row[self._part[pair]]
+        rows = np.column_stack((np.where(up, face, disc), np.where(up, disc, face)))
         none, high = np.zeros(len(pair)), np.full(len(pair), POTENTIAL.endless)
-        columns = self._flows.add_columns(rows, np.tile([1.0, -1.0, 0.5], (len(pair), 1)),
+        columns = self._flows.add_columns(rows, np.tile([1.0, -1.0], (len(pair), 1)),
                                           none, none, high)
         self._joined, self._up = np.append(self._joined, pair), np.append(self._up, up)
         self._columns = np.append(self._columns, columns)
-        if len(self._legs) > 1:  # otherwise costs depend on z
-            self._flows.change_costs(columns, self._turned(pair, up))
-
-    def _share_sites(self, leg: IndexArray, site: IndexArray) -> None:
-        """Give sites (K,) columns, and legs (K,) rows at them, where they have none."""
-        new = np.unique(site[self._site_column[site] < 0])
-        none, count = np.zeros(len(new)), len(new)
-        self._site_column[new] = self._flows.add_columns(
-            np.full((count, 1), -1), np.zeros((count, 1)), none, none,
-            np.full(count, POTENTIAL.endless))
-        pairs = np.unique(np.column_stack((leg, site))[self._share_row[leg, site] < 0], axis=0)
-        rows = self._flows.add_shares(len(pairs))
-        self._share_row[tuple(pairs.T)] = rows
-        self._flows.set_entries(rows, self._site_column[pairs[:, 1]], -1.0)
-
-    def _turned(self, pair: IndexArray, up: BoolArray) -> FloatArray:
-        return np.where(up, -1.0, 1.0) * self._offset[pair]
 
     def _solve_at(self, z: float, deadline: float) -> bool:
-        """Solve for a fixed z and keep what it proves; True if the potentials keep all budgets.
+        """Solve for a fixed z and keep what it proves; True if the potential keeps the budget.
 
         What flows through a disc enters and leaves it by columns of their own, so each counts half.
         """
         site = self._part_site[self._part[self._joined]]
-        if len(self._legs) == 1:
-            self._flows.change_costs(self._columns, z / self._loss[site] / 2.0
-                                     + self._turned(self._joined, self._up))
-        else:
-            shared = np.flatnonzero(self._site_column >= 0)
-            self._flows.change_costs(self._site_column[shared], z / self._loss[shared]
-                                     - self._unavoidable[:, shared].sum(axis=0))
+        turned = np.where(self._up, -1.0, 1.0) * self._offset[self._joined]
+        self._flows.change_costs(self._columns, z / self._loss[site] / 2.0 + turned)
         found = self._flows.solve(deadline)
-        if len(self._legs) == 1:
-            flow = np.maximum(found.x[self._columns], 0.0) / 2.0
-            through = np.bincount(site, flow, len(self._loss))
-        else:
-            flow = through = np.where(self._site_column >= 0,
-                                      np.maximum(found.x[self._site_column], 0.0), 0.0)
-        ambush = through / self._loss
-        bridges = [leg.bridges for leg in self._legs]
-        total, gain = float(ambush.sum()), float(self._weights @ bridges) - found.cost
+        flow = np.maximum(found.x[self._columns], 0.0) / 2.0
+        ambush = np.bincount(site, flow, len(self._loss)) / self._loss
+        total, gain = float(ambush.sum()), self._links.bridges - found.cost
         potential = found.potential[self._rows]
-        self._potential = potential - np.repeat(potential[self._face_first[:-1]],
-                                                np.diff(self._face_first))
-        used = np.array([leg.used_budget(self._potential) for leg in self._legs])
-        self._points.append(_Point(self._potential, self._hits(self._potential), used))
-        limited = float(self.legs.budgets[0].is_limited)
+        self._potential = potential - potential[0]
+        self._points.append(_Point(self._potential, self._hits(self._potential),
+                                   self._links.used_budget(self._potential)))
+        limited = float(self._budget.is_limited)
         proved = z + (gain - limited) / total if total > 0.0 else 0.0
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
-            limits = np.array([budget.limit for budget in self.legs.budgets])
-            self.prices = self._weights / (total * limits)
-            self._circulations = self._scaled_circulations(found.x, total)
+            self.price = 1.0 / (total * self._budget.limit)
+            self._circulations = (self._scaled_circulation(found.x, total),)
         endless = bool((flow > POTENTIAL.endless * (0.5 - ROUNDING)).any())
         return gain <= limited + self._precision and not endless
 
-    def _scaled_circulations(self, x: FloatArray, total: float) -> tuple[Circulation, ...]:
-        """The flows of a solution, divided by what adds up to 1 at the sites."""
+    def _scaled_circulation(self, x: FloatArray, total: float) -> Circulation:
+        """The flow of a solution, divided by what adds up to 1 at the sites."""
         flow = np.maximum(x[self._columns], 0.0) * np.where(self._up, 1.0, -1.0) / total
-        part = self._part[self._joined]
-        used = np.flatnonzero(flow * self.q[self._part_site[part]])  # elsewhere it is rounding
-        found = []
-        for number, (leg, weight) in enumerate(zip(self._legs, self._weights, strict=True)):
-            own = used[self._part_leg[part[used]] == number]
-            through = weight * leg.capacity * leg.faces.crossed
-            through[leg.real] = x[leg.columns]
-            found.append(Circulation(
-                through / total, self._part_site[part[own]],
-                self._face[self._joined[own]] - leg.first_face, flow[own]))
-        return tuple(found)
+        site = self._part_site[self._part[self._joined]]
+        used = np.flatnonzero(flow * self.q[site])  # elsewhere it is rounding
+        through = self._links.capacity * self.faces.crossed
+        through[self._links.real] = x[self._links.columns]
+        return Circulation(through / total, site[used], self._face[self._joined[used]], flow[used])
 
     def _use_last(self) -> None:
-        """Take the last potential, which keeps the budget."""
+        """Take the last potential, which keeps the budget: a mixture with others costs more."""
         self._points = self._points[-POTENTIAL.points :]
-        self._blend = np.eye(1, len(self._points), len(self._points) - 1)
-        self.value = float((self._loss * self._points[-1].hits[0]).max(initial=0.0))
+        self._blend = np.eye(1, len(self._points), len(self._points) - 1)[0]
+        self.value = float((self._loss * self._points[-1].hits).max(initial=0.0))
 
     def _mix(self, deadline: float) -> None:
-        """Find the mixture of potentials of least value within the budgets, and the next weights.
+        """Find the mixture of potentials of least value within the budget.
 
-        A linear program with a row for each site and each budget.
+        A linear program with a row for each site.
         """
-        count, points = len(self._legs), self._points
-        losses = self._loss * np.stack([point.hits for point in points], axis=1)  # legs, points, S
-        near, value = losses.max(axis=1).sum(axis=0), losses.sum(axis=0).max(axis=1, initial=0.0)
+        points, count = self._points, len(self._points)
+        losses = self._loss * np.stack([point.hits for point in points])  # points, S
+        near, value = losses.max(axis=0), losses.max(axis=1, initial=0.0)
         # At others, no mixture costs as much.
         rows = np.flatnonzero(near >= max(self.bound * (1.0 - ROUNDING),
                                           POTENTIAL.near * value.min()))
-        used = np.stack([point.used for point in points], axis=1)
-        size = used.size
         unit = float(near.max(initial=0.0)) or 1.0
-        sites = np.column_stack((losses[..., rows].reshape(size, -1).T / unit,
-                                 np.full(len(rows), -1.0)))
-        legs = np.repeat(np.eye(count), len(points), axis=1)  # which columns are of which leg
-        budgets = np.column_stack((legs * used.ravel(), np.zeros(count)))
-        one = csr_matrix(np.column_stack((legs, np.zeros(count))))
-        lp = highs.LP(np.append(np.zeros(size), 1.0), csr_matrix(np.vstack((sites, budgets))),
-                      np.append(np.zeros(len(rows)), np.ones(count)), one, np.ones(count))
+        sites = np.column_stack((losses[:, rows].T / unit, np.full(len(rows), -1.0)))
+        used = np.append([point.used for point in points], 0.0)
+        one = csr_matrix(np.append(np.ones(count), 0.0))
+        lp = highs.LP(np.append(np.zeros(count), 1.0), csr_matrix(np.vstack((sites, used))),
+                      np.append(np.zeros(len(rows)), 1.0), one, np.ones(1))
         try:
             result = highs.run(lp, 'simplex', deadline)
         except SolverFailed:
             return
-        shares = np.maximum(result.x[:-1], 0.0).reshape(count, -1)
-        shares /= shares.sum(axis=1, keepdims=True)
-        prices = np.maximum(-np.asarray(result.ineqlin.marginals[len(rows) :]), 0.0)
-        self.value = float((shares[..., None] * losses).sum(axis=(0, 1)).max(initial=0.0))
-        kept = np.arange(len(points)) >= len(points) - POTENTIAL.points // 2
-        kept |= shares.max(axis=0) > ROUNDING
+        shares = np.maximum(result.x[:-1], 0.0)
+        shares /= shares.sum()
+        self.value = float((shares @ losses).max(initial=0.0))
+        kept = np.arange(count) >= count - POTENTIAL.points // 2
+        kept |= shares > ROUNDING
         self._points = [point for point, keep in zip(points, kept, strict=True) if keep]
-        self._blend = shares[:, kept]
-        if count > 1 and prices.any():
-            self._weights += POTENTIAL.follow * (prices / prices.sum() - self._weights)
-            for leg, weight in zip(self._legs, self._weights, strict=True):
-                self._flows.change_limits(leg.columns, weight * leg.capacity[leg.real])
+        self._blend = shares[kept]
 
 
-class _LegLinks:
-    """The links of a leg's faces, with the shares of its budget that they take.
+class _Links:
+    """The links of faces, with the shares of the budget that they take.
 
-    ``first_face`` is the number of its first face among all legs' faces. ``real`` links have two
-    faces; the others are bridges, and what all routes take for these is ``bridges``.
+    ``real`` links have two faces; the others are bridges, and what all routes take for these is
+    ``bridges``.
     """
 
     columns: IndexArray
 
-    def __init__(self, faces: Faces, budget: Budget, first_face: int) -> None:
-        self.faces, self.budget, self.first_face = faces, budget, int(first_face)
-        game = faces.game
-        edge = np.flatnonzero(game.playable)
+    def __init__(self, faces: Faces, budget: Budget) -> None:
+        self.faces = faces
+        edge = np.flatnonzero(faces.game.playable)
         self._cost = np.zeros(len(faces.left))
         self._cost[faces.link[edge]] = budget.cost[edge]
         self.capacity = self._cost / budget.limit
@@ -452,7 +364,7 @@ class _LegLinks:
         return np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0))
 
     def used_budget(self, potential: FloatArray) -> float:
-        """Share of the budget that the flow of a potential of all faces takes."""
-        own = potential[self.first_face : self.first_face + self.faces.count]
-        through = self.faces.crossed + own[self.faces.left] - own[self.faces.right]
+        """Share of the budget that the flow of a potential of the faces takes."""
+        faces = self.faces
+        through = faces.crossed + potential[faces.left] - potential[faces.right]
         return float(self.capacity @ np.abs(through))
