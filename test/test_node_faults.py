@@ -127,6 +127,10 @@ def disk_is_idle(running):
 @contextmanager
 def hung_disk(running, monkeypatch, patience):
     """A disk that counts as hung after this time [s]; yields what sets it going again."""
+    # An answer may come before its departure waits for the disk.
+    folder = Path(running.planner._settings.current.recording.directory)
+    number = running.planner._dispatcher._departures._count
+    wait_until(lambda: len(recordings(folder)) == number, 'all recordings')
     disk_is_idle(running)
     monkeypatch.setattr(recordings_module, '_MAX_WAIT', patience)
     with held(durable.os, 'fsync') as (_, go_on):
