@@ -229,11 +229,10 @@ def publisher_of(node: Any, channel: Channel) -> Any:
 
 def qos_from_yaml(text: str) -> Any:
     """Return the profile (rclpy) of a channel; those of recordings are all reliable."""
+    import yaml
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from ..recordings.messages import fields_from_yaml
-
-    fields = fields_from_yaml(text)
+    fields = yaml.safe_load(text)[0]
     return QoSProfile(depth=fields['depth'],
                       durability=DurabilityPolicy.get_from_short_key(fields['durability']))
 

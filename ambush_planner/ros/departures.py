@@ -168,9 +168,6 @@ class Departures:
                 self.trips.add(under_way)
             took_ns = departure.call.response_ns - departure.call.request_ns
             pending.answer.set_result(Answer(path, departure.remarks, took_ns, departure))
-            diverted = ' diverted' if departure.diversion else ''
-            # Last: to find out who logs takes rclpy longer than all of the above.
-            self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
 
         def settle(left: Future[None]) -> None:
             if self.leaving.get(trip.robot) is left:
@@ -179,6 +176,9 @@ class Departures:
                 self._thread.submit(lambda: self._retry(pending), pending.answer)
             elif error:
                 pending.answer.set_exception(error)
+            else:  # last: to find out who logs takes rclpy longer than all else
+                diverted = ' diverted' if departure.diversion else ''
+                self._logger.info(f'departure {departure.number} ({departure.id}){diverted}')
 
         left = self._recordings.publish(departure, leave)
         if trip.robot:
