@@ -81,6 +81,17 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     _check_departures(arguments)
+    from .inputs import options_from
+
+    (of_map, planning), slots = options_from(arguments), arguments.slots
+    for before, after in pairwise(slots):
+        if after <= before:
+            raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
+    if arguments.window > 1 and not slots:
+        raise cli.UsageError('--window needs --slots HH:MM ...')
+    check_outputs(arguments.output, console)
+    risk_map, start, goal, stops = read_ground(arguments, of_map)
+
     import numpy as np
 
     from ..operations.few_routes import MAX_ROUTES
@@ -93,19 +104,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.sources import sources_of
     from ..route_files import draw, write_routes
     from .few_files import FewDrawn, tell_few
-    from .inputs import options_from
 
-    (of_map, planning), slots = options_from(arguments), arguments.slots
-    for before, after in pairwise(slots):
-        if after <= before:
-            raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
-    if arguments.window > 1 and not slots:
-        raise cli.UsageError('--window needs --slots HH:MM ...')
     if arguments.routes is not None and not 1 <= arguments.routes <= MAX_ROUTES:
         raise cli.UsageError(f'--routes must be a number from 1 to {MAX_ROUTES}')
-    check_outputs(arguments.output, console)
     rng = np.random.default_rng(arguments.seed)
-    risk_map, start, goal, stops = read_ground(arguments, of_map)
     limit = planning.strategy.time_limit
     what = f'at most {limit:g} s (strategy.time_limit)'
     with console.waiting(what) as tell, warnings.catch_warnings():
