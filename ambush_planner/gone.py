@@ -21,6 +21,7 @@ _LOADS = 'leave it out: the value counts the whole loss on every leg'
 _ORDER = 'give the stops in the order in which they are to be visited'
 # By the names that are typed: flags of ambush plan, parameters and options of --set.
 _GONE = {
+    '--datum': _Gone("write --crs 'datum LAT LON YAW'"),
     '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
     '--load': _Gone(_LOADS),
     '--order': _Gone(_ORDER),

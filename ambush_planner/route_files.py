@@ -144,7 +144,7 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     if suffix == '.gpx' and not drawn.risk_map.crs:
         raise InvalidCoordinates(
             f'{path}: GPX holds latitude and longitude, but the coordinate system '
-            "of the map is unknown; plan or export with --crs SYSTEM, or a robot's frame (--datum)")
+            'of the map is unknown; plan or export with --crs SYSTEM')
     if suffix == '.png':
         from .map_figures import as_png
 
