@@ -339,7 +339,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--two-way',), 2, '--two-way has no effect without roads'),
     (('--reach', '0,5km'), 2, "--reach must be a number, with a decimal point, got '0,5km'"),
     (('--set', 'network.join_distance=9'), 2, 'no effect without .*network.method=graph'),
-    (('--terrain',), 2, '--terrain was removed: make a risk map of the elevation model with ambush risk'),
+    (('--terrain',), 2, '--terrain was removed: make a risk map of the elevation model'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
                                                    reason):
