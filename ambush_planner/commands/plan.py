@@ -38,7 +38,7 @@ DETAILS = f"""\
 The node and ambush card read FILE.plan, too.
 {FORMATS_HELP}
 With --routes, the files have a layer or track for each route, with its number and share, and .png
-shows each. The table on the console has the faces of one or two dice (a first and a second one) and
+shows all. The table on the console has the faces of one or two dice (a first and a second one) and
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
