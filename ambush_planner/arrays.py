@@ -49,7 +49,7 @@ def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
 
 
 def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArray[Any]]:
-    """Read those of the named arrays that an npz file has; all others stay compressed.
+    """Read those of the named arrays that an npz file has, read-only; all others stay compressed.
 
     ValueError if they would take more than ``MAX_BYTES``; numpy raises others if the file is
     malformed.
@@ -61,7 +61,10 @@ def arrays_in(file: Path | BytesIO, names: Iterable[str]) -> dict[str, npt.NDArr
         size = sum(archive.zip.getinfo(f'{name}.npy').file_size for name in found)
         if size > MAX_BYTES:
             raise ValueError(f'its arrays would take {size:.3g} bytes, the limit is {MAX_BYTES}')
-        return {name: archive[name] for name in found}
+        arrays = {name: archive[name] for name in found}
+    for each in arrays.values():
+        each.setflags(write=False)  # so that records take them without a copy
+    return arrays
 
 
 def sums(index: IndexArray, values: FloatArray, count: int) -> FloatArray:

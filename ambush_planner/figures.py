@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap, LogNorm
 from matplotlib.image import AxesImage
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 
 from . import colours
 from .arrays import FloatArray
-from .map_figures import HALO, LOSS, WIDTH, colour_bar, draw_map, draw_risk_map, frame, ground_key
+from .map_figures import HALO, LOSS, WIDTH, colour_bar, draw_map, ground_key
 from .maps.risk_map import RiskMap
 from .routes.shared_roads import stripes
 
@@ -60,26 +60,11 @@ NETWORK = Line2D([], [], color=colours.NETWORK, linewidth=2.5,
                  label='the convoy may drive here: the wider, the likelier')
 
 
-def draw_ground(axes: Axes, trip: TripStrategy, risk_map: RiskMap, title: str,
-                small: bool = False) -> AxesImage:
-    """Draw the map with start, stops, goal and secured area of a strategy.
-
-    A ``small`` panel, which another one explains, has no ticks, names or scale.
-    """
-    if small:
-        frame(axes, risk_map, title)
-        axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
-        image = draw_risk_map(axes, risk_map)
-    else:
-        image = draw_map(axes, risk_map, title, avoid=places_of(trip))
-    draw_ends(axes, trip, named=not small, size=0.5 if small else 1.0)
+def draw_ground(axes: Axes, trip: TripStrategy, risk_map: RiskMap, title: str) -> AxesImage:
+    """Draw the map with start, stops, goal and secured area of a strategy."""
+    image = draw_map(axes, risk_map, title, avoid=places_of(trip))
+    draw_ends(axes, trip)
     return image
-
-
-def probability_scale(probability: npt.ArrayLike) -> LogNorm:
-    """Return a logarithmic colour scale up to the largest probability."""
-    largest = float(np.max(probability, initial=0.0))
-    return LogNorm(MIN_PROBABILITY, max(largest, 2.0 * MIN_PROBABILITY), clip=True)
 
 
 def draw_network(axes: Axes, trip: TripStrategy, below_routes: bool = False) -> LineCollection:
@@ -90,11 +75,12 @@ def draw_network(axes: Axes, trip: TripStrategy, below_routes: bool = False) -> 
 
 
 def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
-                  scale: Normalize | None = None, widths: tuple[float, float] = (0.5, 3.0),
+                  widths: tuple[float, float] = (0.5, 3.0),
                   cmap: Colormap = PROBABILITY) -> LineCollection:
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
-    scale = scale or probability_scale(p)
+    largest = float(p.max(initial=0.0))
+    scale = LogNorm(MIN_PROBABILITY, max(largest, 2.0 * MIN_PROBABILITY), clip=True)
     shown = np.flatnonzero(p >= MIN_PROBABILITY)
     shown = shown[np.argsort(p[shown], kind='stable')]
     linewidths = widths[0] + (widths[1] - widths[0]) * np.asarray(scale(p[shown])) ** 2

@@ -21,11 +21,13 @@ _LOADS = 'leave it out: the value counts the whole loss on every leg'
 _ORDER = 'give the stops in the order in which they are to be visited'
 # By the names that are typed: flags of ambush plan, parameters and options of --set.
 _GONE = {
+    '--datum': _Gone("write --crs 'datum LAT LON YAW'"),
     '--equal': _Gone('leave it out: --routes K says for each route which faces of dice to throw'),
     '--load': _Gone(_LOADS),
     '--order': _Gone(_ORDER),
     'audit -o': _Gone('the console says what it finds, and ambush report --verify shows it with '
                       'the routes'),
+    'report --replace': _Gone('leave it out: an existing page is overwritten'),
     'risk --roads': _Gone('the roads of a risk map are a layer: {roads: roads.gpkg, width: 8, '
                           'factor: 0.5, passable: true} (docs/risk_layers.md)'),
     '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),

@@ -144,21 +144,21 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
     if suffix == '.gpx' and not drawn.risk_map.crs:
         raise InvalidCoordinates(
             f'{path}: GPX holds latitude and longitude, but the coordinate system '
-            "of the map is unknown; plan or export with --crs SYSTEM, or a robot's frame (--datum)")
+            'of the map is unknown; plan or export with --crs SYSTEM')
     if suffix == '.png':
         from .map_figures import as_png
 
         return as_png(drawn.picture(), path.name, drawn.sources)
     if suffix == '.csv':
         return _csv(drawn)
+    if suffix == '.geojson':
+        return _geojson(drawn.tables)
     if suffix == '.gpx':
         return _gpx(drawn)
     # The folder has mode 0700; GDAL makes files that all can read.
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.filterwarnings('ignore', "'crs' was not provided")  # it is unknown
         file = Path(folder) / path.name
-        if suffix == '.geojson':
-            return _geojson(drawn.tables, file)
         for name, table in drawn.tables.items():
             table.to_file(file, layer=name, driver='GPKG')
         return file.read_bytes()
@@ -177,20 +177,39 @@ def _csv(drawn: Drawn) -> bytes:
     return text.getvalue().encode()
 
 
-def _geojson(tables: Mapping[str, Any], file: Path) -> bytes:
-    """All tables in one collection, made in a file for each; cut at 180 degrees (RFC 7946)."""
-    from .maps.coordinates import longest_edge
+def _geojson(tables: Mapping[str, Any]) -> bytes:
+    from .maps.coordinates import WGS84, longest_edge
 
     features = []
     for name, table in tables.items():
         shown = table.assign(layer=name)
-        options: dict[str, Any] = {'COORDINATE_PRECISION': 9}
         if shown.crs:
             shown.geometry = shown.segmentize(longest_edge(shown.crs))
-            options['RFC7946'] = 'YES'
-        shown.to_file(file, driver='GeoJSON', **options)
-        features += json.loads(file.read_bytes())['features']
+            shown = shown.to_crs(WGS84)
+            shown.geometry = [_cut_at_180(shape) for shape in shown.geometry]
+        features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']
     return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
+
+
+def _cut_at_180(shape: Any) -> Any:
+    """A shape in degrees; one that crosses 180 degrees as its parts on both sides (RFC 7946)."""
+    import numpy as np
+    import shapely
+
+    first = shapely.get_coordinates(shape)[0, 0]
+    whole = shapely.transform(shape, lambda at: np.column_stack((
+        (at[:, 0] - first + 180.0) % 360.0 + first - 180.0, at[:, 1])))
+    west, _, east, _ = whole.bounds
+    if -180.0 <= west and east <= 180.0:
+        return shape
+    parts = []
+    for turn in (-360.0, 0.0, 360.0):
+        side = whole.intersection(shapely.box(turn - 180.0, -90.0, turn + 180.0, 90.0))
+        moved = shapely.transform(side, lambda at, turn=turn: at - (turn, 0.0))
+        parts += [each for each in shapely.get_parts(moved)
+                  if each.geom_type in shape.geom_type and not each.is_empty]
+    kind = {'L': shapely.multilinestrings, 'P': shapely.multipolygons}[parts[0].geom_type[0]]
+    return kind(parts)
 
 
 def _gpx(drawn: Drawn) -> bytes:

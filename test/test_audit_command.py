@@ -53,7 +53,7 @@ def test_good_departures_pass(good, capsys):
     assert capsys.readouterr() == ('', '')
     with pytest.raises(SystemExit):
         audit.main([str(good), '-o', 'out'])
-    assert 'audit -o went: the console says what it finds' in capsys.readouterr().err
+    assert 'audit -o was removed: the console says what it finds' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(('routes', 'said'), [

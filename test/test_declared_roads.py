@@ -215,16 +215,6 @@ OSM = """<?xml version="1.0"?><osm version="0.6">
  <way id="12" version="1"><nd ref="1"/><nd ref="4"/><nd ref="3"/>TAGS</way></osm>"""
 
 
-@pytest.mark.parametrize(('tags', 'drivable'), [
-    ({'waterway': 'river'}, NONE), ({'highway': 'primary', 'motor_vehicle': 'no'}, NONE),
-    ({'highway': 'primary', 'oneway': '-1'}, BACK), ({'highway': 'track'}, BOTH)])
-def test_openstreetmap_files(tags, drivable, tmp_path):
-    text = ''.join(f'<tag k="{key}" v="{value}"/>' for key, value in tags.items())
-    (tmp_path / 'A.OSM').write_text(OSM.replace('TAGS', text))
-    found, _, said = read(tmp_path / 'A.OSM')
-    assert found == drivable and bool(said) == (drivable == NONE)
-
-
 @pytest.mark.parametrize(('tags', 'name'), [
     ({'name': 'Main  Street'}, 'Main Street'), ({'NAME': 'Main Street', 'Ref': 'B 55'},
                                                 'B 55 Main Street'),
@@ -347,24 +337,6 @@ def test_lines_across_the_antimeridian_join():
 def test_other_kinds_of_roads_are_refused(source, words):
     with pytest.raises(InvalidOption, match=words):
         NetworkOptions(method='graph', graph=source)
-
-
-def test_files_of_other_drivers_and_damaged_ones_are_refused(tmp_path):
-    (tmp_path / 'a.geojson').write_text(
-        '<OGRVRTDataSource><OGRVRTLayer name="a"><SrcDataSource>b.gpkg</SrcDataSource>'
-        '</OGRVRTLayer></OGRVRTDataSource>')
-    table({}).to_file(tmp_path / 'b.gpkg')
-    table({}).to_file(tmp_path / 'whole.shp')
-    data = (tmp_path / 'b.gpkg').read_bytes()
-    (tmp_path / 'c.gpkg').write_bytes(data[:3000])
-    (tmp_path / 'd.graphml').write_text('<graphml>')
-    for name, words in (('a.geojson', 'give the file that it names'),
-                        ('c.gpkg', 'damaged, or end early'),
-                        ('d.graphml', r'save_graph_geopackage\(')):
-        with pytest.raises(InvalidOption, match=words) as refused:
-            read_roads(tmp_path / name)
-        assert '\n' not in str(refused.value)
-    assert read(tmp_path / 'whole.shp')[0] == NONE  # it has no highway
 
 
 def test_features_of_other_kinds_are_counted(tmp_path):

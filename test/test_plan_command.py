@@ -339,7 +339,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     (('--two-way',), 2, '--two-way has no effect without roads'),
     (('--reach', '0,5km'), 2, "--reach must be a number, with a decimal point, got '0,5km'"),
     (('--set', 'network.join_distance=9'), 2, 'no effect without .*network.method=graph'),
-    (('--terrain',), 2, '--terrain went: make a risk map of the elevation model with ambush risk'),
+    (('--terrain',), 2, '--terrain was removed: make a risk map of the elevation model'),
 ])
 def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
                                                    reason):
@@ -356,7 +356,7 @@ def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch,
 
 @pytest.mark.parametrize('start', ['18.5,-33.95', '33.95,18.5', '-18.5,33.95'])
 def test_latitude_and_longitude_of_another_order_or_sign_get_a_hint(plain, tmp_path, start):
-    datum = ('--datum', -33.95, 18.5, 0)
+    datum = ('--crs', 'datum -33.95 18.5 0')
     done = run_here(plan, plain, '--start', start, *ENDS[3:], *datum, '-o', tmp_path / 'r.csv')
     assert done.code == 2 and 'did you mean -33.95,18.5?' in done.err, done.err
     assert done.err.count('\n') == 1
@@ -382,7 +382,7 @@ def test_a_file_that_exists_is_named_when_it_is_overwritten(plain, tmp_path):
 
 
 def test_recorded_departures_are_exported(tmp_path):
-    """Recorded paths with their times, in the coordinate system of the node or of --datum."""
+    """Recorded paths with their times, in the coordinate system of the node or of --crs."""
     record_drawn(tmp_path / 'in', 3,
                  entries={'parameters': parameters(**{'map.crs': 'EPSG:32616'})})
     files = tmp_path / 'r.gpkg', tmp_path / 'r.png'
@@ -393,7 +393,7 @@ def test_recorded_departures_are_exported(tmp_path):
     assert [str(time)[:10] for time in routes['time']] == ['2023-11-15', '2023-11-16', '2023-11-17']
     for line in routes.geometry:
         assert (line.coords[0], line.coords[-1]) == (START, GOAL)
-    done = run_here(export, tmp_path / 'in', '-o', tmp_path / 'r.gpx', '--datum', 60.4, 5.3, 0)
+    done = run_here(export, tmp_path / 'in', '-o', tmp_path / 'r.gpx', '--crs', 'datum 60.4 5.3 0')
     assert done.code == 0
     point = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text())).tracks[2].segments[0].points[0]
     assert metres_between((5.3, 60.4), (point.longitude, point.latitude)) == pytest.approx(

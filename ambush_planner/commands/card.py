@@ -52,10 +52,6 @@ def add_speed(parser: argparse.ArgumentParser) -> None:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..recordings.durable_files import write_all_durably
-    from ..recordings.recorded_departure import read_departure
-    from .card_page import card_page
-
     of_plan = arguments.departure.suffix.lower() == PLAN
     if of_plan == (arguments.route is None):
         file = cli.place(arguments.departure)
@@ -67,6 +63,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.departure.is_dir():
         raise cli.UsageError(f'{cli.place(arguments.departure)} is a folder; a card has one '
                              'departure, so name its recording (.mcap)')
+
+    from ..recordings.durable_files import write_all_durably
+    from ..recordings.recorded_departure import read_departure
+    from .card_page import card_page
+
     with console.waiting('drawing the card'):
         card = _chosen(arguments) if of_plan else departure_card(
             read_departure(arguments.departure), arguments.speed, arguments.start_time)

@@ -88,12 +88,13 @@ def _date(text: str) -> date:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..recordings import plan_departures
-    from ..recordings.plan_file import read_plan
-
     require_for(arguments.output)
     if arguments.why and arguments.earlier != 'unused':
         raise cli.UsageError('--why is the reason of --earlier unused')
+
+    from ..recordings import plan_departures
+    from ..recordings.plan_file import read_plan
+
     with console.waiting('reading the plan'):
         saved = read_plan(arguments.plan)
     if not _ground_is_the_same(arguments, saved, console):

@@ -14,7 +14,7 @@ from .positions import add_crs, in_named_system
 EPILOG = f"""\
 Routes are the recorded paths, numbered in order of time; strategy, map and ground are those of the
 last departure. The column slot has the day and time that departures from a plan file are for. The
-coordinate system is the node's parameter map.crs, unless --crs or --datum names another one.
+coordinate system is the node's parameter map.crs, unless --crs names another one.
 {FORMATS_HELP}
 --json: {{"verdict", "files", "departures", "unreadable"}}
 """

@@ -53,10 +53,29 @@ class FewDrawn(Drawn):
         return {**layers, **{name: tables[name] for name in _ALSO if name in tables}}
 
     def picture(self) -> Figure:
-        """An overview with the curve of values, and up to six panels of a route each."""
-        from .few_figure import few_figure
+        """All routes on one map, with the worst place for an ambush."""
+        from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
 
-        return few_figure(self)
+        from .. import figures, map_figures
+
+        figure = Figure(figsize=(map_figures.WIDTH, 6.2), layout='compressed')
+        axes, few = figure.subplots(), self.few
+        title = (f'The best ambush causes a mean loss of {few.value * self.covered:#.3g}\nAll '
+                 f'{few.candidates} paths that were tried: {few.lower_bound * self.covered:#.3g}')
+        map_figures.colour_bar(axes, figures.draw_ground(axes, self.trip, self.risk_map, title),
+                               map_figures.LOSS)
+        figures.draw_routes(axes, [path[:, :2] for path in self.paths], [few.worst_xy])
+        worst = figures.SITES.get_markerfacecolor()
+        axes.plot(*few.worst_xy, marker='o', markersize=9, color=worst, markeredgecolor='white',
+                  linestyle='none', zorder=9, label='worst ambush')
+        keys = [Line2D([], [], label=name.removeprefix('Route '), **figures.route_style(k))
+                for k, name in enumerate(self.names[:figures.MAX_NUMBERED])]
+        figure.legend(handles=[*keys, axes.lines[-1], figures.SECURED_AREA,
+                               *map_figures.ground_key(self.risk_map)], ncols=3,
+                      loc='outside lower left', frameon=False, title='route and share',
+                      alignment='left')
+        return figure
 
 
 def tell_few(plan: Plan, few: FewRoutes, asked: int, covered: float, console: Console) -> None:

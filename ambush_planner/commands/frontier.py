@@ -52,12 +52,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..operations.frontier import DETOURS, SLACKS, trip_frontier
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
     check_outputs(arguments.output, console)
     risk_map, (x, y), (to_x, to_y), _ = read_ground(arguments, of_map)
+
+    from ..operations.frontier import DETOURS, SLACKS, trip_frontier
+
     detours, slacks = arguments.detours or DETOURS, arguments.slacks or SLACKS
     solved, budgets = count(1), len(detours) + len(slacks)
     with console.waiting('solving') as tell:

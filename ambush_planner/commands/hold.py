@@ -49,13 +49,15 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    from ..game.strategy import within_slack
-    from ..operations.hold import places_to_hold
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
     check_outputs(arguments.output, console)
     risk_map, start, goal, stops = read_ground(arguments, of_map)
+
+    from ..game.strategy import within_slack
+    from ..operations.hold import places_to_hold
+
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
     limit = planning.strategy.time_limit
     with console.waiting(f'solving games, at most {limit:g} s (strategy.time_limit)'):

@@ -22,7 +22,6 @@ from ..maps.road_file import ROAD_OPTIONS
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
 from .cli import WORDS
-from .positions import crs_text
 
 # Default options by their groups, in which the time limit of a solve is the node's.
 DEFAULTS: dict[str, Any] = {
@@ -53,8 +52,8 @@ _NAMED = re.compile(rf"(?<!--set )(?<!')(?<![.\w])((?:{'|'.join(DEFAULTS)})\.)?"
 def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, PlanningOptions]:
     """The options of a ``planner_parser``: for the map, and for the plan; raises InvalidOption.
 
-    An option can be given once, by its word of ``WORDS`` or with ``--set``. The arguments of
-    ``add_crs`` take precedence over ``map.crs``.
+    An option can be given once, by its word of ``WORDS`` or with ``--set``. The argument ``--crs``
+    takes precedence over ``map.crs``.
     """
     given = [f'{name}={_in_metres(value) if unit == "METRES" else value}'
              for word, (name, unit, _) in WORDS.items()
@@ -64,7 +63,7 @@ def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, Plann
     if arguments.roads:
         given += ['network.method=graph', f'network.graph={arguments.roads}']
     of_map, of_plan = options_of([*arguments.set, *given])
-    crs = crs_text(arguments)
+    crs = arguments.crs
     return replace(of_map, crs=crs) if crs else of_map, of_plan
 
 

@@ -66,6 +66,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if not planning.game.ambush_radius > 0.0:
         raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
 
+    risk_map, start, goal, _ = read_ground(arguments, of_map)
+
     from ..map_figures import as_png
     from ..operations.judge import NEAR, find_trips, judge
     from ..planning.concerns import concerns, is_sound
@@ -73,7 +75,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.durable_files import write_all_durably
     from .judge_figure import judge_figure
 
-    risk_map, start, goal, _ = read_ground(arguments, of_map)
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
     game = solved_game(risk_map, planning)
     near = max(game.ambush_radius, game.secured_distance, NEAR * math.dist(start, goal))

@@ -38,7 +38,7 @@ DETAILS = f"""\
 The node and ambush card read FILE.plan, too.
 {FORMATS_HELP}
 With --routes, the files have a layer or track for each route, with its number and share, and .png
-shows each. The table on the console has the faces of one or two dice (a first and a second one) and
+shows all. The table on the console has the faces of one or two dice (a first and a second one) and
 the cards that stand for each route, by the nearest shares, and the value of each such draw.
 With --slots, a time of departure is drawn for each route: an ambusher can wait in one slot only.
 --json: {{"verdict", "files", "departures", "value", "lower_bound", "expected_length",
@@ -81,6 +81,17 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     _check_departures(arguments)
+    from .inputs import options_from
+
+    (of_map, planning), slots = options_from(arguments), arguments.slots
+    for before, after in pairwise(slots):
+        if after <= before:
+            raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
+    if arguments.window > 1 and not slots:
+        raise cli.UsageError('--window needs --slots HH:MM ...')
+    check_outputs(arguments.output, console)
+    risk_map, start, goal, stops = read_ground(arguments, of_map)
+
     import numpy as np
 
     from ..operations.few_routes import MAX_ROUTES
@@ -93,19 +104,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..recordings.sources import sources_of
     from ..route_files import draw, write_routes
     from .few_files import FewDrawn, tell_few
-    from .inputs import options_from
 
-    (of_map, planning), slots = options_from(arguments), arguments.slots
-    for before, after in pairwise(slots):
-        if after <= before:
-            raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
-    if arguments.window > 1 and not slots:
-        raise cli.UsageError('--window needs --slots HH:MM ...')
     if arguments.routes is not None and not 1 <= arguments.routes <= MAX_ROUTES:
         raise cli.UsageError(f'--routes must be a number from 1 to {MAX_ROUTES}')
-    check_outputs(arguments.output, console)
     rng = np.random.default_rng(arguments.seed)
-    risk_map, start, goal, stops = read_ground(arguments, of_map)
     limit = planning.strategy.time_limit
     what = f'at most {limit:g} s (strategy.time_limit)'
     with console.waiting(what) as tell, warnings.catch_warnings():

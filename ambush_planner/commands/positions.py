@@ -247,20 +247,10 @@ def _hint(given: Position, risk_map: RiskMap) -> str:
 
 
 def add_crs(parser: argparse._ActionsContainer) -> None:
-    """Add the arguments ``--crs`` and ``--datum``, for ``crs_text``."""
-    crs = parser.add_mutually_exclusive_group()
-    crs.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of a map '
-                     'whose file does not say it, such as EPSG:32616')
-    crs.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
-                     help="for a map in a robot's frame: position of its origin and direction of "
-                     "x [rad from east], as in navsat_transform's parameter datum")
-
-
-def crs_text(arguments: argparse.Namespace) -> str:
-    """Return the coordinate system that the arguments name, as ``Coordinates`` reads it, or ''."""
-    if arguments.datum:
-        return 'datum ' + ' '.join(f'{number:.12g}' for number in arguments.datum)
-    return str(arguments.crs)
+    """Add the argument ``--crs``."""
+    parser.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of a map '
+                        "whose file does not say it, such as EPSG:32616, or of a robot's frame: "
+                        "'datum LAT LON YAW', as in navsat_transform's parameter datum")
 
 
 def in_named_system(risk_map: RiskMap, arguments: argparse.Namespace,
@@ -268,7 +258,7 @@ def in_named_system(risk_map: RiskMap, arguments: argparse.Namespace,
     """The map of a recording in the system that the arguments name; warns if it differs."""
     from ..maps.coordinates import agree
 
-    crs = crs_text(arguments)
+    crs = arguments.crs
     if crs and risk_map.crs and not agree(crs, risk_map.crs):
         console.warn(f'{crs} takes the place of the recorded coordinate system, {risk_map.crs}')
     return replace(risk_map, crs=crs) if crs else risk_map

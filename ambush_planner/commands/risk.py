@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import cli
-from .positions import add_crs, crs_text
+from .positions import add_crs
 
 if TYPE_CHECKING:
     from ..maps.occupancy import OccupancyMap
@@ -74,8 +74,8 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    given = [name for name in ('datum', 'crs') if getattr(arguments, name)]
-    given += _given(arguments, ('resolution', *_VIEW, *_GROUND, 'weights'))
+    given = [*_given(arguments, ('resolution', *_VIEW, *_GROUND, 'weights')),
+             *['crs'] * bool(arguments.crs)]
     if arguments.source.suffix.lower() in ('.yaml', '.yml'):
         if given:
             raise cli.UsageError(f'--{given[0].replace("_", "-")} goes with an elevation model; '
@@ -101,13 +101,15 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
         cli.require(('pyproj', 'rasterio'))
     options = TerrainOptions(view=ViewOptions(**_given(arguments, _VIEW)),
                              **_given(arguments, (*_GROUND, 'weights')))
+    frame = arguments.crs if arguments.crs.startswith('datum ') else ''
     with console.waiting('lines of sight') as tell:
         grid = terrain_of_file(arguments.source, options, arguments.resolution,
-                               arguments.crs or None, lambda share: tell(f'{share:.0%}'))
+                               None if frame else arguments.crs or None,
+                               lambda share: tell(f'{share:.0%}'))
     picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
                      [arguments.source.name])
-    if arguments.datum:
-        grid = in_local_frame(grid, crs_text(arguments))
+    if frame:
+        grid = in_local_frame(grid, frame)
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
     files.append(list_sources(files, [arguments.source]))
     console.line(_summary(grid))

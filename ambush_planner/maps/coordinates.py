@@ -40,7 +40,8 @@ class Coordinates:
         self.origin = (0.0, 0.0, 0.0)
         if not text:
             raise InvalidCoordinates('the coordinate system of the map is unknown; name it (--crs '
-                                     "EPSG:32616), or the robot's frame (--datum LAT LON YAW)")
+                                     "EPSG:32616), or the robot's frame (--crs 'datum LAT LON "
+                                     "YAW')")
         words = text.split()
         if words[:1] != ['datum']:
             self.crs = horizontal(text)

@@ -55,7 +55,7 @@ def agreed_crs(known: str | None, given: str | None) -> str | None:
     Raises InvalidRiskMap if both are known and differ.
     """
     if known and given and not agree(known, given):
-        raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
+        raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs')
     return known or given or None
 
 
