@@ -62,7 +62,8 @@ class _SearchEnded(Exception):
 class GibbsStrategy:
     """The best evaluation of the search: p (m,) and the multipliers v (R,).
 
-    ``violation`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits, or hardly any.
+    ``violation`` is max(C p) - 1; ``infeasible`` if no strategy is known to be within the
+    limits.
     """
 
     p: FloatArray
@@ -78,8 +79,8 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatAr
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), and misses entropy, by no more than the ``accuracy`` allows; when the limits
-    are proved infeasible, or are not kept after many turns; when the function hardly falls any more; or at ``deadline``
-    (``time.monotonic``).
+    are proved infeasible, or not kept after many turns; when the function hardly falls any more;
+    or at ``deadline`` (``time.monotonic``).
     """
     if rows.shape[0] == 0:
         _, p, _ = network.distribution(weights)
