@@ -26,7 +26,8 @@ from .table import PARAMETERS
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 COSTMAP_OBSTACLE = 99
-# Maximum network.target_nodes of a plan that is soon refined: it is there in about a second.
+# Most nodes, those of all legs, of a plan that is soon refined: it is there in about a second, or
+# with four stops in about three.
 _PLAIN_NODES = 1000
 # Parameters in which it differs from what is asked for.
 OF_PLAIN_NETWORK = ('network.refine', 'network.target_nodes')
@@ -65,9 +66,9 @@ class NodeParameters:
     recording: RecordingOptions
     values: Mapping[str, Any]
 
-    def with_plain_network(self) -> NodeParameters:
-        """The parameters of a plan that is soon refined: on a plain network of few nodes."""
-        nodes = min(self.planning.network.target_nodes, _PLAIN_NODES)
+    def with_plain_network(self, legs: int) -> NodeParameters:
+        """The parameters of a plan that is soon refined: on plain networks of few nodes in all."""
+        nodes = min(self.planning.network.target_nodes, max(_PLAIN_NODES // legs, 2))
         network = replace(self.planning.network, refine=0, target_nodes=nodes)
         changed = dict(zip(OF_PLAIN_NETWORK, (0, nodes), strict=True))
         return replace(self, planning=replace(self.planning, network=network),

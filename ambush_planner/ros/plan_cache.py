@@ -60,7 +60,8 @@ class Task:
     def parameters(self) -> NodeParameters:
         """The parameters of the solve."""
         asked = self.trip.parameters
-        return asked.with_plain_network() if self.first else asked
+        legs = len(self.trip.stops_xy) + 1
+        return asked.with_plain_network(legs) if self.first else asked
 
     def request(self, warm: WarmStart | None) -> PlanRequest:
         """Return what the worker is asked for."""

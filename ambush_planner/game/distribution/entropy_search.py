@@ -32,6 +32,7 @@ class EntropySearch(NamedTuple):
     """The constants of the search for the multipliers."""
 
     evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
+    turns: int = 8  # of the two methods: limits that take more can hardly be kept, if at all
     newton_limits: int = 500  # that Newton's method moves at once
     newton_steps: int = 8  # most steps in these limits before the others are looked at again
     damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
@@ -61,7 +62,8 @@ class _SearchEnded(Exception):
 class GibbsStrategy:
     """The best evaluation of the search: p (m,) and the multipliers v (R,).
 
-    ``violation`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits.
+    ``violation`` is max(C p) - 1; ``infeasible`` if no strategy is known to be within the
+    limits.
     """
 
     p: FloatArray
@@ -77,8 +79,8 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatAr
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), and misses entropy, by no more than the ``accuracy`` allows; when the limits
-    are proved infeasible; when the function hardly falls any more; or at ``deadline``
-    (``time.monotonic``).
+    are proved infeasible, or not kept after many turns; when the function hardly falls any more;
+    or at ``deadline`` (``time.monotonic``).
     """
     if rows.shape[0] == 0:
         _, p, _ = network.distribution(weights)
@@ -132,10 +134,14 @@ class _DualSearch:
         self.quasi_newton(start)
         # If evaluations gain less than this each, a round of them does not find what is missing.
         before, gain = np.inf, self.accuracy.missing / ENTROPY.evaluations
-        while self.least < before - gain * (1.0 + abs(self.least)):
+        for _ in range(ENTROPY.turns):
+            if self.least >= before - gain * (1.0 + abs(self.least)):
+                break
             before = self.least
             self.newton()
             self.quasi_newton(self.found.multipliers)
+        else:
+            self.found.infeasible = self.found.violation > self.accuracy.excess
 
     def quasi_newton(self, start: FloatArray) -> None:
         """Run L-BFGS-B on the scaled multipliers."""
