@@ -19,7 +19,7 @@ from ros_harness import FLAT, GOAL, pose, recorded, risk_grid, stage, wait_until
 from test_compute_path import Goals
 from waiting import TIMEOUT, answer_of, held
 
-from ambush_planner.commands import audit
+from ambush_planner.commands import audit, verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import durable_files
 from ambush_planner.recordings.recorded_departures import read_departures, together
@@ -164,6 +164,8 @@ def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path):
         assert 'inactive' in waiting.result().message
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the end of the other file')
         assert len(client.received['path']) == 1
+        (listed,) = tmp_path.rglob('metadata.yaml')
+        wait_until(lambda: listed.read_text().count('"path"') == 1, 'the list')
 
 
 def test_new_routes_and_robots_elsewhere_are_departures_and_each_robot_has_its_own(drive):
@@ -251,6 +253,9 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
     assert len(together(verdicts[1:])[0]) == 1, 'the departure is missing'
     (missing,), _ = together([*verdicts[:1], *verdicts[2:]])
     assert missing == f'missing: what {files[2].name} was diverted from'
+    files[1].rename(tmp_path / 'elsewhere')
+    assert f'missing: {files[1].name}, which metadata.yaml lists' in ' '.join(
+        run_here(verify, tmp_path).out.split())
 
 
 def test_a_diversion_that_is_cancelled_in_time_is_none(tmp_path):

@@ -28,6 +28,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from recording_samples import (
     ATTACHMENTS,
+    START_NS,
     assert_departure,
     departure,
     fields,
@@ -52,6 +53,15 @@ from ambush_planner.recordings.schemas import definitions
 
 def mode(path):
     return stat.S_IMODE(path.stat().st_mode)
+
+
+def bag_information(folder):
+    text = (folder / 'metadata.yaml').read_text()
+    return yaml.safe_load(text)['rosbag2_bagfile_information']
+
+
+def listed(folder):
+    return bag_information(folder)['relative_file_paths']
 
 
 @contextmanager
@@ -86,7 +96,23 @@ def test_folders_and_files_are_private_and_named_like_those_of_rosbag2(tmp_path)
     assert session.parent == tmp_path / 'some' / 'runs'
     assert path.name == f'{session.name}_0.mcap'
     assert mode(session.parent.parent) == mode(session.parent) == mode(session) == 0o700
-    assert {p.name: mode(p) for p in session.iterdir()} == {path.name: 0o600}
+    assert {p.name: mode(p) for p in session.iterdir()} == {
+        path.name: 0o600, 'metadata.yaml': 0o600}
+
+
+def test_a_session_is_one_bag_with_one_file_per_departure(tmp_path):
+    recorder = Recorder(tmp_path)
+    first, second = departure(), departure(START_NS + 60_000_000_000)
+    paths = [record(recorder, sent) for sent in (first, second)]
+    session = paths[0].parent
+    names = [f'{session.name}_{n}.mcap' for n in (0, 1)]
+    assert [p.name for p in paths] == names
+    assert_departure(first + second, read_with_rosbags(session))
+    information = bag_information(session)
+    assert (information['version'], information['storage_identifier']) == (9, 'mcap')
+    assert (information['message_count'], information['relative_file_paths']) == (12, names)
+    assert [each['message_count'] for each in information['files']] == [6, 6]
+    assert [t['message_count'] for t in information['topics_with_message_count']] == [2] * 6
 
 
 def test_a_file_in_place_of_the_directory_is_an_error(tmp_path):
@@ -108,14 +134,14 @@ def test_a_full_disk_leaves_no_partial_file_and_recording_resumes(tmp_path):
         record(recorder, small_departure())
     assert {path: path.read_bytes() for path in session.iterdir()} == before
     record(recorder, small_departure())
-    assert [len(read_with_rosbags(path)) for path in session.iterdir()] == [4, 4]
+    assert len(listed(session)) == 2 == len(read_with_rosbags(session)) // 4
 
 
 def test_recording_goes_on_after_files_and_folders_are_deleted(tmp_path):
     recorder = Recorder(tmp_path / 'runs')
     record(recorder, departure()).unlink()
     path = record(recorder, departure())
-    assert [*path.parent.iterdir()] == [path]
+    assert listed(path.parent) == [path.name]
     shutil.rmtree(tmp_path / 'runs')
     path = record(recorder, departure())
     assert path.name == f'{path.parent.name}_0.mcap'
@@ -234,6 +260,8 @@ def test_named_files_are_whole_whatever_a_kill_interrupts(tmp_path, request):
                 row for row in read_with_mcap_ros2(path) if row[0] != '/noise'
             ])
             assert len(read_with_rosbags(path)) == 5
+        if (session / 'metadata.yaml').exists():
+            read_with_rosbags(session)
     left = list(tmp_path.rglob('*.tmp'))
     assert prepare(tmp_path) == []  # another node might be writing them
     for path in left:

@@ -2,6 +2,7 @@
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -38,6 +39,7 @@ from ambush_planner.recordings.recorded_departures import (
     recordings_in,
     source_findings,
 )
+from ambush_planner.recordings.recorder import listed_in
 from ambush_planner.recordings.recording_errors import UnreadableRecording
 from ambush_planner.recordings.recording_file import decode, read_recording
 from ambush_planner.recordings.sources import digest_of
@@ -188,6 +190,18 @@ def chunk_of(compression, data, stated):
                  records.DataEnd(0), records.Footer(0, 0, 0)):
         each.write(builder)
     return MAGIC + builder.end() + MAGIC
+
+
+def test_a_list_of_files_by_others_is_read_in_no_time(tmp_path):
+    aliases = ['a0: &a0 [x, x, x, x, x, x, x, x, x]', *(
+        f'a{k}: &a{k} [{", ".join([f"*a{k - 1}"] * 9)}]' for k in range(1, 12))]
+    for text in ('\n'.join(aliases), '[' * 10**5, 'null', '[1]', '{"a": 1}',
+                 '{"rosbag2_bagfile_information": {"relative_file_paths": 3}}'):
+        (tmp_path / 'metadata.yaml').write_text(text)
+        assert listed_in(tmp_path) == []
+    named = {'relative_file_paths': ['a.mcap', [['b']], 3]}
+    (tmp_path / 'metadata.yaml').write_text(json.dumps({'rosbag2_bagfile_information': named}))
+    assert listed_in(tmp_path) == ['a.mcap']
 
 
 def test_a_large_source_of_a_plan_is_hashed_in_blocks(tmp_path):

@@ -229,10 +229,11 @@ def publisher_of(node: Any, channel: Channel) -> Any:
 
 def qos_from_yaml(text: str) -> Any:
     """Return the profile (rclpy) of a channel; those of recordings are all reliable."""
-    import yaml
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    fields = yaml.safe_load(text)[0]
+    from ..recordings.messages import fields_from_yaml
+
+    fields = fields_from_yaml(text)
     return QoSProfile(depth=fields['depth'],
                       durability=DurabilityPolicy.get_from_short_key(fields['durability']))
 

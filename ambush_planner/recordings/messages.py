@@ -67,6 +67,13 @@ def qos_text(depth: int, latched: bool) -> str:
 LATCHED = qos_text(1, latched=True)
 
 
+@lru_cache(maxsize=256)
+def fields_from_yaml(text: str) -> dict[str, Any]:
+    """Return the fields of the first profile in a channel's ``offered_qos_profiles``."""
+    fields: dict[str, Any] = yaml.safe_load(text)[0]
+    return fields
+
+
 def type_name(message: Any) -> str:
     """Return the ROS name of the type of a message or message class."""
     type_ = message if isinstance(message, type) else type(message)

@@ -174,8 +174,8 @@ class Recordings:
             if self._settle(queued):
                 _leave(queued)
             if queued.left.exception():
-                with suppress(OSError):  # a file more than departures, at worst
-                    path.unlink()
+                with suppress(RecordingFailed):  # a file more than departures, at worst
+                    self._recorder.remove(path)
 
     def _settle(self, queued: _Queued) -> bool:
         """Return whether this is the first to decide if a departure leaves."""
