@@ -248,9 +248,8 @@ def _hint(given: Position, risk_map: RiskMap) -> str:
 
 def add_crs(parser: argparse._ActionsContainer) -> None:
     """Add the argument ``--crs``."""
-    parser.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of a map '
-                        "whose file does not say it, such as EPSG:32616, or of a robot's frame: "
-                        "'datum LAT LON YAW', as in navsat_transform's parameter datum")
+    parser.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system, if no file '
+                        "says it: EPSG:32616, or 'datum LAT LON YAW' of a robot's frame")
 
 
 def in_named_system(risk_map: RiskMap, arguments: argparse.Namespace,

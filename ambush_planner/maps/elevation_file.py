@@ -28,6 +28,7 @@ from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
 
+HEIGHTS = 'elevation'  # name of the second band of a risk map, which has the heights [m]
 # GDAL's drivers of rasters that can be heights or risk.
 _DRIVERS = ('GTiff', 'VRT', 'AAIGrid', 'SRTMHGT', 'DTED', 'USGSDEM', 'HFA', 'EHdr', 'ENVI', 'ERS',
             'GPKG', 'netCDF', 'XYZ', 'GSAG', 'GSBG', 'GS7BG', 'SAGA', 'JP2OpenJPEG')
@@ -104,7 +105,7 @@ def _read_gdal(path: Path, is_risk: bool, crs: str | None) -> Raster:
 
 def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
-    _check(path, dataset)
+    _check(path, dataset, is_risk)
     system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
     units.check_axes(path, units.tags_of(dataset), system)
     values = _values(dataset, 1.0 if is_risk else units.metres_per_unit(path, dataset))
@@ -121,7 +122,7 @@ def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Ras
     return replace(raster, losses=(least, most))
 
 
-def _check(path: Path, dataset: Any) -> None:
+def _check(path: Path, dataset: Any, is_risk: bool) -> None:
     """Raise InvalidTerrain if an open rasterio dataset is not a raster of one kind of value."""
     from rasterio.enums import ColorInterp
 
@@ -133,7 +134,8 @@ def _check(path: Path, dataset: Any) -> None:
     if missing := [each for each in dataset.files if not Path(each).exists()]:
         raise InvalidTerrain(f'{path}: names {missing[0]}, which is not here')
     has_alpha = dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha
-    if dataset.count != 1 and not has_alpha:
+    has_heights = is_risk and dataset.descriptions[1:] == (HEIGHTS,)
+    if dataset.count != 1 and not (has_alpha or has_heights):
         raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
                              'gdal_translate -b')
     if dataset.colorinterp[0] == ColorInterp.palette:

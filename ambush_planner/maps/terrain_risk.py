@@ -94,7 +94,8 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     blocked &= ~unknown
     values = frozen_array(np.where(blocked, OBSTACLE, values), np.int8)
     origin = (*(elevation.corner or (0.0, 0.0)), 0.0)
-    return OccupancyMap(values, elevation.resolution, origin, elevation.crs)
+    return OccupancyMap(values, elevation.resolution, origin, elevation.crs,
+                        heights=elevation.heights)
 
 
 def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
