@@ -20,12 +20,12 @@ from .hits import Law
 from .search import Program, Search, SearchProblem
 from .tolerance import ROUNDS, ceiling
 from .value.cut import solve_by_min_cut
-from .value.entries import Entries
+from .value.edge_flows import EdgeFlows
 from .value.potential import Potential
 from .value.routes import ROUTES, Routes
 
-# Optimality gaps of programs in potentials, over routes, and over entries [tolerances].
-POTENTIAL_GAP, ROUTES_GAP, ENTRIES_GAP = 0.1, 0.3, 0.1
+# Optimality gaps of programs in potentials, over routes, and over edges [tolerances].
+POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.1
 # The gap of one in potentials that only says where a network is to be refined [tolerances].
 ROUGH_GAP = 0.5
 # How often sites join before the distribution is sought; more often while the value is 0. In the
@@ -47,7 +47,7 @@ def _program(problem: SearchProblem, gap: float) -> Program:
     """The program for the value; one in potentials ends at a relative ``gap`` [tolerances]."""
     legs, tolerance = problem.legs, problem.search_tolerance
     if len(legs.games) > 1 and legs.no_reentry:
-        return Entries(legs, ENTRIES_GAP * tolerance)
+        return EdgeFlows(legs, EDGES_GAP * tolerance)
     if len(legs.games) == 1:
         faces = make_faces(legs.games[0])
         if faces and faces.same_both_ways(legs.budgets[0].cost):

@@ -23,7 +23,7 @@ from . import highs
 from .linear_program import ORDINARY, conservation
 
 
-class Entries:
+class EdgeFlows:
     """The LP of all legs: until it is solved, its strategies are the shortest routes."""
 
     apart = 0.0
