@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner.game.distribution.chain import RouteMixture
+from ambush_planner.game.hits import law_of
 from ambush_planner.planning.conditioning import ConditionedStrategy
 
 
@@ -20,8 +21,9 @@ def strategy_on(count, edges, flows, source=0, target=None, mixture=None):
     network = SimpleNamespace(
         points=np.zeros((count, 2)), edges=edges, tails=edges[:, 0], heads=edges[:, 1],
         source=source, target=count - 1 if target is None else target)
-    return SimpleNamespace(network=network, edge_probability=np.array(flows, dtype=float),
-                           mixture=mixture, law=mixture)
+    p = np.array(flows, dtype=float)
+    return SimpleNamespace(network=network, edge_probability=p, mixture=mixture,
+                           law=mixture or law_of(SimpleNamespace(network=network), p))
 
 
 @st.composite
@@ -71,7 +73,7 @@ def test_a_strategy_with_circles_has_no_condition():
     circle = ConditionedStrategy(
         strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0]))
     assert circle.avoiding(np.array([True, False, False, False])) == (0.0, None)
-    assert circle.avoiding(np.zeros(4, bool)) == (1.0, None)
+    assert circle.avoiding(np.zeros(4, bool)) == (1.0, circle.strategy.law)
 
 
 def test_whole_routes_that_are_clear_keep_their_odds():

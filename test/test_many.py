@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many games on executors: order, errors, progress, broken pools."""
+"""Many games on executors: order, errors, broken pools."""
 
 import multiprocessing
 import os
@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from ambush_planner import (
-    InvalidOption,
     InvalidRiskMap,
     NetworkOptions,
     NoRoute,
-    Plan,
     PlanningOptions,
     Problem,
     RiskMap,
@@ -49,7 +47,8 @@ def numbers(plan):
 
 
 def expected(each):
-    return numbers(plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options))
+    return numbers(plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options,
+                             stops=each.stops))
 
 
 @pytest.fixture(scope='module')
@@ -67,27 +66,18 @@ def executor(request):
     return pool
 
 
-def test_results_are_those_of_solve_in_the_problems_order(executor):
+def test_results_are_those_of_plan_trip_in_the_problems_order(executor, tmp_path):
+    """With their maps, also of trips with stops."""
+    assert solve_many([], executor) == []
     maps = [field(0), field(1)]
     problems = [problem(maps[k % 2], k, strategy=StrategyOptions(max_detour=1.1 + k % 3))
-                for k in range(5)]
-    finished = []
-    results = solve_many(iter(problems), executor, answer=numbers, on_result=finished.append)
-    assert sorted(finished, key=lambda each: each.index) == results
+                for k in range(4)]
+    problems.append(replace(problems[3], stops=[(105.0, 155.0), (155.0, 55.0)]))
+    results = solve_many(iter(problems), executor)
     assert [result.index for result in results] == list(range(5))
-    assert [result.answer for result in results] == [expected(each) for each in problems]
-
-
-def test_the_default_answer_is_the_plan(executor, tmp_path):
-    """With its map, also of a trip with stops."""
-    assert solve_many([], executor) == []
-    each = replace(problem(field(), 3), stops=[(105.0, 155.0), (155.0, 55.0)])
-    (result,) = solve_many([each], executor)
-    assert isinstance(result.answer, Plan) and result.error is None
-    plan = plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options, stops=each.stops)
-    assert numbers(result.answer) == numbers(plan)
-    (path,) = result.answer.save(tmp_path / 'r.csv')
-    assert path[0, :2].tolist() == list(each.start_xy)
+    assert [numbers(result.answer) for result in results] == [expected(each) for each in problems]
+    (path,) = results[4].answer.save(tmp_path / 'r.csv')
+    assert path[0, :2].tolist() == list(problems[4].start_xy)
 
 
 def test_an_error_replaces_only_its_own_result(executor):
@@ -95,46 +85,28 @@ def test_an_error_replaces_only_its_own_result(executor):
     wall = RiskMap(np.ones((20, 20)), np.arange(400).reshape(20, 20) % 20 == 10, 10.0)
     problems = [problem(risk_map, 0), Problem(risk_map, (95.0, 95.0), (185.0, 95.0)),
                 problem(wall, 1), problem(None, 1), problem(risk_map, 2)]
-    results = solve_many(problems, executor, answer=numbers)
+    results = solve_many(problems, executor)
     kinds = [type(result.error) for result in results]
     assert kinds == [type(None), StartBlocked, NoRoute, InvalidRiskMap, type(None)]
     assert [result.answer is None for result in results] == [False, True, True, True, False]
 
 
-def test_an_error_in_on_result_cancels_the_rest():
-    taken = []
+class Deadly(PlanningOptions):
+    """Options that end the process that reads them."""
 
-    def problems():
-        for k in range(50):
-            taken.append(k)
-            yield problem(field(), k)
-
-    def stop(result):
-        raise KeyboardInterrupt
-
-    with ThreadPoolExecutor(1) as pool:
-        with pytest.raises(KeyboardInterrupt):
-            solve_many(problems(), pool, answer=numbers, on_result=stop, in_flight=4)
-    assert len(taken) <= 8
-
-
-def end_here(strategy):
-    if strategy.network.points[strategy.network.source][1] == 35.0:
-        os._exit(1)
-    return strategy.value
+    def __reduce__(self):
+        return os._exit, (1,)
 
 
 def test_a_broken_pool_keeps_the_finished_results():
     with ProcessPoolExecutor(1, FRESH) as pool:
-        results = solve_many([problem(field(), k) for k in range(6)], pool, answer=end_here,
-                             in_flight=1)
-    assert [result.error is None for result in results] == [True, True, *[False] * 4]
-    assert all(isinstance(result.error, BrokenProcessPool) for result in results[2:])
-    pool.shutdown()
+        (first,) = solve_many([problem(field(), 0)], pool)
+        results = solve_many([problem(field(), 1), replace(problem(field(), 2), options=Deadly()),
+                              problem(field(), 3)], pool)
+    assert first.error is None
+    assert all(isinstance(result.error, BrokenProcessPool) for result in results[1:])
     results = solve_many([problem(field(), k) for k in range(3)], pool)
-    assert all(isinstance(result.error, BrokenProcessPool) for result in results)
-    with pytest.raises(InvalidOption, match='in_flight'):
-        solve_many([], pool, in_flight=-1)
+    assert all(isinstance(result.error, RuntimeError) for result in results)
 
 
 def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
@@ -145,17 +117,11 @@ def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
                                  dashboard_address=None, local_directory=str(tmp_path)) as cluster,
         distributed.Client(cluster) as client,
     ):
-        done = []
+        def but_one_dies():
+            yield from problems[:6]
+            os.kill(next(iter(client.run(os.getpid).values())), 9)  # both have problems now
+            yield from problems[6:]
 
-        def kill_one(result):
-            done.append(result)
-            if len(done) == 3:
-                # Both workers have problems at this time.
-                victim = next(iter(client.run(os.getpid).values()))
-                os.kill(victim, 9)
-
-        results = solve_many(problems, client.get_executor(), answer=numbers, on_result=kill_one,
-                             in_flight=6)
-    assert len(done) == 8
+        results = solve_many(but_one_dies(), client.get_executor())
     assert [result.error for result in results] == [None] * 8
-    assert [result.answer for result in results] == [expected(each) for each in problems]
+    assert [numbers(result.answer) for result in results] == [expected(each) for each in problems]

@@ -34,7 +34,7 @@ from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.legs import Legs
-from ambush_planner.game.value.entries import Entries
+from ambush_planner.game.value.edge_flows import EdgeFlows
 from ambush_planner.game.value.face_flows import FaceFlows
 from ambush_planner.game.value.potential import POTENTIAL, Potential
 from ambush_planner.game.value.routes import Routes
@@ -92,13 +92,13 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
 @examples(30)
 @given(st.integers(0, 10**6), st.sampled_from([(0, 0.0), (0, 1.0), (0, 2.5), (1, 0.0), (2, 0.0)]),
        st.sampled_from([1.0, 1.05, 1.3, math.inf]))
-def test_potentials_and_entries_of_legs_have_the_value_of_routes(seed, stops_and_reach, detour):
+def test_potentials_and_edge_flows_of_legs_have_the_value_of_routes(seed, stops_and_reach, detour):
     """And the judge reproduces the bound from the circulations, or from q alone."""
     stops, reach = stops_and_reach
     assume(stops or detour > 1.0)  # a mixture of potentials keeps a budget up to rounding
     legs = legs_on(roads_of(seed, stops, 6), reach, detour)
     routes = Routes(legs, 1e-3)
-    lp = Entries(legs, 1e-4) if stops else Potential(legs, make_faces(legs.games[0]), 1e-3)
+    lp = EdgeFlows(legs, 1e-4) if stops else Potential(legs, make_faces(legs.games[0]), 1e-3)
     lp.solve(math.inf)
     routes.solve(math.inf)
     assert lp.value >= routes.bound * (1.0 - 1e-6) and lp.bound <= routes.value * (1.0 + 1e-6)

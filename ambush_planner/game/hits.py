@@ -75,6 +75,11 @@ class LegLaws:
         return zip(self._laws, self._legs.rows_by_leg(rows), strict=True)
 
 
+def joint_law(legs: Legs, laws: Sequence[Law]) -> Law:
+    """The law of all legs."""
+    return laws[0] if len(laws) == 1 else LegLaws(legs, laws)
+
+
 def law_of(game: Game, p: FloatArray) -> Law:
     """The Markov chain of p (M,) if it is acyclic, else its entries."""
     return chain_of(game.network, p) if is_acyclic(game.network, p) else Entries(p)

@@ -23,7 +23,7 @@ from .budget import Budget
 from .certificate.certificate import Certificate, Certified, check_strategy
 from .distribution.chain import RouteMixture
 from .game import Game
-from .hits import Law, LegLaws, largest_product, law_of
+from .hits import Law, joint_law, largest_product, law_of
 from .legs import Legs
 from .route_sampler import MixtureSampler, RouteSampler, entropy, route_entropy
 from .tolerance import CERTIFICATE_TOLERANCE, Reason, within
@@ -272,8 +272,7 @@ class TripStrategy(Certified):
     @cached_property
     def law(self) -> Law:
         """Return the law by which the routes of all legs are drawn."""
-        laws = [leg.law for leg in self.legs]
-        return laws[0] if len(laws) == 1 else LegLaws(self.joint, laws)
+        return joint_law(self.joint, [leg.law for leg in self.legs])
 
     @cached_property
     def ground_uses(self) -> tuple[IndexArray, FloatArray]:

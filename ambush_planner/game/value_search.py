@@ -7,25 +7,17 @@ map that cost its strategies most join it, until none does.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-from scipy.sparse import csr_matrix
-
-from ..arrays import FloatArray
-from .ambusher import Ambush
 from .distribution.chain import MarkovChain, chain_of_legs
 from .faces import make_faces
 from .hits import Law
 from .search import Program, Search, SearchProblem
 from .tolerance import ROUNDS, ceiling
-from .value.cut import solve_by_min_cut
-from .value.entries import Entries
+from .value.edge_flows import EdgeFlows
 from .value.potential import Potential
 from .value.routes import ROUTES, Routes
 
-# Optimality gaps of programs in potentials, over routes, and over entries [tolerances].
-POTENTIAL_GAP, ROUTES_GAP, ENTRIES_GAP = 0.1, 0.3, 0.1
+# Optimality gaps of programs in potentials, over routes, and over edges [tolerances].
+POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.1
 # The gap of one in potentials that only says where a network is to be refined [tolerances].
 ROUGH_GAP = 0.5
 # How often sites join before the distribution is sought; more often while the value is 0. In the
@@ -47,7 +39,7 @@ def _program(problem: SearchProblem, gap: float) -> Program:
     """The program for the value; one in potentials ends at a relative ``gap`` [tolerances]."""
     legs, tolerance = problem.legs, problem.search_tolerance
     if len(legs.games) > 1 and legs.no_reentry:
-        return Entries(legs, ENTRIES_GAP * tolerance)
+        return EdgeFlows(legs, EDGES_GAP * tolerance)
     if len(legs.games) == 1:
         faces = make_faces(legs.games[0])
         if faces and faces.same_both_ways(legs.budgets[0].cost):
@@ -60,32 +52,8 @@ def find_value_by_max_flow(problem: SearchProblem) -> Search | None:
     legs = problem.legs
     if not legs.no_reentry or len(legs.games) > 1:
         return None
-    (game,), (budget,) = legs.games, legs.budgets
-    cut = solve_by_min_cut(game)
-    if not budget.keeps(cut.p):
-        return None
-    ambush = Ambush(cut.q[game.sites], np.zeros(1))
-    return Search(problem, Solved(cut.value, cut.p, ambush))
-
-
-class Solved(NamedTuple):
-    """A value, strategies (M,) that attain it, and the ambusher: nothing is left to solve."""
-
-    bound: float
-    flow: FloatArray
-    ambush: Ambush
-    apart: float = 0.0
-
-    @property
-    def value(self) -> float:
-        """The cost of the strategies."""
-        return self.bound
-
-    def solve(self, deadline: float) -> None:
-        """Do nothing: it is solved."""
-
-    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
-        """Do nothing: all sites are nodes of the network."""
+    program = EdgeFlows(legs, EDGES_GAP * problem.search_tolerance)
+    return Search(problem, program) if program.solve_by_max_flow() else None
 
 
 def tighten(search: Search) -> None:

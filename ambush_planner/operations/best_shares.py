@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible
 from ..game.value import highs
+from ..game.value.mixtures import mixture_lp
 
 # Sites with which the LP begins, those that join at once, and its relative precision.
 FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
@@ -84,25 +85,19 @@ class SharesLP:
         self.sites = np.append(self.sites, worst)
         return len(worst) > 0
 
-
     def _vertex(self, losses: csr_matrix, columns: IndexArray
                 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         """Value and shares (k,) of the LP with a row for each site, and duals: q (S,), prices.
 
         The value is inf if no shares are within the budgets. Raises TimeLimit.
         """
-        count, leg = len(columns), self.leg[columns]
+        leg, rows = self.leg[columns], losses.shape[0]
         unit = float(losses.max()) if losses.nnz else 1.0
-        own = (leg == np.arange(self.leg.max() + 1)[:, None]).astype(np.float64)
-        sites = np.column_stack((losses.toarray() / unit, -np.ones(losses.shape[0])))
-        rows = csr_matrix(np.vstack((sites, np.pad(own * self.costs[columns], ((0, 0), (0, 1))))))
-        limits = np.repeat([0.0, 1.0], [losses.shape[0], len(own)])
-        total = csr_matrix(np.pad(own, ((0, 0), (0, 1))))
-        lp = highs.LP(np.append(np.zeros(count), 1.0), rows, limits, total, np.ones(len(own)))
+        lp = mixture_lp(losses / unit, leg, self.costs[columns])
         solved = highs.run(lp, 'simplex', self.deadline)
         if solved.x is None:
-            return math.inf, np.zeros(count), np.zeros(losses.shape[0]), np.ones(len(own))
-        shares = np.maximum(solved.x[:count], 0.0)
-        duals = np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0)
-        q, prices = np.split(duals, [losses.shape[0]])
-        return float(solved.fun) * unit, shares / (own.T @ (own @ shares)), q, prices * unit
+            return math.inf, np.zeros(len(leg)), np.zeros(rows), np.ones(leg.max() + 1)
+        shares = np.maximum(solved.x[:-1], 0.0)
+        q, prices = np.split(np.maximum(-np.asarray(solved.ineqlin.marginals), 0.0), [rows])
+        return (float(solved.fun) * unit, shares / np.bincount(leg, shares)[leg], q,
+                prices * unit)

@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from collections.abc import Iterable, Sequence
+from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import dataclass, field, replace
-from itertools import islice
-from typing import Any
 
-from ..errors import InvalidOption, warn
+from ..errors import warn
 from ..maps.risk_map import RiskMap
 from ..planning.concerns import concerns
 from ..planning.options import PlanningOptions
@@ -31,40 +28,18 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The answer to the problem at ``index``, or its error."""
+    """The plan of the problem at ``index``, or its error."""
 
     index: int
-    answer: Any = None
+    answer: Plan | None = None
     error: BaseException | None = None
 
 
-def solve_many(problems: Iterable[Problem], executor: Executor, *,
-               answer: Callable[[Plan], Any] | None = None,
-               on_result: Callable[[Solved], None] | None = None,
-               in_flight: int = 0) -> list[Solved]:
+def solve_many(problems: Iterable[Problem], executor: Executor) -> list[Solved]:
     """Solve problems in parallel, as ``plan_trip`` does; the results have the problems' order.
 
     An error replaces only its own result. If the executor breaks (a process of a pool was killed),
     the unsolved problems get its error.
-
-    Parameters
-    ----------
-    problems
-        Consumed as capacity becomes free.
-    answer
-        Applied to each plan where it was made, so that only the answer is sent back (by default
-        the plan). It must be picklable: a function of a module, not a lambda.
-    on_result
-        Called in this thread with each result as it comes, in any order. If it raises, the pending
-        problems are cancelled.
-    in_flight
-        Number of problems that the executor holds at once, at least its number of workers; 0:
-        twice the number of processors.
-
-    Raises
-    ------
-    InvalidOption
-        ``in_flight`` is negative.
 
     Examples
     --------
@@ -78,48 +53,38 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
     >>> [result.error for result in results]
     [None, None]
     """
-    if in_flight < 0:
-        raise InvalidOption(f'in_flight must be >= 0, got {in_flight}')
-    capacity = in_flight or 2 * (os.cpu_count() or 1)
-    results: dict[int, Solved] = {}
-    pending: dict[Future[Any], tuple[int, Problem]] = {}
-    waiting = iter(enumerate(problems))
-
-    def send(index: int, problem: Problem) -> None:
-        try:
-            future = executor.submit(_solve, problem, answer)
-        except Exception as error:  # the pool broke or was shut down
-            future = Future()
-            future.set_exception(error)
-        pending[future] = index, problem
-
+    pending = [(problem, _submitted(problem, executor)) for problem in problems]
     try:
-        while True:
-            for index, problem in islice(waiting, capacity - len(pending)):
-                send(index, problem)
-            if not pending:
-                break
-            done, _ = wait(pending, return_when=FIRST_COMPLETED)
-            for future in done:
-                index, problem = pending.pop(future)
-                error: BaseException | None = (
-                    CancelledError() if future.cancelled() else future.exception())
-                found = None if error else future.result()
-                if isinstance(found, Plan):  # which was sent without its map
-                    found = replace(found, risk_map=problem.risk_map)
-                    for text in concerns(found):
-                        warn(f'problem {index}: {text}')
-                results[index] = Solved(index, found, error)
-                if on_result is not None:
-                    on_result(results[index])
+        return [_result(index, *each) for index, each in enumerate(pending)]
     finally:
-        for future in pending:
+        for _, future in pending:
             future.cancel()
-    return [results[index] for index in sorted(results)]
 
 
-def _solve(problem: Problem, answer: Callable[[Plan], Any] | None) -> Any:
+def _submitted(problem: Problem, executor: Executor) -> Future[Plan]:
+    try:
+        return executor.submit(_solve, problem)
+    except RuntimeError as error:  # the pool broke or was shut down
+        future: Future[Plan] = Future()
+        future.set_exception(error)
+        return future
+
+
+def _result(index: int, problem: Problem, future: Future[Plan]) -> Solved:
+    """Wait for a result, and warn of what should be known about the plan."""
+    try:
+        error = future.exception()
+    except CancelledError as cancelled:
+        error = cancelled
+    if error is not None:
+        return Solved(index, None, error)
+    plan = replace(future.result(), risk_map=problem.risk_map)  # it was sent without its map
+    for text in concerns(plan):
+        warn(f'problem {index}: {text}')
+    return Solved(index, plan)
+
+
+def _solve(problem: Problem) -> Plan:
     """Solve one problem in the executor's process."""
-    plan = plan_quietly(problem.risk_map, problem.start_xy, problem.goal_xy, problem.options,
-                        list(problem.stops))
-    return replace(plan, risk_map=None) if answer is None else answer(plan)
+    return replace(plan_quietly(problem.risk_map, problem.start_xy, problem.goal_xy,
+                                problem.options, list(problem.stops)), risk_map=None)

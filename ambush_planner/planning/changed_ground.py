@@ -14,7 +14,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..game.budget import BUDGET_TOLERANCE
 from ..game.certificate.certificate import Certificate
 from ..game.distribution.chain import RouteMixture
-from ..game.hits import Law, LegLaws
+from ..game.hits import Law, joint_law
 from ..game.legs import Legs
 from ..game.revaluation import legs_in_game, revalue
 from ..game.route_sampler import route_edges
@@ -27,7 +27,7 @@ from ..routes.driven_path import Ends
 from .cell_losses import CellSearch, LatestLosses
 from .changed_network import ChangedNetwork, PlannedNetwork
 from .clear_ground import ClearGround
-from .conditioning import ConditionedStrategy
+from .conditioning import ConditionedStrategy, clear_laws
 from .options import holds_anywhere
 from .plan import Plan, Route
 
@@ -274,7 +274,7 @@ class ChangedGround:
         clear_share, laws = self.clear_laws(look)
         if not clear_share > 0.0:
             return Assessment(math.inf, 0.0, 0.0)
-        law = LegLaws(trip.joint, laws) if len(laws) > 1 else laws[0]
+        law = joint_law(trip.joint, laws)
         if not unchanged:
             known = revalue(trip, look.alpha, law)
         known = self.at_any_cell(known, look.newest, law, unchanged)
@@ -299,22 +299,8 @@ class ChangedGround:
                 and np.array_equal(look.alpha, self.plan.network.alpha))
 
     def clear_laws(self, look: ChangedNetwork) -> tuple[float, list[Law]]:
-        """The probability that a route avoids the lost edges, and the law of each leg then.
-
-        0 and no laws if none does.
-        """
-        share, laws = 1.0, list[Law]()
-        for leg, own, conditioned in zip(self.plan.legs, self.by_leg(look.lost),
-                                         self.conditioned, strict=True):
-            clear, law = 1.0, leg.law
-            if own[leg.edge_probability > 0.0].any():
-                clear, found = conditioned.avoiding(own)
-                if found is None:
-                    return 0.0, []
-                law = found
-            share *= clear
-            laws.append(law)
-        return share, laws
+        """The probability that a route avoids the lost edges, and the law of each leg then."""
+        return clear_laws(self.conditioned, self.by_leg(look.lost))
 
     def _clear_corridors(self, newest: OccupancyMap) -> tuple[Corridors, ...]:
         """Return the plan's corridors among the new obstacles."""

@@ -9,11 +9,14 @@ mixture of whole routes, those that are clear keep their odds.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import cached_property
+
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray, sums
 from ..game.distribution.acyclic import is_acyclic
-from ..game.distribution.chain import RouteMixture, chain_of
+from ..game.distribution.chain import MarkovChain, RouteMixture, chain_of
 from ..game.hits import Law
 from ..game.strategy import Strategy
 
@@ -22,28 +25,37 @@ class ConditionedStrategy:
     """The conditional strategies of one strategy; there are none if it has a cycle."""
 
     def __init__(self, strategy: Strategy) -> None:
-        network, p = strategy.network, strategy.edge_probability
-        self._law, self._mixture = strategy.law, strategy.mixture
-        self._chain = chain_of(network, p) if is_acyclic(network, p) else None
-        if self._chain:
-            on = self._chain.network
-            self._nodes = np.zeros(on.count, dtype=np.int64)  # in the whole network
-            self._nodes[on.tail], self._nodes[on.head] = network.edges[on.edge].T
+        self.strategy = strategy
+
+    @cached_property
+    def _chain(self) -> MarkovChain | None:
+        network, p = self.strategy.network, self.strategy.edge_probability
+        return chain_of(network, p) if is_acyclic(network, p) else None
+
+    @cached_property
+    def _nodes(self) -> IndexArray:
+        """The nodes of the chain in the whole network."""
+        assert self._chain is not None
+        on = self._chain.network
+        nodes = np.zeros(on.count, dtype=np.int64)
+        nodes[on.tail], nodes[on.head] = self.strategy.network.edges[on.edge].T
+        return nodes
 
     def avoiding(self, lost: BoolArray) -> tuple[float, Law | None]:
         """The probability that a route avoids the edges ``lost`` (M,), and the law of these.
 
         The law is None if none does.
         """
-        if self._mixture:
-            clear = np.array([not lost[route].any() for route in self._mixture.routes])
-            share = float(self._mixture.shares[clear].sum())
+        if not lost[self.strategy.edge_probability > 0.0].any():
+            return 1.0, self.strategy.law
+        if mixture := self.strategy.mixture:
+            clear = np.array([not lost[route].any() for route in mixture.routes])
+            share = float(mixture.shares[clear].sum())
             if not share > 0.0:
                 return 0.0, None
-            return share, RouteMixture(self._mixture.routes,
-                                       self._mixture.shares * clear / share, self._mixture.leg)
+            return share, RouteMixture(mixture.routes, mixture.shares * clear / share, mixture.leg)
         if self._chain is None:
-            return (0.0, None) if lost.any() else (1.0, self._law)
+            return 0.0, None
         clear_chain, share = self._chain.avoiding(np.flatnonzero(lost[self._chain.network.edge]))
         return share, clear_chain if share > 0.0 else None
 
@@ -90,3 +102,19 @@ class ConditionedStrategy:
         clear = network.backwards.solve(share, target)[::-1]
         return np.asarray(share * clear[network.head]
                           / np.maximum(clear, np.finfo(float).tiny)[network.tail])
+
+
+def clear_laws(legs: Iterable[ConditionedStrategy],
+               lost: Iterable[BoolArray]) -> tuple[float, list[Law]]:
+    """The probability that a route avoids the ``lost`` edges of each leg, and the legs' laws then.
+
+    0 and no laws if none does.
+    """
+    share, laws = 1.0, list[Law]()
+    for leg, own in zip(legs, lost, strict=True):
+        clear, law = leg.avoiding(own)
+        if law is None:
+            return 0.0, []
+        share *= clear
+        laws.append(law)
+    return share, laws

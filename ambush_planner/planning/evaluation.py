@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray
 from ..game.game import Game
-from ..game.hits import Law, LegLaws, largest_product, law_of
+from ..game.hits import Law, joint_law, largest_product, law_of
 from ..game.legs import Legs
 from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy, TripStrategy
@@ -94,7 +94,7 @@ def _fixed(planner: str, trip: TripStrategy, choose: Callable[[Game], IndexArray
     legs = trip.joint
     flows = [route_strategy(game.network, choose(game)) for game in legs.games]
     laws = [law_of(game, p) for game, p in zip(legs.games, flows, strict=True)]
-    worst, _ = largest_product(legs.loss, legs.entering, LegLaws(legs, laws))
+    worst, _ = largest_product(legs.loss, legs.entering, joint_law(legs, laws))
     length = sum(float(p @ game.network.travel_costs)
                  for game, p in zip(legs.games, flows, strict=True))
     return Measures(planner, length, _meets(legs, laws, trip.ambusher.q),

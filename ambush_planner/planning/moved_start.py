@@ -25,7 +25,7 @@ from ..game.budget import Budget, length_budget
 from ..game.certificate.certificate import Certificate, lower_bounds
 from ..game.distribution.chain import NO_FLOW, RouteMixture, chain_of
 from ..game.game import make_game, make_games
-from ..game.hits import Law, LegLaws, largest_product
+from ..game.hits import Law, joint_law, largest_product
 from ..game.legs import Legs
 from ..game.route_sampler import route_edges
 from ..game.strategy import Strategy, TripStrategy
@@ -206,7 +206,8 @@ def _joined_trip(ground: ChangedGround, newest: OccupancyMap, network: Network, 
         for game, leg in zip(games[1:], before.legs[1:], strict=True)))
     legs = Legs(games, budgets)
     ambusher = replace(before.ambusher, circulations=())
-    law = LegLaws(legs, (chain_of(network, p), *laws[1:]))
+    laws = (chain_of(network, p), *laws[1:])
+    law = joint_law(legs, laws)
     value, _ = largest_product(legs.loss, legs.entering, law)
     bound = max(float(lower_bounds(legs, ambusher).sum()), 0.0)
     at_nodes = Certificate(value, min(bound, value))
@@ -214,6 +215,5 @@ def _joined_trip(ground: ChangedGround, newest: OccupancyMap, network: Network, 
     strategies = [Strategy(game, frozen_array(own.uses(len(game.playable)), np.float64), alone,
                            budget, anywhere, own if isinstance(own, RouteMixture) else None)
                   for game, budget, alone, own in zip(
-                      games, budgets, ambusher.by_leg(), (chain_of(network, p), *laws[1:]),
-                      strict=True)]
+                      games, budgets, ambusher.by_leg(), laws, strict=True)]
     return TripStrategy(tuple(strategies), anywhere)

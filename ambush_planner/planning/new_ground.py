@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray, members
-from ..game.hits import Law, LegLaws
+from ..game.hits import joint_law
 from ..game.revaluation import revalue
 from ..game.strategy import TripStrategy
 from ..maps.obstacles import ObstacleField, nearest_on_segments
@@ -25,7 +25,7 @@ from ..network.construction import NetworkOptions
 from .ambush_costs import holds_at_cells
 from .cell_losses import CellLosses, CellSearch
 from .changed_ground import Assessment
-from .conditioning import ConditionedStrategy
+from .conditioning import ConditionedStrategy, clear_laws
 from .options import ROAD_TUBE, PlanningOptions
 
 # Largest distance of a place on a road from its line, and of places that are looked at [m].
@@ -70,19 +70,16 @@ class NewGround:
         # Where ambushers wait anywhere, the search below finds what these nodes would cost.
         alpha[[(leg.network.source, leg.network.target) for leg in trip.legs]] = 0.0
         alpha[(network.alpha == 0.0) & anywhere] = 0.0
-        forbidden, share, laws = alpha > planning.game.alpha_threshold, 1.0, list[Law]()
+        forbidden, lost = alpha > planning.game.alpha_threshold, list[BoolArray]()
         for leg in trip.legs:
-            own, law = leg.network, leg.law
-            used, lost = np.flatnonzero(leg.edge_probability > 0.0), forbidden[own.heads]
+            own, used = leg.network, np.flatnonzero(leg.edge_probability > 0.0)
+            lost.append(forbidden[own.heads])
             tails, heads = own.points[own.edges[used]].swapaxes(0, 1)
-            lost[used] |= ~self._clear(tails, heads, before, planning.network)
-            if lost[used].any():
-                clear, found = ConditionedStrategy(leg).avoiding(lost)
-                if found is None:
-                    return Assessment(math.inf, 0.0, 0.0)
-                share, law = share * clear, found
-            laws.append(law)
-        law = LegLaws(legs, laws) if len(laws) > 1 else laws[0]
+            lost[-1][used] |= ~self._clear(tails, heads, before, planning.network)
+        share, laws = clear_laws(map(ConditionedStrategy, trip.legs), lost)
+        if not share > 0.0:
+            return Assessment(math.inf, 0.0, 0.0)
+        law = joint_law(legs, laws)
         known = revalue(trip, alpha, law)
         value = known.value
         if anywhere and value < math.inf:

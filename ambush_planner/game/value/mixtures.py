@@ -44,6 +44,19 @@ class Mixture(NamedTuple):
     costs: FloatArray
 
 
+def mixture_lp(hit: csr_matrix, leg: IndexArray, used: FloatArray) -> highs.LP:
+    """The LP in the shares of columns (C,), each of a leg, and z.
+
+    ``hit`` (S, C) is their loss at each site, ``used`` (C,) what they take of their leg's budget.
+    """
+    (rows, count), legs = hit.shape, int(leg.max()) + 1
+    one = csr_matrix((np.ones(count), (leg, np.arange(count))), (legs, count + 1))
+    sites = hstack([hit, csr_matrix(-np.ones((rows, 1)))])
+    return highs.LP(np.append(np.zeros(count), 1.0),
+                    csr_matrix(vstack([sites, one.multiply(np.append(used, 0.0))])),
+                    np.append(np.zeros(rows), np.ones(legs)), one, np.ones(legs))
+
+
 class _Column(NamedTuple):
     """A route of a leg, given by its edges, the sites that it meets, and the margin it uses."""
 
@@ -54,10 +67,10 @@ class _Column(NamedTuple):
 
 
 class Mixtures:
-    """The routes that are known, each of one of ``legs`` legs, and the sites (S,)."""
+    """The routes that are known, each of a leg, and the sites (S,)."""
 
-    def __init__(self, legs: int) -> None:
-        self.loss, self._legs, self._unit = np.zeros(0), legs, 0.0
+    def __init__(self) -> None:
+        self.loss, self._unit = np.zeros(0), 0.0
         self._near = np.zeros(0, dtype=bool)
         self._columns: list[_Column] = []
         self._known: set[bytes] = set()
@@ -132,13 +145,7 @@ class Mixtures:
     def _solve_on(self, hit: csr_matrix, leg: IndexArray, precision: float, deadline: float,
                   vertex: bool) -> OptimizeResult:
         """Solve the LP with the rows (R, C) of some sites."""
-        rows, count = hit.shape
-        one = csr_matrix((np.ones(count), (leg, np.arange(count))), (self._legs, count + 1))
-        used = one.multiply(np.append([each.used_margin for each in self._columns], 0.0))
-        sites = hstack([hit, csr_matrix(-np.ones((rows, 1)))])
-        limits = np.append(np.zeros(rows), np.ones(self._legs))
-        lp = highs.LP(np.append(np.zeros(count), 1.0), csr_matrix(vstack([sites, used])), limits,
-                      one, np.ones(self._legs))
+        lp = mixture_lp(hit, leg, np.array([each.used_margin for each in self._columns]))
         first = 'simplex' if vertex else 'interior_point'
         result = highs.run_either(lp, first, deadline, False, precision)
         if result.x is None:

@@ -33,6 +33,7 @@ from ..route_sampler import route_edges, shortest_route, shortest_route_strategy
 from ..tolerance import within
 from . import highs
 from .face_flows import FaceFlows
+from .mixtures import mixture_lp
 
 
 class PotentialSearch(NamedTuple):
@@ -315,11 +316,8 @@ class Potential:
         rows = np.flatnonzero(near >= max(self.bound * (1.0 - ROUNDING),
                                           POTENTIAL.near * value.min()))
         unit = float(near.max(initial=0.0)) or 1.0
-        sites = np.column_stack((losses[:, rows].T / unit, np.full(len(rows), -1.0)))
-        used = np.append([point.used for point in points], 0.0)
-        one = csr_matrix(np.append(np.ones(count), 0.0))
-        lp = highs.LP(np.append(np.zeros(count), 1.0), csr_matrix(np.vstack((sites, used))),
-                      np.append(np.zeros(len(rows)), 1.0), one, np.ones(1))
+        lp = mixture_lp(csr_matrix(losses[:, rows].T / unit), np.zeros(count, dtype=np.int64),
+                        np.array([point.used for point in points]))
         try:
             result = highs.run(lp, 'simplex', deadline)
         except SolverFailed:

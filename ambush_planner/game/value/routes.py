@@ -65,7 +65,7 @@ class Routes:
     def __init__(self, legs: Legs, gap: float) -> None:
         self.legs, self._gap, count = legs, gap, len(legs.games)
         self._margins = [budget.used_margin for budget in legs.budgets]
-        self._mixtures = Mixtures(count)
+        self._mixtures = Mixtures()
         self.bound, self.value, self._shares = 0.0, math.inf, np.zeros(0)
         self.q, self.prices = np.zeros(0), np.zeros(count)
         self.entering = csr_matrix((0, legs.edge_count))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least value of several legs if every entry into a site's reach is a hit: an LP in edges.
+"""The least value of legs if every entry into a site's reach is a hit: a linear program in edges.
 
     minimise z   subject to   loss at site j of the entries of all legs <= z,
                               a unit flow for each leg, within its length budget.
@@ -20,10 +20,11 @@ from ..legs import Legs
 from ..route_sampler import shortest_route_strategy
 from ..tolerance import ROUNDS
 from . import highs
+from .cut import solve_by_min_cut
 from .linear_program import ORDINARY, conservation
 
 
-class Entries:
+class EdgeFlows:
     """The LP of all legs: until it is solved, its strategies are the shortest routes."""
 
     apart = 0.0
@@ -33,6 +34,7 @@ class Entries:
         self._use([shortest_route_strategy(game, budget.cost)
                    for game, budget in zip(legs.games, legs.budgets, strict=True)])
         self.ambush = Ambush(np.zeros(len(legs.loss)), np.zeros(len(legs.games)))
+        self._solved = False
 
     def _use(self, strategies: list[FloatArray]) -> None:
         self.flow = np.concatenate(strategies)
@@ -42,12 +44,25 @@ class Entries:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Do nothing: all sites are nodes of the network."""
 
+    def solve_by_max_flow(self) -> bool:
+        """Solve it for a single leg by a maximum flow, if that keeps the budget."""
+        (game,), (budget,) = self._legs.games, self._legs.budgets
+        cut = solve_by_min_cut(game)
+        self._solved = budget.keeps(cut.p)
+        if self._solved:
+            self.flow, self.value, self.bound = cut.p, cut.value, cut.value
+            self.ambush = Ambush(cut.q[game.sites], np.zeros(1))
+        return self._solved
+
     def solve(self, deadline: float) -> None:
         """Solve it; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
+        if self._solved:
+            return
         legs, unit = self._legs, self.value
         if (safe := legs.avoiding(legs.entering)) is not None:
             self._use([shortest_route_strategy(game, budget.cost)
                        for game, budget in zip(safe.games, safe.budgets, strict=True)])
+            self._solved = True
             return
         for _ in range(ROUNDS):
             lp, edges = self._linear_program(unit)
@@ -70,7 +85,7 @@ class Entries:
         self.ambush = Ambush(q / total, np.where(np.isfinite(margins), prices / margins, 0.0)
                              * unit / total)
         ambusher = self.ambush.ambusher(legs.games[0], np.ones(len(q), dtype=bool))
-        self.bound = float(lower_bounds(legs, ambusher).sum())
+        self.bound, self._solved = float(lower_bounds(legs, ambusher).sum()), True
 
     def _linear_program(self, unit: float) -> tuple[highs.LP, np.ndarray]:
         """The LP in (p, z / unit), and the edges whose p it has."""
