@@ -27,7 +27,6 @@ _GONE = {
     '--order': _Gone(_ORDER),
     'audit -o': _Gone('the console says what it finds, and ambush report --verify shows it with '
                       'the routes'),
-    'report --replace': _Gone('leave it out: an existing page is overwritten'),
     'risk --roads': _Gone('the roads of a risk map are a layer: {roads: roads.gpkg, width: 8, '
                           'factor: 0.5, passable: true} (docs/risk_layers.md)'),
     '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),

@@ -120,7 +120,7 @@ def inputs(tmp_path_factory):
 
 LINES = {
     'audit': 'runs', 'card': 'runs/run_0.mcap -o card.html --speed 20',
-    'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported.html',
+    'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported',
     'verify': 'runs',
     'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
@@ -153,7 +153,7 @@ HOLD, JUDGE = f'hold map.yaml {ENDS} -o h.csv', f'judge map.yaml trips.csv {ENDS
 
 @pytest.mark.parametrize(('line', 'code', 'words'), [
     ('audit --quiet none', 3, 'none'), ('replay --quiet none', 3, 'none'),
-    ('report --quiet none -o page.html', 3, 'none'), ('verify --quiet none', 3, 'none'),
+    ('report --quiet none -o page', 3, 'none'), ('verify --quiet none', 3, 'none'),
     (f'frontier map.yaml {ENDS} -o f.csv --detour 0.5', 2, '--detour must'),
     (f'frontier map.yaml {ENDS} -o f.csv --detours 0.5', 2, '--detour must'),
     (f'frontier map.yaml {ENDS} -o f.csv --goal 95 95', 2, 'one position'),
@@ -196,7 +196,7 @@ ROUTES = 'plan map.yaml --start 15 15 --goal 285 185 --set network.spacing=40 -o
 
 @pytest.mark.parametrize(('missing', 'lines', 'codes', 'extra'), [
     (['rclpy'], ['replay runs'], '2', 'jazzy'),
-    (['matplotlib'], ['report runs -o page.html', 'audit runs', 'risk layers.yaml -o risk.yaml'],
+    (['matplotlib'], ['report runs -o page', 'audit runs', 'risk layers.yaml -o risk.yaml'],
      '0 0 2', 'figures'),
     (GIS, [f'{ROUTES} few.csv', f'{ROUTES} few.png few.gpx'], '0 2', 'figures,gis'),
 ])

@@ -74,7 +74,7 @@ def test_every_command_of_the_page_works(tmp_path):
     files = set(re.findall(names, ' '.join(text for page in PAGES for text in blocks(page, 'sh'))))
     assert len(files) == 18 and all((tmp_path / file).stat().st_size for file in files), files
     assert len(list((tmp_path / 'week.departures').iterdir())) == 5
-    assert (tmp_path / 'report.html').stat().st_size
+    assert (tmp_path / 'report/report.html').stat().st_size
 
 
 @pytest.mark.slow

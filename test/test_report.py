@@ -62,7 +62,7 @@ class Page(HTMLParser):
 
 def page_of(folder, code=0, arguments=()):
     """The page of the recordings in the folder ``in``."""
-    arguments = [str(folder / 'in'), '-o', str(folder / 'out' / 'report.html'), *arguments]
+    arguments = [str(folder / 'in'), '-o', str(folder / 'out'), '--replace', *arguments]
     assert report.main(arguments) == code
     assert (folder / 'out' / 'report.html').stat().st_mode & 0o777 == 0o600
     return Page(folder / 'out')

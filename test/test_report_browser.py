@@ -152,8 +152,8 @@ def page(tmp_path_factory):
 def written(folder, count, *plan, **options):
     """The page of departures, drawn and recorded in a folder."""
     record_drawn(folder / 'in', count, *plan, **options)
-    assert report.main([str(folder / 'in'), '-o', str(folder / 'report.html')]) == 0
-    return folder / 'report.html'
+    assert report.main([str(folder / 'in'), '-o', str(folder / 'out')]) == 0
+    return folder / 'out' / 'report.html'
 
 
 @pytest.fixture(scope='module')

@@ -83,7 +83,7 @@ def test_every_command_works(tmp_path):
     for line in ''.join(blocks(PAGE, 'text')).splitlines():
         assert line == '...' or words(line) in words(said), line
     folder = tmp_path / 'ambush_tutorial'
-    assert 'Verified: all 6 recordings' in (folder / 'report.html').read_text()
+    assert 'Verified: all 6 recordings' in (folder / 'report' / 'report.html').read_text()
     with open(folder / 'frontier.csv') as table:
         values = {row['max_detour']: float(row['value']) for row in csv.DictReader(table)}
     assert [values[key] for key in ('1.02', '1.15')] == pytest.approx([5.12, 1.49], rel=0.01)

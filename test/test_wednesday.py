@@ -243,7 +243,7 @@ def test_a_new_plan_strikes_departures_of_the_old_one_and_says_why(plans, tmp_pa
     assert run_here(draw, *day, '--earlier', 'driven', '--why', 'x').code == 2
     done = run_here(draw, *day, '--earlier', 'unused', '--why', 'the bridge is out')
     assert done.code == 0, done.err
-    for command, more in ((verify, ()), (report, ('-o', tmp_path / 'out.html'))):
+    for command, more in ((verify, ()), (report, ('-o', tmp_path / 'out'))):
         done = run_here(command, tmp_path, *more, '--json')
         assert list(json.loads(done.out)['struck'].values()) == ['the bridge is out']
     text = ' '.join(run_here(verify, tmp_path).out.split())

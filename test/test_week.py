@@ -117,14 +117,14 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         assert departure.path_poses[0, :2] == pytest.approx(START, abs=1e-9)
     if name in ('routes', 'refined', 'few', 'held'):
         return  # what the commands read of these, the others have, too
-    for command, more in ((audit, ()), (report, ('-o', tmp_path / 'out.html', '--verify')),
+    for command, more in ((audit, ()), (report, ('-o', tmp_path / 'out', '--verify')),
                           (export, ('-o', tmp_path / 'all.csv'))):
         done = run_here(command, folder, *more)
         assert done.code == 0, (command, done.out, done.err)
     assert '2030-01-06 ' in (tmp_path / 'all.csv').read_text(), 'the day that it is for'
     said = ' '.join(run_here(audit, folder).out.split())
     assert f'at most the value, {plan.value / 2:.3g}, on average' in said, 'one number everywhere'
-    page = (tmp_path / 'out.html').read_text()
+    page = (tmp_path / 'out' / 'report.html').read_text()
     assert f'<b>{plan.value / 2:.3g}</b>' in page, 'the value that the plan was printed with'
     assert 'one time of departure only' in page and '2030-01-01 ' in page
     assert 'Verified: all 6 recordings' in page
@@ -251,10 +251,10 @@ def test_a_second_draw_asks_and_one_that_was_not_driven_does_not_count(plans, tm
     assert counted['departures'] == 4
     struck = '0001_2030-03-04, 0005_2030-03-04 (2 of 6)'
     said = [run_here(verify, folder).out, run_here(audit, folder).out]
-    assert run_here(report, folder, '-o', tmp_path / 'out.html').code == 0
-    for text in (*said, (tmp_path / 'out.html').read_text()):
+    assert run_here(report, folder, '-o', tmp_path / 'out').code == 0
+    for text in (*said, (tmp_path / 'out' / 'report.html').read_text()):
         assert f'Struck as unused: {struck}. A planner who draws until' in ' '.join(text.split())
-    for command, more in ((verify, ()), (audit, ()), (report, ('-o', tmp_path / 'json.html'))):
+    for command, more in ((verify, ()), (audit, ()), (report, ('-o', tmp_path / 'json'))):
         result = json.loads(run_here(command, folder, *more, '--json').out)
         assert [name[-20:] for name in result['struck']] == [
             '0001_2030-03-04.mcap', '0005_2030-03-04.mcap']

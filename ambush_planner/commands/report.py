@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import cli, readers
-from .geo_files import check_outputs
 
 if TYPE_CHECKING:
     from ..recordings.report_data import Section
 
+PAGE = 'report.html'
 EPILOG = """\
-The page shows the map, the strategy, the routes, a comparison with planners that always drive the
-same route, and what is guaranteed, with one section per map and trip. The map can be moved and
-zoomed, layers and single departures can be selected, and the cost of an ambush is shown at the
-pointer. The list of departures links their recordings. The page needs no network; its only script
-is inline. It shows secret routes: its mode is 0600. With --verify it also says what ambush verify
-and ambush audit find; the exit code is 1 if a recording fails verification.
+The page, report.html, shows the map, the strategy, the routes, a comparison with planners that
+always drive the same route, and what is guaranteed, with one section per map and trip. The map can
+be moved and zoomed, layers and single departures can be selected, and the cost of an ambush is
+shown at the pointer. The list of departures links their recordings. The page needs no network; its
+only script is inline. It shows secret routes: its mode is 0600, that of a new folder 0700. With
+--verify it also says what ambush verify and ambush audit find; the exit code is 1 if a recording
+fails verification.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified",
 "struck": {FILE: WHY}}
 """
@@ -31,10 +32,17 @@ def parser() -> argparse.ArgumentParser:
         'report', 'Show recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
-    made.add_argument('-o', '--output', type=cli.file_of('.html'), required=True,
-                      metavar='REPORT.html', help='the page to write')
+    made.add_argument('-o', '--output', type=_folder, metavar='DIR', required=True,
+                      help=f'folder for {PAGE}; made if missing')
+    made.add_argument('--replace', action='store_true', help='overwrite an existing page in DIR')
     made.add_argument('--verify', action='store_true', help='verify and audit the recordings')
     return made
+
+
+def _folder(text: str) -> Path:
+    if Path(text).suffix.lower() == '.html':
+        raise argparse.ArgumentTypeError('must be a folder, such as report')
+    return Path(text)
 
 
 def write_report(place: Path, output: Path, verify: bool,
@@ -64,13 +72,13 @@ def write_report(place: Path, output: Path, verify: bool,
                     ] * bool(unreadable)
         if struck:
             warnings.append(readers.struck_note(struck, len(departures) + len(struck)))
-        text = page(sections, output.parent, warnings, checks)
-        write_all_durably({output: text.encode()})
-        console.secret([output])
+        text = page(sections, output, warnings, checks)
+        write_all_durably({output / PAGE: text.encode()})
+        console.secret([output / PAGE])
     else:
         console.error('no recording could be read, so there is no report')
     console.result = {
-        'page': cli.place(output) if departures else None, 'departures': len(departures),
+        'page': cli.place(output / PAGE) if departures else None, 'departures': len(departures),
         'sections': len(sections), 'unreadable': len(unreadable),
         'verified': code == cli.Exit.HOLDS if verify else None,
         'struck': readers.struck_json(struck),
@@ -79,7 +87,9 @@ def write_report(place: Path, output: Path, verify: bool,
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    check_outputs([options.output], console)
+    if (page := options.output / PAGE).exists() and not options.replace:
+        raise cli.UsageError(f'{cli.place(page)} exists already; add --replace, or choose another '
+                             'folder with -o')
     return write_report(options.recordings, options.output, options.verify, console)[0]
 
 

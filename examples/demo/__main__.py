@@ -73,8 +73,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if len(recordings) != options.departures:
         raise DemoFailed(f'{options.departures} departures left {len(recordings)} recordings')
     console.step('verifying the recordings and writing the report')
-    code, sections = write_report(recordings[0].parent, folder / 'report.html', True,
-                                  console)
+    code, sections = write_report(recordings[0].parent, folder, True, console)
     if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
     section, trip = sections[-1], sections[-1].trip
