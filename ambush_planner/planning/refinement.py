@@ -29,6 +29,9 @@ from .solving import Ground, WarmStart
 # Unless the number of rounds is given: most rounds after the first one, and most nodes, those of
 # all legs, of a network that is refined further, as larger ones take minutes.
 ROUNDS, MAX_NODES = 6, 15_000
+# Time that has to be left for a further round [times of the last one], as that has twice the nodes,
+# and then needs a route distribution.
+NEXT_ROUND = 6.0
 # Fall of the value in a round, as a share of it, below which refinement then ends.
 LEAST_FALL = 0.02
 # Sites that cause less than this share of the ambusher's mean loss are not refined. If those where
@@ -62,12 +65,14 @@ class Round(NamedTuple):
 
 
 def refine(find_value: FindValue, ground: Ground, warm: WarmStart | None, latest: float,
-           progress: Progress, value: float) -> tuple[Search | None, tuple[Round, ...]]:
+           end: float, progress: Progress, value: float
+           ) -> tuple[Search | None, tuple[Round, ...]]:
     """Find the value on ever finer networks; the search of least value, and all rounds.
 
     Rounds end when the network is fine enough, and unless their number is given, when they gain
-    little or the network is large; none begins after ``latest`` (``time.monotonic``). None if the
-    first one is cut short. ``value`` is that of the plan so far, for ``progress``.
+    little or the network is large. None begins after ``latest`` (``time.monotonic``), nor if less
+    than ``NEXT_ROUND`` is left until ``end``. The search is None if the first one is cut short.
+    ``value`` is that of the plan so far, for ``progress``.
     """
     given, done = ground.options.network.refine, list[Round]()
     best: Search | None = None
@@ -76,6 +81,8 @@ def refine(find_value: FindValue, ground: Ground, warm: WarmStart | None, latest
         if newest is not None:
             places = next_places(newest, ground.risk_map, ground.options)
             if places is None or (given is None and done[-1].nodes > MAX_NODES):
+                break
+            if time.monotonic() + NEXT_ROUND * done[-1].seconds > end:
                 break
             warm = WarmStart.after(newest, places)
         begin = time.monotonic()

@@ -183,8 +183,8 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
 
     known = warm.refined if warm and warm.refined is not None else np.empty((0, 3))
     latest = begin + REFINED_BY * (end - begin)
-    search, rounds = refine(find_value, ground, WarmStart.of(strategy, known), latest, progress,
-                            best.value)
+    search, rounds = refine(find_value, ground, WarmStart.of(strategy, known), latest,
+                            end - reserve, progress, best.value)
     rounds = (Round(len(best.network.points), best.value, best.seconds), *rounds)
     if search is not None and search.program.value < best.value:
         progress('drawing the routes of the refined network', best.value)
