@@ -28,8 +28,7 @@ from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
 from ambush_planner.planning.plan import departure_paths
-from ambush_planner.recordings import recordings_in
-from ambush_planner.recordings.recorded_departures import read_departures
+from ambush_planner.recordings.recorded_departures import read_departures, recordings_in
 from ambush_planner.recordings.report_data import Section, sections_of
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
