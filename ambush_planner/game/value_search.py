@@ -17,7 +17,7 @@ from .value.potential import Potential
 from .value.routes import ROUTES, Routes
 
 # Optimality gaps of programs in potentials, over routes, and over edges [tolerances].
-POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.1
+POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.01
 # The gap of one in potentials that only says where a network is to be refined [tolerances].
 ROUGH_GAP = 0.5
 # How often sites join before the distribution is sought; more often while the value is 0. In the
