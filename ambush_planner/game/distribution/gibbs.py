@@ -48,6 +48,13 @@ class AcyclicNetwork:
         self.onwards = Recursion(head, tail, self.count)
         self.backwards = Recursion(last - tail, last - head, self.count)
 
+    def part(self, used: IndexArray) -> AcyclicNetwork:
+        """The network of some edges (K,), which every route of them leads through all legs."""
+        tail, head = self.tail[used], self.head[used]
+        nodes = np.unique((tail, head))
+        tail, head, starts = (np.searchsorted(nodes, each) for each in (tail, head, self.starts))
+        return AcyclicNetwork(tail, head, self.edge[used], starts.tolist())
+
     def columns(self, rows: csr_matrix) -> csr_matrix:
         """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
         return csr_matrix(rows[:, self.edge])
@@ -71,7 +78,9 @@ class AcyclicNetwork:
         scaled = self._scaled_partition(weights)
         if scaled is None:
             self._log_scale = self._log_partition(weights)
-            scaled = self._exact_choice(weights), np.ones(self.count)
+            choice = np.exp(self._log_scale[self.head] - self._log_scale[self.tail] - weights)
+            choice /= sums(self.tail, choice, self.count)[self.tail]
+            scaled = choice, np.ones(self.count)
         share, partition = scaled
         share *= partition[self.head]
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -119,11 +128,6 @@ class AcyclicNetwork:
             partition = self.backwards.solve(factor, end)[::-1]
         good = np.isfinite(partition).all() and partition[0] > TINY and partition.max() < 1.0 / TINY
         return (factor, partition) if good else None
-
-    def _exact_choice(self, weights: FloatArray) -> FloatArray:
-        """Probability (m,) of each edge at its tail when the scale is log Z itself."""
-        choice = np.exp(self._log_scale[self.head] - self._log_scale[self.tail] - weights)
-        return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
 
     def most(self, weights: FloatArray) -> float:
         """The largest sum of weights (m,) along a route."""

@@ -40,6 +40,8 @@ class DistributionRounds(NamedTuple):
     accuracy: Accuracy = Accuracy(0.04, 5e-4)
     early_accuracy: Accuracy = Accuracy(0.2, 1e-2)
     near: float = 0.97  # share of their cap from which on sites limit their hits, not entries
+    small: float = 1e-5  # derivatives that are left out, as no edge is used more than once
+    unused: float = 1e-8  # probability of edges that later rounds do without
     swings: int = 5  # rounds that may swing back and forth; later ones are averaged
 
 
@@ -60,7 +62,7 @@ class RouteDistribution:
     def __init__(self, network: AcyclicNetwork, p: FloatArray, legs: Legs, tolerance: float,
                  deadline: float) -> None:
         self.network, self.tolerance, self.exact = network, tolerance, legs.no_reentry
-        self.chain, self.deadline = MarkovChain(network, p), deadline
+        self.chain, self.deadline, self._begun = MarkovChain(network, p), deadline, p > 0.0
         self._aim = DISTRIBUTION.aim if self.exact else DISTRIBUTION.early_aim
         self._excess = self._accuracy(DISTRIBUTION.accuracy).excess
         # A distribution may exceed its limits by the excess, but not a budget.
@@ -86,6 +88,8 @@ class RouteDistribution:
         self._rows = self._entering[near]
         if not self.exact:
             hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
+            self._rows.data[np.abs(self._rows.data) < DISTRIBUTION.small] = 0.0
+            self._rows.eliminate_zeros()
         losses, self.entropy = self._loss * hits, self.chain.entropy
         self.worst = int(losses.argmax()) if len(losses) else -1
         self.value = float(losses.max(initial=0.0))
@@ -131,7 +135,21 @@ class RouteDistribution:
                                        + self.prices.sum() / (1.0 - self._excess))
         self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1
+        if self.rounds == 1 and not self.exact:
+            self._leave_unused_edges()
         return True
+
+    def _leave_unused_edges(self) -> None:
+        """Go on without the edges that next to no route uses, half of all on a fine network.
+
+        Those of the first strategies stay, as these are within the limits.
+        """
+        rare = ~self._begun & (self.chain.p < DISTRIBUTION.unused)
+        chain, _ = self.chain.avoiding(np.flatnonzero(rare))
+        used = np.flatnonzero(self._begun | (chain.p > 0.0))
+        self.network = self.network.part(used)
+        self.chain = MarkovChain(self.network, chain.p[used])
+        self._entering, self._budget_rows = self._entering[:, used], self._budget_rows[:, used]
 
 
 def _budget_rows(legs: Legs, edge: IndexArray) -> csr_matrix:
