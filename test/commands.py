@@ -73,6 +73,9 @@ def documented_keys(tool):
 
 
 ROOT = Path(__file__).resolve().parent.parent
+# Commands draw the same each time.
+SEEDED = {'PYTHONPATH': os.pathsep.join(
+    [str(ROOT / 'test/seeded'), os.environ.get('PYTHONPATH', '')])}
 
 
 def table_under(page, heading):
@@ -105,5 +108,5 @@ def run_script(script, folder, timeout=240):
     """Run a script with this environment's commands on the path; return the process."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     return subprocess.run(['bash', '-ec', script], cwd=folder, capture_output=True, text=True,
-                          env={**os.environ, 'PATH': path, 'HOME': str(folder)}, timeout=timeout,
-                          check=False)
+                          env={**os.environ, **SEEDED, 'PATH': path, 'HOME': str(folder)},
+                          timeout=timeout, check=False)

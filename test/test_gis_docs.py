@@ -67,9 +67,14 @@ def test_every_command_of_the_page_works(tmp_path):
             value = numbers(its_rest)[1]
             assert 0.98 * value < float(its_bound) < 1.02 * float(bound)
     assert 'UTM zone 16N (EPSG:32616)' in done.stderr
+    # How many departures use the closed bridge is up to their draw.
+    said = ' '.join(done.stdout.split())
+    blocked = re.findall(r'now: BLOCKED at [\d.]+,-[\d.]+, [\d.]+ k?m from the start', said)
+    assert len(blocked) == int(re.search(r'(\d) of 5 departures: not clear on', said)[1])
+    known = set(words(said + ' from the start').split())
     for shown in (text for page in PAGES for text in blocks(page, 'text')):
         if 'pip install' not in shown and 'ros2' not in shown:
-            assert set(words(shown).split()) <= set(words(done.stdout).split()), shown
+            assert set(words(shown).split()) <= known, shown
     names = r'\b(?:routes|route|route_2|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
     files = set(re.findall(names, ' '.join(text for page in PAGES for text in blocks(page, 'sh'))))
     assert len(files) == 18 and all((tmp_path / file).stat().st_size for file in files), files

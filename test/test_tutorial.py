@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the report and the audit need matplotlib')
 
-from commands import blocks
+from commands import SEEDED, blocks
 from ros_harness import free_domain
 from waiting import wait_until
 
@@ -46,7 +46,7 @@ def run_in_shell(script, tmp_path):
     standin.chmod(0o755)
     with free_domain() as domain:
         environment = {
-            **os.environ, 'HOME': str(tmp_path), 'ROS_DOMAIN_ID': str(domain),
+            **os.environ, **SEEDED, 'HOME': str(tmp_path), 'ROS_DOMAIN_ID': str(domain),
             'PATH': os.pathsep.join(
                 [str(standin.parent), str(Path(sys.executable).parent), os.environ['PATH']]
             ),
