@@ -52,7 +52,8 @@ test: lint
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL) -m 'not slow'
 
 slow: $(VENV)/.test
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL) -m slow
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL) --timeout 1500 \
+		-o session_timeout=7200 -m slow
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

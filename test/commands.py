@@ -39,10 +39,10 @@ def run_here(tool, *arguments):
     return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
 
 
-def run_python(script, folder=None, timeout=240):
+def run_python(script, folder=None):
     """Run Python in a process of its own; return the process."""
     return subprocess.run([sys.executable, '-c', script], cwd=folder, capture_output=True,
-                          text=True, timeout=timeout, check=False)
+                          text=True, check=False)
 
 
 def run_without(missing, folder, *lines):
@@ -104,9 +104,9 @@ def script_of(page):
                    if kind != 'text')
 
 
-def run_script(script, folder, timeout=240):
+def run_script(script, folder):
     """Run a script with this environment's commands on the path; return the process."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     return subprocess.run(['bash', '-ec', script], cwd=folder, capture_output=True, text=True,
                           env={**os.environ, **SEEDED, 'PATH': path, 'HOME': str(folder)},
-                          timeout=timeout, check=False)
+                          check=False)

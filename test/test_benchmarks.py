@@ -12,8 +12,7 @@ import interfaces
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / 'benchmarks'
-TIMEOUT = 250  # s
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
+pytestmark = pytest.mark.slow
 
 SCRIPTS = {
     'ground': '--family yard --seed 3 --ways default',
@@ -37,7 +36,7 @@ def run(script, arguments, folder):
     command = [sys.executable, BENCHMARKS / f'{script}.py', '--results', f'{script}.md']
     done = subprocess.run(
         [*command, *arguments.split()], cwd=folder, capture_output=True, text=True,
-        timeout=TIMEOUT, check=False, env={**os.environ, 'MPLBACKEND': 'agg'},
+        check=False, env={**os.environ, 'MPLBACKEND': 'agg'},
     )
     assert done.stdout, done.stderr
     _, block, _ = re.split(rf'<!-- {script}: (?:begin|end) -->\n', (

@@ -125,7 +125,8 @@ def test_the_same_trip_is_found_in_another_track(line):
 
 
 def test_a_track_of_a_day_has_several_trips():
-    trips, _ = find(tracks_of([np.concatenate((LINE, LINE[::-1], driven('south', np.random)))]))
+    trips, _ = find(tracks_of([np.concatenate((LINE, LINE[::-1], driven(
+        'south', np.random.default_rng(1))))]))
     assert [trip.name for trip in trips] == ['trip 1 of track 1', 'trip 2 of track 1']
 
 
