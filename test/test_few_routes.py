@@ -15,7 +15,6 @@ from test_path_mixtures import GOAL, OPTIONS, START, ground, mixtures_of
 
 from ambush_planner import (
     GameOptions,
-    InvalidOption,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
@@ -166,17 +165,6 @@ def test_a_plan_draws_from_its_few_routes():
               for path in paths]
     drawn = np.bincount(number, minlength=len(plan.few.paths)) / 300
     assert np.abs(drawn - plan.few.shares).max() < 0.12  # four standard deviations
-
-
-@pytest.mark.parametrize('routes, game, words', [
-    (0, {}, 'routes must be from 1 to .*got 0'), (101, {}, 'routes must be from 1 to .*got 101'),
-    (3, {'ambush_radius': 0.0}, '--reach'),
-])
-def test_requests_without_an_answer_are_refused(routes, game, words):
-    options = PlanningOptions(network=OPTIONS.network,
-                              game=GameOptions(**{'ambush_radius': 2.0, **game}))
-    with pytest.raises(InvalidOption, match=words):
-        plan_trip(ground(), START, GOAL, options, routes=routes)
 
 
 @given(st.lists(st.integers(0, 1000), min_size=1, max_size=30).filter(any), st.integers(1, 60))

@@ -255,15 +255,6 @@ def test_a_file_is_judged_like_its_arrays(tmp_path):
     assert (tmp_path / 'judge.png').stat().st_mode & 0o077 == 0
 
 
-def test_a_value_of_0_is_a_finding(tmp_path):
-    alpha = np.zeros((40, 60))
-    alpha[:2, 28:32] = 1.0  # south of the wall
-    write_ground(tmp_path, alpha=alpha)
-    (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y}\n' for x, y in LINE))
-    done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *QUICK)
-    assert done.code == 1 and 'Warning: the value is 0' in done.err
-
-
 def test_recordings_are_judged(tmp_path):
     plan = sample_plan()
     record_drawn(tmp_path / 'runs', 3)

@@ -90,10 +90,6 @@ def test_distances_a_path_and_reachability(network):
     assert set(np.flatnonzero(on_some_route(network.edges, n, *ends))) == reached & leading
 
 
-def test_an_unreachable_node_has_an_empty_path():
-    assert len(shortest_path(np.empty((0, 2), np.int64), np.empty(0), 2, 0, 1)) == 0
-
-
 def test_where_numbers_are_among_keys_and_who_belongs_to_groups():
     keys = np.array([7, 3, 5])
     assert found_in(keys, np.array([[3, 7], [4, 9]])).tolist() == [[1, 0], [-1, -1]]

@@ -112,16 +112,6 @@ def test_potentials_and_edge_flows_of_legs_have_the_value_of_routes(seed, stops_
             assert lower_bounds(legs, each).sum() >= lp.bound * (1.0 - 5e-3)
 
 
-def test_with_no_site_to_limit_the_value_is_0():
-    game = make_game(terrain_network(3, cells=10),
-                     GameOptions(ambush_radius=1.0, secured_radius=99.0))
-    assert len(game.sites) == 0
-    for detour in (1.0, np.inf):
-        lp = lp_of(one_leg(game, detour))
-        assert lp.bound == 0.0 and len(lp.q) == 0
-        assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
-
-
 def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
     """Five sites around the start, each over two fifths of the ways out: 2/5, not 1/3."""
     turn = np.arange(10) * np.pi / 5
@@ -194,20 +184,6 @@ def test_circulations_on_a_graph_that_grows():
         assert (found.x[reduced > 1e-6] < 1e-6).all()
         assert (found.x[reduced < -1e-6] > highs[reduced < -1e-6] - 1e-6).all()
         assert found.potential[0] == 0.0
-
-
-def test_a_budget_far_over_the_best_route_is_no_endless_search():
-    points = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
-    links = [(a, b) for a in range(30) for b in range(30)
-             if 0 < np.hypot(*(points[a] - points[b])) < 5 and a != 17 and b != 12]
-    alpha = np.random.default_rng(0).random(30) + 0.1
-    alpha[[12, 17]] = 0.0
-    network = Network(points, alpha, links, 12, 17)
-    game = make_game(network, GameOptions(ambush_radius=2.0, secured_radius=1.0))
-    found = []
-    for detour in (50.0, np.inf):
-        found.append(lp_of(one_leg(game, detour), 0.0).bound)
-    assert found[0] == pytest.approx(found[1], rel=1e-4)
 
 
 def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
