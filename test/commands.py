@@ -36,7 +36,12 @@ def run_here(tool, *arguments):
             code = tool.main([*map(str, arguments)])
         except SystemExit as stop:
             code = stop.code
-    return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
+    return SimpleNamespace(code=code, out=out.getvalue(), err=without_progress(err.getvalue()))
+
+
+def without_progress(errors):
+    """Leave out the lines that only tell that a machine takes its time."""
+    return re.sub(r'(?m)^ *\d+\.\d s  .*\n', '', errors)
 
 
 def run_python(script, folder=None):

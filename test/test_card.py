@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from audit_samples import drawn, occupancy, parameters, record_drawn, sample_plan
 from commands import run_here
-from games import plain_options
+from games import examples, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -44,6 +44,7 @@ NO_STOPS = np.empty((0, 2))
 PLACES = st.tuples(*2 * [st.integers(-50, 50)])
 
 
+@examples(40)
 @given(st.lists(PLACES, min_size=2, max_size=40, unique=True), st.integers(0, 39))
 def test_legs_add_up_and_pass_the_stops(path, stop):
     path = np.array(path, float)

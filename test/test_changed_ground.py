@@ -148,7 +148,7 @@ def test_maps_one_after_the_other_are_assessed_as_each_alone():
     values, game = rough(1), GameOptions(ambush_radius=1.5)
     made, on, ground = planned(values, game=game)
     assert ground.assess(on).value == pytest.approx(made.value)
-    for k in range(6):
+    for k in range(3):
         newest = grid(changed(values, [(5 + 2 * k, 4 + 2 * k), (20 - k, 12)], (100, 70)[k % 2]))
         alone = ChangedGround(made, on, OCCUPANCY).assess(newest)
         ground.forget_all_but(newest)

@@ -92,7 +92,7 @@ def test_a_mixture_is_what_it_says(plan):
     assert list(values) == sorted(values, reverse=True) and (np.diff(few.shares) <= 0.0).all()
 
 
-@pytest.mark.parametrize('limit', [5, 40, 60, 90, 200])
+@pytest.mark.parametrize('limit', [5, 60, 200])
 def test_when_the_time_is_up_the_best_mixture_so_far_is_the_answer(plan, limit):
     """On a clock that goes on by a second whenever somebody looks at it; each LP looks."""
     with pytest.MonkeyPatch.context() as patched:
@@ -113,7 +113,7 @@ def test_a_plan_and_its_few_routes_share_the_time_limit(monkeypatch):
     deadlines, run, begin = [], highs.run, time.monotonic()
     monkeypatch.setattr(highs, 'run', lambda lp, solver, deadline, *rest: (
         deadlines.append(deadline), run(lp, solver, deadline, *rest))[1])
-    options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=3600.0))
+    options = replace(COARSE, strategy=replace(COARSE.strategy, time_limit=3600.0))
     plan = plan_trip(ground(), START, GOAL, options, routes=3)
     assert plan.options == options
     latest = max(deadline for deadline in deadlines if math.isfinite(deadline))
@@ -159,7 +159,7 @@ def test_few_routes_of_legs_are_drawn_one_by_one():
 
 
 def test_a_plan_draws_from_its_few_routes():
-    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=3)
+    plan = plan_trip(ground(), START, GOAL, COARSE, routes=3)
     paths = plan.paths(300, np.random.default_rng(0))
     number = [[np.array_equal(each, path) for each in plan.few.paths].index(True)
               for path in paths]
@@ -178,7 +178,7 @@ def test_counts_are_the_nearest(weights, total):
 
 
 def test_draws_by_hand_are_judged_and_cover_all_outcomes():
-    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=6)
+    plan = plan_trip(ground(), START, GOAL, COARSE, routes=6)
     for draw in random_draws(plan):
         outcomes = OUTCOMES[draw.name]
         assert len(set(outcomes)) == len(outcomes) == {'die': 6, 'two dice': 36, 'cards': 52}[

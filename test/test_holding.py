@@ -35,7 +35,7 @@ from ambush_planner.operations import hold as operation
 from ambush_planner.planning.solving import Ground
 
 START, GOAL, RADIUS, SLACK = (3.0, 10.0), (27.0, 10.0), 5.0, 0.01
-OPTIONS = PlanningOptions(network=plain_options(spacing=2.0),
+OPTIONS = PlanningOptions(network=plain_options(spacing=3.0),
                           game=GameOptions(ambush_radius=2.0, secured_radius=6.0),
                           strategy=StrategyOptions(risk_slack=SLACK, time_limit=1000.0))
 CANDIDATES = {'corner': (3.0, 18.0), 'north gate': (15.5, 15.0), 'south gate': (15.5, 5.0),
@@ -177,7 +177,7 @@ def inputs(tmp_path, yard):
 def run(folder, *options):
     return run_here(hold, folder / 'map.yaml', '--start', 3, 10, '--goal', 27, 10, '--reach', 2,
                     '--held', 6, '-o', folder / 'hold.csv', folder / 'hold.png', '--set',
-                    'network.spacing=2', 'network.refine=0', *options)
+                    'network.spacing=4', 'network.refine=0', *options)
 
 
 def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):

@@ -86,7 +86,7 @@ def test_records_of_any_network(data, reach, timed):
     assert 0.0 <= other.bound <= other.value
 
 
-@examples(3)
+@examples(2)
 @given(st.integers(0, 10**6), st.sampled_from((0.0, 1.2, 2.0)), st.sampled_from((0, 0, 1)))
 def test_records_of_plans(seed, reach, stops):
     values = np.rint(10.0 * random_map(seed, 14, 0.0).alpha - 10.0).astype(np.int8)
@@ -120,9 +120,9 @@ def test_records_of_plans(seed, reach, stops):
     for each in places_to_hold(risk_map, start, goal, 2.0, 1, options,
                                candidates=candidates).strategies:
         check_strategy(each)
-    with ThreadPoolExecutor(2) as pool:
-        for solved in solve_many([Problem(risk_map, start, goal, options)] * 2, pool):
-            check_strategy(solved.answer.trip)
+    with ThreadPoolExecutor(1) as pool:
+        (solved,) = solve_many([Problem(risk_map, start, goal, options)], pool)
+    check_strategy(solved.answer.trip)
 
 
 def test_a_certificate_never_has_a_bound_above_its_value():

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -142,6 +143,7 @@ def test_every_turn_of_drawn_routes_is_on_the_card():
             assert (side in at[tuple(line[k])].action) or abs(turn) < 30.0
 
 
+@examples(25)
 @given(st.lists(st.tuples(*4 * [st.floats(0.05, 0.95)]), min_size=1, max_size=12),
        st.integers(0, 2**32 - 1))
 def test_labels_cover_neither_each_other_nor_what_is_taken(places, seed):
