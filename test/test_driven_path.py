@@ -111,16 +111,6 @@ def test_turns_have_the_requested_radius_if_the_tube_allows_it(radius):
     assert tight_turns(poses, radius) == 0 and tight_turns(poses, 20.0) > 0
 
 
-def test_turn_radii_of_a_circle_a_line_and_a_turn_on_the_spot():
-    angle = np.linspace(0.0, 2.0, 12)
-    circle = np.stack((3 * np.sin(angle), 3 - 3 * np.cos(angle), angle), axis=1)
-    assert turn_radii(circle) == pytest.approx(3.0)
-    on = np.append(circle[-1, :2] + np.array([np.cos(2.0), np.sin(2.0)]), 2.0)
-    path = np.concatenate((circle, [on, on + [0.0, 0.0, 0.3]]))
-    assert turn_radii(path)[-2:].tolist() == [np.inf, 0.0]
-    assert [tight_turns(path, radius) for radius in (0.0, 1.0, 3.0, 4.0)] == [0, 1, 1, 2]
-
-
 def between_line(network):
     start, goal = network.points[[network.source, network.target]]
     along = goal - start

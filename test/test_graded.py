@@ -135,8 +135,8 @@ def test_refinement_lowers_the_value_and_keeps_the_best_round():
 def test_a_later_plan_keeps_the_refined_places():
     risk_map = sloping((30, 0, 14), (30, 26, 36))
     refined = np.array([[30.0, 20.0, 0.8]])
-    options = planning(1, spacing=8.0)
-    first = plan_trip(risk_map, START, GOAL, planning(0))
+    options = planning(1, 8.0, 8.0)
+    first = plan_trip(risk_map, START, GOAL, planning(0, 8.0, 8.0))
     warm = WarmStart.of(first.trip, refined)
     later = plan_trip(risk_map, (5.0, 20.0), GOAL, options, warm=warm)
     assert (later.network.refined == refined[0]).all(axis=1).any()

@@ -5,8 +5,6 @@ Its value is compared with that of all mixtures of routes in test_reach.
 """
 
 import math
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -196,24 +194,3 @@ def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
         lp.solve(math.inf)
     with pytest.raises(TimeLimit):
         lp.solve(time.monotonic() - 1.0)
-
-
-PRINTS = """
-import threading
-from ambush_planner.game.value.face_flows import FaceFlows
-
-threads = [threading.Thread(target=lambda: [FaceFlows() for _ in range(50)]) for _ in range(4)]
-for thread in threads:
-    thread.start()
-for k in range(50):
-    print(k, flush=True)
-for thread in threads:
-    thread.join()
-print('last')
-"""
-
-
-def test_lps_in_threads_leave_the_standard_output_alone():
-    done = subprocess.run([sys.executable, '-c', PRINTS], capture_output=True, text=True,
-                          timeout=60, check=True)
-    assert done.stdout.split() == [*map(str, range(50)), 'last']

@@ -29,7 +29,6 @@ from test_trip import roads_of, solved
 from ambush_planner import (
     BudgetInfeasible,
     GameOptions,
-    InvalidOption,
     Network,
     NetworkOptions,
     NoRoute,
@@ -126,14 +125,6 @@ def test_losses_from_1e_9_to_1e9(network, max_detour):
         assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
-def test_mean_direction_is_the_mean_of_the_next_steps():
-    network = quiet_network([[0, 0], [3, 4], [3, -4], [6, 0]], [0, 1, 1, 0],
-                            [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
-    direction = solve(network).mean_direction()
-    expected = [[0.6, 0.0], [0.6, -0.8], [0.6, 0.8], [0.0, 0.0]]
-    assert direction == pytest.approx(np.array(expected), abs=1e-6)
-
-
 def test_a_budget_that_binds_by_hand():
     # Straight: length 2, loss 4. Round: length 4, loss 4. Half and half needs 1.5 times the
     # shortest; with 1.25 a quarter may go round: the straight node is met 3 / 4 of the time.
@@ -198,11 +189,6 @@ def test_no_route_or_none_within_the_budget(solver):
     with pytest.raises(BudgetInfeasible, match=r'budget of 2\.4 m'):
         solve(network, GameOptions(alpha_threshold=5.0),
               StrategyOptions(solver=solver, max_detour=1.2))
-
-
-def test_contradicting_options_are_named():
-    with pytest.raises(InvalidOption, match=r'length_weight 0\.1 .* max_detour'):
-        StrategyOptions(length_weight=0.1)
 
 
 def test_a_budget_of_zero_is_feasible():

@@ -70,13 +70,6 @@ def test_the_driver_is_told_every_turn(graph, line, rows):
     assert told(graph, *line) == rows
 
 
-def test_a_road_that_cannot_be_entered_is_no_fork():
-    graph = roads(('Main', [(0, 0), (100, 0), (200, 0)]), ('Ramp', [(100, 50), (100, 0)]),
-                  one_way=('Ramp',))
-    assert [text for _, text in told(graph, (0, 0), (100, 0), (200, 0))] == [
-        'start, east: Main', 'goal']
-
-
 @pytest.mark.parametrize(('leave', 'text'), [
     ('north', 'roundabout, 2nd exit: North'), ('east', 'roundabout, 1st exit: East'),
     ('west', 'roundabout, 3rd exit: West')])
