@@ -2,9 +2,8 @@
 """The default plan against what the same ground, reach and length allow.
 
 Each game is planned by default, from a finer first network, on a uniform network of 30 000 nodes,
-and on a plain one of the default's size; with ``--before``, also by another checkout, and a second
-table compares the two. A row for each plan is appended to a file as it goes: run it in pieces. Rows
-that are there are not planned again; ``--report`` plans nothing.
+and on a plain one of the default's size. A row for each plan is appended to a file as it goes: run
+it in pieces. Rows that are there are not planned again; ``--report`` plans nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import json
 import math
 import secrets
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -42,7 +40,6 @@ CELLS = 200  # along the sides of maps that are drawn
 REACH = 0.015, 0.1  # of the map's longer side
 DETOUR = 1.1, 1.5
 WAYS = ('default', 'fine', 'uniform', 'plain')
-BEFORE = 'before'  # by default, by another checkout
 FINE, NODES = 10_000, 30_000  # of the first network if it is fine, and of a uniform one
 TUBE = 0.1  # of the reach, with a uniform network
 # Names of families here, and of those of ``families`` that they are.
@@ -149,32 +146,6 @@ def summary(rows: dict[tuple[str, str], Answer]) -> str:
     return f'{conditions()}.\n\n{table(head, lines)}'
 
 
-def comparison(rows: dict[tuple[str, str], Answer]) -> str:
-    """A row for each game that was also planned before, with medians and worst of all of them."""
-    lines, columns = [], []
-    for name in sorted({name for name, way in rows if way == BEFORE}):
-        before, after = rows[name, BEFORE], rows.get((name, 'default'), {})
-        if 'value' in before and 'value' in after:
-            seconds = before['seconds'], after['seconds']
-            gaps = [100.0 * (each['value'] / each['bound'] - 1.0) for each in (before, after)]
-            columns.append((after['value'] / before['value'], *seconds, *gaps,
-                            after['entropy'] / before['entropy']))
-            lines.append([name, *_figures(columns[-1])])
-    if not columns:
-        return ''
-    figures = np.array(columns)
-    worst = [*figures[:, :5].max(axis=0), figures[:, 5].min()]
-    lines.append(['**median**', *_figures(np.median(figures, axis=0))])
-    lines.append(['**worst**', *_figures(worst)])
-    head = ('game', 'value over before', 's before', 's', 'gap before [%]', 'gap [%]',
-            'entropy over before')
-    return f'\n\n{table(head, lines)}'
-
-
-def _figures(columns: Iterable[float]) -> list[str]:
-    return [f'{each:.3f}' if k in (0, 5) else f'{each:.2f}' for k, each in enumerate(columns)]
-
-
 def main() -> None:
     parser = new_parser(__doc__)
     families = [*DRAWN, *SLOW, 'terrain', 'yard']
@@ -184,24 +155,21 @@ def main() -> None:
                         help='the first seed, new in each run')
     parser.add_argument('--count', type=int, default=1, help='games of each family')
     parser.add_argument('--ways', nargs='*', default=list(WAYS), choices=WAYS)
-    parser.add_argument('--before', type=Path, help='another checkout, to compare with')
     parser.add_argument('--limit', type=float, default=300.0, help='of each plan [processor s]')
     parser.add_argument('--rows', type=Path, default=ROWS, help='file to which rows are appended')
     parser.add_argument('--report', action='store_true', help='only make the table')
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.count)
     for family, seed, way in [] if options.report else product(
-            options.family, seeds, [*options.ways, *[BEFORE] * (options.before is not None)]):
+            options.family, seeds, options.ways):
         name = f'{family}:{seed}'
         if (name, way) in rows_in(options.rows):
             continue
-        checkout = options.before if way == BEFORE else None
-        answer = run('ground.planned', name, options.limit, checkout, way=way)
+        answer = run('ground.planned', name, options.limit, way=way)
         options.rows.parent.mkdir(exist_ok=True)
         with options.rows.open('a') as file:
             print(json.dumps(answer | {'way': way}), file=file, flush=True)
-    rows = rows_in(options.rows)
-    publish(options.results, 'ground', summary(rows) + comparison(rows))
+    publish(options.results, 'ground', summary(rows_in(options.rows)))
 
 
 if __name__ == '__main__':

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How soon the node answers: during a long solve, with a route of a known strategy, and meanwhile.
+"""How soon the node answers with a route of a known strategy, and while its inputs change.
 
-Meanwhile, the goal moves within its tolerance, or the map changes every second.
+The goal moves within its tolerance, or the map changes every second.
 
 The node is a process of its own. Times are the caller's [ms], from the request to the answer read.
 Exit code 1 if a target is missed.
@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from node_rig import (
     Caller,
-    NodeSilent,
     Rig,
     grid_of,
     pose,
@@ -33,9 +32,7 @@ from node_rig import (
     stopwatch,
     within,
 )
-from rcl_interfaces.srv import DescribeParameters
 from report import conditions, new_parser, table
-from std_msgs.msg import Header
 
 from ambush_planner.maps.ros_messages import occupancy_from_ros
 
@@ -44,99 +41,23 @@ CELLS, RESOLUTION = 200, 0.5
 START, GOAL = pose(5.0, 50.0), pose(95.0, 50.0)
 # Interval of calls [s].
 PERIOD = 0.05
-# Target for the 99th percentile during a solve [ms].
-DURING_SOLVE = 50.0
 # Targets for the median and 99th percentile of departures with recording [ms], and for their files
 # [kB].
 TARGETS, MAX_FILE = {'new_route': (8.0, 20.0), 'get_plan': (15.0, math.inf)}, 300.0
 # Routes on the map are about 125 m long: about 500 poses.
 PATH = {'route.path_spacing': 0.25}
-QUICK = {
-    'strategy.solver': 'max_entropy', 'network.spacing': 5.0, 'max_planning_time': 60.0,
-}
-# The paper's simplex method needs minutes for 40 000 nodes.
-SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5, 'max_planning_time': 3600.0}
-
 # Side of the obstacle that jumps [cells], and interval of departures and goals meanwhile [s].
 SIDE, MEANWHILE = 3, 0.2
 # Targets for the median and 99th percentile of `new_route` meanwhile [ms].
 MEDIAN_MEANWHILE, SELDOM_MEANWHILE = 100.0, 500.0
 
-Samples = dict[str, list[float]]
-Calls = Mapping[str, Callable[[], object]]
-
-
-def during_a_solve(samples: int) -> tuple[str, bool]:
-    """Call the node in turns, idle and during a solve; return the table and whether it passed."""
-    with running_node(QUICK) as rig, Caller(rig) as caller:
-        caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
-        caller.trigger('new_route')
-        say('calls to an idle node')
-        calls = cheap_calls(caller)
-        idle = alternate(caller, samples, calls)
-        caller.set_parameters(SLOW)
-        answer = caller.send('new_route')
-        caller.wait(lambda: caller.status['state'] == 'solving', 'the solve to begin')
-        caller.set_parameters(QUICK)
-        say('the same calls during a solve')
-        during = alternate(caller, samples, calls)
-        if answer.done() or caller.status['state'] != 'solving':
-            raise NodeSilent('the solve ended before the calls; use fewer --samples')
-        cancel = stopwatch(lambda: caller.call('cancel'))
-        caller.wait(answer.done, 'the answer of the cancelled solve')
-    seldom = {name: [float(np.quantile(each[name], 0.99)) for each in (during, idle)]
-              for name in during}
-    met = {name: times[0] < DURING_SOLVE for name, times in seldom.items()}
-    rows = [
-        [name, f'**{seldom[name][0] / seldom[name][1]:.2f}x**',
-         spread(times), spread(idle[name]), 'yes' if met[name] else '**no**']
-        for name, times in during.items()
-    ]
-    head = ('median / 99 % / largest [ms]', '99 %, during : idle', 'during the solve', 'idle',
-            f'99 % < {DURING_SOLVE:g} ms')
-    text = (
-        '### During a solve of minutes (simplex, 40 000 nodes)\n\n'
-        f'{samples} calls of each kind in turns, one every {1e3 * PERIOD:g} ms. `cancel` ended the '
-        f'solve in {cancel:.3g} ms.\n\n{table(head, rows)}'
-    )
-    return text, all(met.values())
-
-
-def cheap_calls(caller: Caller) -> Calls:
-    """Calls that need no solve."""
-    return {
-        'service `get_parameters`': caller.get_parameter,
-        'service `describe_parameters`': lambda: caller.call(
-            'describe_parameters', DescribeParameters.Request(names=['map.alpha_min'])),
-        'service `get_plan`, strategy known': lambda: caller.get_plan(START, GOAL),
-        'bad map to its diagnostics': bad_maps(caller),
-    }
-
-
-def alternate(caller: Caller, samples: int, calls: Calls) -> Samples:
-    """Times of several kinds of calls, which alternate at regular intervals."""
-    times: Samples = {name: [] for name in calls}
-    begin = time.monotonic()
-    for k in range(samples * len(calls)):
+def timed(caller: Caller, calls: int, call: Callable[[], object]) -> list[float]:
+    """Times of calls at regular intervals."""
+    times, begin = [], time.monotonic()
+    for k in range(calls):
         caller.idle_until(begin + k * PERIOD)
-        name = list(calls)[k % len(calls)]
-        times[name].append(stopwatch(calls[name]))
+        times.append(stopwatch(call))
     return times
-
-
-def bad_maps(caller: Caller) -> Callable[[], None]:
-    """A function that publishes another invalid map and waits for its diagnostics."""
-    publisher = caller.publisher(OccupancyGrid, '/alpha_map')
-    widths = iter(range(1, 1_000_000))
-
-    def publish_bad_map() -> None:
-        bad = OccupancyGrid(header=Header(frame_id='map'))
-        bad.info.width = next(widths)
-        publisher.publish(bad)
-        text = f'width {bad.info.width},'
-        caller.wait(lambda: text in caller.status['message'], 'diagnostics of a bad map')
-
-    return publish_bad_map
 
 
 def departures(calls: int, nodes: int) -> tuple[str, bool]:
@@ -153,7 +74,7 @@ def departures(calls: int, nodes: int) -> tuple[str, bool]:
             ):
                 call()  # which may solve the game
                 before = processor_time(rig.process.pid)
-                times = alternate(caller, calls, {name: call})[name]
+                times = timed(caller, calls, call)
                 each = (processor_time(rig.process.pid) - before) / calls
                 if recording:
                     every.append(within(times, *TARGETS[name]))
@@ -260,9 +181,6 @@ def meanwhile(seconds: float, cells: int, nodes: int) -> tuple[str, bool]:
 
 def main() -> int:
     parser = new_parser(__doc__)
-    parser.add_argument(
-        '--samples', type=int, default=300, metavar='N', help='calls of each kind and state'
-    )
     parser.add_argument('--calls', type=int, default=500, metavar='N', help='departures in a row')
     parser.add_argument('--nodes', type=int, default=10_000, metavar='N', help='of the network')
     parser.add_argument('--seconds', type=float, default=60.0, help='of each case meanwhile')
@@ -271,7 +189,7 @@ def main() -> int:
     options = parser.parse_args()
 
     def measure() -> tuple[str, bool]:
-        parts = (during_a_solve(options.samples), departures(options.calls, options.nodes),
+        parts = (departures(options.calls, options.nodes),
                  meanwhile(options.seconds, options.cells, options.nodes))
         text = '\n\n'.join((f"{conditions('ros-jazzy-rclpy')}.", *(part for part, _ in parts)))
         return text, all(met for _, met in parts)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ambush_planner import Network, NetworkOptions, RiskMap, build_network
+from ambush_planner import RiskMap
 from ambush_planner.arrays import BoolArray
 from ambush_planner.maps.occupancy import risk_from_occupancy
 
@@ -31,9 +31,6 @@ class Scenario:
     start: tuple[float, float]
     goal: tuple[float, float]
     detour: float | None = None
-
-    def network(self, options: NetworkOptions) -> Network:
-        return build_network(self.risk_map, self.start, self.goal, options)
 
 
 def nearest_free(risk_map: RiskMap, uv: tuple[float, float]) -> tuple[float, float]:

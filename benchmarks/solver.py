@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measure what a user waits for: ``plan_trip`` on random problems of every family, and its gap.
 
-The kinds of problems are in families.py; ``nodes`` is ``solve`` without a reach, next to HiGHS'
-dual simplex method for the value alone. Seeds are new in each run and printed; ``--seed`` repeats a
-run. ``--checkout A B`` measures the packages of several checkouts on the same problems, in turns.
+The kinds of problems are in families.py. Seeds are new in each run and printed; ``--seed`` repeats
+a run. ``--checkout A B`` measures the packages of several checkouts on the same problems, in turns.
 ``--large N`` is about maps of N x N cells only: what ``ambush plan`` and ``ambush draw`` take.
 """
 
@@ -14,66 +13,44 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from families import KINDS, Problem, draw, problem_parser
-from games import value_lp
+from families import Problem, draw, problem_parser
 from one_run import Answer, run
-from peers import highs
 from report import conditions, publish, quantiles, table
 from scipy import ndimage
-from scipy.sparse import csr_matrix
 
-from ambush_planner import AmbushPlannerError, Network, Plan, RiskMap, plan_trip
+from ambush_planner import AmbushPlannerError, Plan, RiskMap, plan_trip
 from ambush_planner.arrays import FloatArray
-from ambush_planner.game.game import make_games
-from ambush_planner.game.solver import solve_legs
 from ambush_planner.game.strategy import TripStrategy
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
 HERE = Path(__file__).parent.parent
-SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds: drawn
+KINDS = 'plan', 'trip', 'grid'
+SIZES = 400, 2500, 9500  # of plans; of the other kinds: drawn
 PLACES = 500, 2500  # smallest and largest number of places of a trip
 TRIP_FAMILIES = ('hills-coarse', 'hills-obstacles', 'hills-fine', 'city', 'maze')
 SIDE = 20_000.0  # of large maps [m]
 WITHIN = 0.0101  # gap that counts as closed, for a slack of 0.01
-SHIFT = 1.0  # s, of the geometric means
-SAME_VALUE = 1e-5  # relative difference by which HiGHS' value may be outside bound and value
 # There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
 REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlocked'
 OBSTACLE = 3  # cells along a side of what appears on the map
 
 
 def planned(name: str) -> Answer:
-    """A plan without a time limit."""
+    """A plan without a time limit, once all libraries are loaded."""
     problem = draw(name)
-    return timed(problem, lambda: planned_on(problem).trip)
-
-
-def at_nodes(name: str) -> Answer:
-    """The strategy at the nodes of a network that is there."""
-    problem = draw(name)
-    network = problem.scenario.network(problem.options.network)
-    games = make_games((network,), problem.options.game)
-    return timed(problem, lambda: solve_legs(games, problem.options.strategy))
-
-
-def timed(problem: Problem, make: Callable[[], TripStrategy]) -> Answer:
-    """Measure strategies, once all libraries are loaded."""
     planned_on(draw('plan:hills-coarse:100:0'))
     begin = time.process_time()
-    trip = make()
+    trip = planned_on(problem).trip
     status = 'gap open' if trip.reason == 'time' else 'solved'
     return {'seconds': time.process_time() - begin, 'status': status, 'words': problem.words,
-            'value': trip.value, 'gap': gap_of(trip), 'bound': trip.lower_bound,
-            'budget': trip.legs[0].length_budget, 'nats': trip.route_entropy,
-            'nodes': trip.game.node_count}
+            'gap': gap_of(trip), 'nats': trip.route_entropy}
 
 
 def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Plan:
@@ -85,23 +62,6 @@ def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any
 def gap_of(strategy: TripStrategy) -> float:
     """The gap relative to the bound; 0 if there is nothing to lose."""
     return strategy.value / strategy.lower_bound - 1.0 if strategy.lower_bound else strategy.value
-
-
-def value_by_highs(name: str, budget: float) -> Answer:
-    """The value at the nodes within the length budget [m], by HiGHS' dual simplex method."""
-    problem = draw(name)
-    network = problem.scenario.network(problem.options.network)
-    losses = losses_at_nodes(network, problem.options.game.secured_distance)
-    return highs(value_lp(network, losses, [(network.lengths, budget)]))
-
-
-def losses_at_nodes(network: Network, secured: float) -> csr_matrix:
-    """(N, M): the loss of each edge into a node outside the secured area."""
-    ends = network.points[[network.source, network.target]]
-    apart = np.linalg.norm(network.points[:, None] - ends, axis=2)
-    loss: FloatArray = np.where((apart > secured).all(axis=1), network.alpha, 0.0)[network.heads]
-    edge = np.arange(len(loss))
-    return csr_matrix((loss, (network.heads, edge)), (len(network.points), len(loss)))
 
 
 def replanned(name: str, changes: int) -> Answer:
@@ -137,32 +97,17 @@ def changed(risk_map: RiskMap, rng: np.random.Generator) -> RiskMap:
 def names_of(kind: str, sizes: list[int] | None, seeds: range,
              families: list[str]) -> dict[int, list[str]]:
     """The problems of a kind by their size; 0: sizes that are drawn."""
-    if kind not in SIZES:
+    if kind != 'plan':
         return {0: [f'{kind}:{family}:{places_of(family, seed)}:{seed}'
                     for family in families if family in TRIP_FAMILIES for seed in seeds]}
     return {size: [f'{kind}:{family}:{size}:{seed}' for family in families for seed in seeds]
-            for size in sizes or SIZES[kind]}
+            for size in sizes or SIZES}
 
 
 def places_of(family: str, seed: int) -> int:
     """The drawn number of places of a trip."""
     rng = np.random.default_rng([seed, TRIP_FAMILIES.index(family)])
     return round(math.exp(rng.uniform(*np.log(PLACES))))
-
-
-def measure(name: str, checkout: Path, options: Any) -> Answer:
-    """One row: our answer, and HiGHS' under its name if there is no reach."""
-    if not name.startswith('nodes'):
-        return run('solver.planned', name, options.limit, checkout)
-    ours = run('solver.at_nodes', name, options.limit, checkout)
-    if options.peers and 'failed' not in ours:
-        ours['peer'] = run('solver.value_by_highs', name, options.limit, checkout,
-                           budget=ours['budget'])
-        theirs = ours['peer'].get('value', ours['bound'])
-        room = SAME_VALUE * theirs
-        if not ours['bound'] - room <= theirs <= ours['value'] + room:
-            raise RuntimeError(f'{name}: HiGHS has {theirs}, we {ours}')
-    return ours
 
 
 def after_changes(rows: list[Answer], checkout: Path, options: Any) -> None:
@@ -199,15 +144,7 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
         found['gap then [%]'] = quantiles(gaps)
     if again:
         found['not ended then'] = str(len(again) - len(ended))
-    theirs = [row['peer']['seconds'] for row in solved if 'peer' in row]
-    if theirs:
-        ours = [row['seconds'] for row in solved if 'peer' in row]
-        found["HiGHS' value"] = f'{shifted_mean(theirs) / shifted_mean(ours):.1f}x'
     return found
-
-
-def shifted_mean(seconds: list[float]) -> float:
-    return math.exp(float(np.mean(np.log(np.array(seconds) + SHIFT)))) - SHIFT
 
 
 def commit(checkout: Path) -> str:
@@ -253,10 +190,9 @@ def large_map(cells: int) -> list[str]:
 def main() -> None:
     parser = problem_parser(__doc__)
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
-    parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plan and nodes')
+    parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plans')
     parser.add_argument('--checkout', type=Path, nargs='+', default=[HERE], metavar='FOLDER')
     parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
-    parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
     parser.add_argument('--large', type=int, nargs='+', metavar='CELLS',
                         help='only plan and draw on maps with this number of cells along each side')
     options = parser.parse_args()
@@ -273,7 +209,7 @@ def main() -> None:
             rows: list[list[Answer]] = [[] for _ in labels]
             for name in names:
                 for own, checkout in zip(rows, options.checkout, strict=True):
-                    own.append(measure(name, checkout, options))
+                    own.append(run('solver.planned', name, options.limit, checkout))
             for own, checkout, label in zip(rows, options.checkout, labels, strict=True):
                 if options.changes and kind == 'plan':
                     after_changes(own, checkout, options)

@@ -3,6 +3,8 @@
 
 import gc
 import os
+import random
+import secrets
 import signal
 import sys
 from pathlib import Path
@@ -23,6 +25,8 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
 os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(ROOT / 'config' / 'fastdds_udp.xml')
 # Tests run in parallel, so numpy, which is not imported yet, needs only one thread.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
+# Draws from the operating system's entropy are the same in each run, unless new ones are searched.
+ENTROPY = random.SystemRandom() if 'HUNT' in os.environ else random.Random()
 
 
 def pytest_addoption(parser):
@@ -32,6 +36,8 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in `make test &`
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    from numpy.random import bit_generator
+    secrets.randbits = bit_generator.randbits = ENTROPY.getrandbits
     # xdist would end with the files that have few tests, which are the longest ones.
     config.option.loadscopereorder = False
 
@@ -44,6 +50,15 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     """Exclude everything imported so far from garbage collection, which makes it faster."""
     gc.freeze()
+
+
+def pytest_fixture_setup(fixturedef, request):
+    ENTROPY.seed(f'{fixturedef.baseid} {fixturedef.argname} {request.param_index}')
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_call(item):
+    ENTROPY.seed(item.nodeid)
 
 
 @pytest.hookimpl(optionalhook=True)

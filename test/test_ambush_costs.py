@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.planning.ambush_costs import best_ambush, cost_raster
-from ambush_planner.words import best_ambush as in_words
 from ambush_planner.words import of_departures
 
 HELD = (7.0, 12.5, 1.2)
@@ -75,8 +74,3 @@ def test_a_block_has_the_cost_of_its_dearest_cell():
 ])
 def test_shares_are_said_in_departures_and_never_too_low(share, said):
     assert of_departures(share) == said
-
-
-def test_an_ambush_at_one_of_several_times_hits_fewer():
-    assert in_words(0.5, 'A 1', 0.5) == (
-        'the best ambush hits 1 of 4 departures, at A 1 (5 of 10 departures if he knows the time)')

@@ -99,12 +99,6 @@ def test_a_wrong_price_is_refused(price):
         replace(ambusher, prices=(price,))
 
 
-def test_a_bound_above_the_value_is_refused():
-    game, p, ambusher, budget = case()
-    with pytest.raises(SolverFailed, match='above the value'):
-        certify(game, p, ambusher, budget, 1.0001 * certify(game, p, ambusher, budget).value)
-
-
 @examples(25)
 @given(networks(alphas=PLAIN), st.integers(0, 10**6), st.floats(0, 5), st.floats(1.0, 2.0))
 def test_weak_duality_holds_for_any_q_and_price(network, seed, price, detour):

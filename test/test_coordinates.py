@@ -23,7 +23,7 @@ from ambush_planner.maps.risk_map_file import in_local_frame, read_risk_map, wri
 
 GEOD = pyproj.Geod(ellps='WGS84')
 # The zone of a place takes pyproj 0.1 s to find, so nothing is shrunk.
-few = settings(max_examples=5 * HUNT, phases=[Phase.explicit, Phase.generate], deadline=None)
+few = settings(max_examples=3 * HUNT, phases=[Phase.explicit, Phase.generate], deadline=None)
 latitudes, longitudes = st.floats(-79.0, 83.0), st.floats(-180.0, 179.99)
 # Towns, one on the coast of Norway, where zone 32 is widened.
 ZONES = [(36.5, -84.2, 32616), (-33.9, 18.4, 32734), (60.4, 5.3, 32632), (-0.1, -78.5, 32717)]

@@ -2,7 +2,6 @@
 """Corridors: as wide as obstacles allow, clear of new ones, and from and to moved ends."""
 
 import numpy as np
-import pytest
 from drive_samples import check_path, drives, length_of
 from games import examples
 from hypothesis import assume, given
@@ -12,11 +11,6 @@ from ambush_planner import RiskMap
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.risk_map import to_world
 from ambush_planner.network.shortest_paths import distances_from, shortest_path
-from ambush_planner.routes.corridor_geometry import (
-    OBSTACLE_MARGIN,
-    limit_to_map,
-    widths_between_nodes,
-)
 from ambush_planner.routes.corridor_update import with_moved_end, with_new_obstacles
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_path
@@ -93,18 +87,3 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     # At most 5 % longer than the straight line to the next node and the drawn route from there:
     # where a turn would be tight, the path swings wider.
     assert length_of(poses[:, :2]) <= 1.05 * length_of(moved.uv[route])
-
-
-def test_a_cell_limits_only_the_quarter_on_its_own_side():
-    """A cell ahead on the left limits that quarter, not those on the right or behind."""
-    obstacles = np.zeros((21, 21), bool)
-    obstacles[13, 13] = True
-    uv = np.array([(6.5, 10.5), (10.5, 10.5)])
-    pairs = np.array([(0, 1)])
-    between = widths_between_nodes(uv, pairs)
-    wide = type(between)(np.full((1, 2), 5.0), np.full((1, 2, 2), 5.0))
-    risk_map = RiskMap(np.ones((21, 21)), obstacles, 1.0)
-    room = limit_to_map(wide, uv, pairs, risk_map, 0.0, True)
-    assert room.radii[0, 1] == pytest.approx((np.hypot(2.5, 2.5) - OBSTACLE_MARGIN, 5.0))
-    assert room.radii[0, 0] == pytest.approx((5.0, 5.0))
-    assert room.widths[0] == pytest.approx((5.0, 5.0))

@@ -80,7 +80,7 @@ cases = st.builds(Case, st.integers(0, 10**6), st.floats(0.2, 1.5),
                   st.sampled_from((1.02, 1.1, 1.3, np.inf)))
 
 
-@examples(20)
+@examples(12)
 @given(cases)
 def test_a_circulation_proves_what_its_program_says_and_never_more_than_the_optimum(case):
     assume(case.ambusher is not None and case.ambusher.circulations)
@@ -118,7 +118,7 @@ def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
     return Ambusher(q, (price,), (curves,))
 
 
-@examples(20)
+@examples(12)
 @given(cases, st.integers(0, 10**6))
 def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, seed):
     """Neither for this ambusher, nor for any."""

@@ -83,11 +83,6 @@ def test_every_walk_into_a_disc_on_a_rotated_lattice_is_counted(radius):
         assert len({*into, *(1.0 - out)}) == 1
 
 
-def test_without_sites_there_are_no_rows():
-    network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
-    assert _everywhere(network).entering(np.empty((0, 2)), 1.0).shape == (0, 2)
-
-
 def test_a_node_on_the_rim_of_the_secured_area_hides_no_hit():
     """Rounding puts the third node a hair outside the secured area; the way passes 1.62 m away."""
     step, cells = 0.2, 9

@@ -73,12 +73,6 @@ def test_three_parallel_nodes_by_hand():
     assert (careful.p_first, careful.v_repeated) == (pytest.approx(4 / 7, rel=1e-6), 1.0)
 
 
-def test_a_game_without_losses_costs_nothing():
-    network = Network([[0, 0], [1, 0], [2, 0]], [0, 0, 0], [(0, 1), (1, 2)], 0, 2)
-    for row in evaluate(solve(network)).values():
-        assert (row.expected_length, row.p_repeated, row.v_repeated) == (2.0, 0.0, 0.0)
-
-
 def test_forbidden_nodes_are_forbidden_to_every_planner():
     points = [[0, 0], [2, 0], [2, 3], [4, 0]]
     network = Network(points, [0, 9, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)

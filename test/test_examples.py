@@ -35,7 +35,7 @@ def test_it_runs(script, tmp_path):
                 running.give()
             environment['ROS_DOMAIN_ID'] = str(domain)
         done = subprocess.run([sys.executable, EXAMPLES / f'{script}.py'], cwd=tmp_path,
-                              env=environment, capture_output=True, text=True, timeout=120,
+                              env=environment, capture_output=True, text=True,
                               check=False)
     assert done.returncode == 0, done.stderr
     assert PRINTED[script] in done.stdout and done.stdout.count('waiting') < 2

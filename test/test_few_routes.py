@@ -15,7 +15,6 @@ from test_path_mixtures import GOAL, OPTIONS, START, ground, mixtures_of
 
 from ambush_planner import (
     GameOptions,
-    InvalidOption,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
@@ -93,7 +92,7 @@ def test_a_mixture_is_what_it_says(plan):
     assert list(values) == sorted(values, reverse=True) and (np.diff(few.shares) <= 0.0).all()
 
 
-@pytest.mark.parametrize('limit', [5, 40, 60, 90, 200])
+@pytest.mark.parametrize('limit', [5, 60, 200])
 def test_when_the_time_is_up_the_best_mixture_so_far_is_the_answer(plan, limit):
     """On a clock that goes on by a second whenever somebody looks at it; each LP looks."""
     with pytest.MonkeyPatch.context() as patched:
@@ -114,7 +113,7 @@ def test_a_plan_and_its_few_routes_share_the_time_limit(monkeypatch):
     deadlines, run, begin = [], highs.run, time.monotonic()
     monkeypatch.setattr(highs, 'run', lambda lp, solver, deadline, *rest: (
         deadlines.append(deadline), run(lp, solver, deadline, *rest))[1])
-    options = replace(OPTIONS, strategy=replace(OPTIONS.strategy, time_limit=3600.0))
+    options = replace(COARSE, strategy=replace(COARSE.strategy, time_limit=3600.0))
     plan = plan_trip(ground(), START, GOAL, options, routes=3)
     assert plan.options == options
     latest = max(deadline for deadline in deadlines if math.isfinite(deadline))
@@ -160,23 +159,12 @@ def test_few_routes_of_legs_are_drawn_one_by_one():
 
 
 def test_a_plan_draws_from_its_few_routes():
-    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=3)
+    plan = plan_trip(ground(), START, GOAL, COARSE, routes=3)
     paths = plan.paths(300, np.random.default_rng(0))
     number = [[np.array_equal(each, path) for each in plan.few.paths].index(True)
               for path in paths]
     drawn = np.bincount(number, minlength=len(plan.few.paths)) / 300
     assert np.abs(drawn - plan.few.shares).max() < 0.12  # four standard deviations
-
-
-@pytest.mark.parametrize('routes, game, words', [
-    (0, {}, 'routes must be from 1 to .*got 0'), (101, {}, 'routes must be from 1 to .*got 101'),
-    (3, {'ambush_radius': 0.0}, '--reach'),
-])
-def test_requests_without_an_answer_are_refused(routes, game, words):
-    options = PlanningOptions(network=OPTIONS.network,
-                              game=GameOptions(**{'ambush_radius': 2.0, **game}))
-    with pytest.raises(InvalidOption, match=words):
-        plan_trip(ground(), START, GOAL, options, routes=routes)
 
 
 @given(st.lists(st.integers(0, 1000), min_size=1, max_size=30).filter(any), st.integers(1, 60))
@@ -190,7 +178,7 @@ def test_counts_are_the_nearest(weights, total):
 
 
 def test_draws_by_hand_are_judged_and_cover_all_outcomes():
-    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=6)
+    plan = plan_trip(ground(), START, GOAL, COARSE, routes=6)
     for draw in random_draws(plan):
         outcomes = OUTCOMES[draw.name]
         assert len(set(outcomes)) == len(outcomes) == {'die': 6, 'two dice': 36, 'cards': 52}[

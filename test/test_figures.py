@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures: the layers, and the figure of the demo."""
 
-import math
 import re
 from io import BytesIO
 
@@ -25,25 +24,6 @@ def axes():
 
 def turned_map(yaw: float) -> RiskMap:
     return RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 2.0, (100.0, 50.0, yaw))
-
-
-def test_frame_contains_a_rotated_map(axes):
-    map_figures.frame(axes, turned_map(math.pi / 2), 'turned')
-    np.testing.assert_allclose(axes.get_xlim(), (94.0, 100.0))
-    np.testing.assert_allclose(axes.get_ylim(), (50.0, 60.0))
-    assert axes.get_xlabel() == 'x [m]'
-
-
-def test_a_system_that_cannot_be_read_leaves_metres(axes):
-    map_figures.draw_map(axes, RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0, crs='nowhere'))
-    assert axes.get_xlabel() == 'x [m]'
-
-
-def test_map_is_drawn_at_its_origin(axes):
-    risk_map = turned_map(0.3)
-    image = map_figures.draw_risk_map(axes, risk_map)
-    shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
-    np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
 
 
 def test_unknown_ground_is_hatched():

@@ -34,12 +34,6 @@ def test_the_ambusher_never_waits_on_secured_ground(network, radius):
         assert (q[near] == 0.0).all()
 
 
-def test_an_ambush_at_the_place_of_the_source_counts_unless_it_is_secured():
-    # All nodes are at the same place.
-    network = Network(np.zeros((3, 2)), [0, 5, 0], [(0, 1), (1, 2)], 0, 2)
-    assert solve(network).value == 5.0
-
-
 def test_no_route_says_what_the_threshold_discards():
     network = Network([[0, 0], [1, 0], [2, 0]], [0, 9, 0], [(0, 1), (1, 2)], 0, 2)
     with pytest.raises(NoRoute, match=r'from \(.*\) to \(.*\); alpha_threshold 5 discards 1 nodes'):
@@ -61,10 +55,6 @@ def losses_at(network, **options) -> dict[int, float]:
     game = make_game(network, GameOptions(**options))
     losses = game.loss[game.sites] * (game.entering @ np.where(game.playable, 1.0, 0.0))
     return dict(zip(game.sites.tolist(), losses.tolist(), strict=True))
-
-
-def test_without_a_reach_sites_are_on_the_road():
-    assert losses_at(road()) == {1: 1.0, 2: 1.0, 3: 1.0}
 
 
 def test_with_a_reach_sites_may_be_off_the_road():

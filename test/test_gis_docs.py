@@ -15,8 +15,6 @@ from commands import NO_ROS, ROOT, blocks, run_python, run_script, script_of
 
 DOCS = ROOT / 'docs'
 PAGES = ('docs/gis.md', 'docs/operations.md')
-# The commands take a minute of processor time, and more on a loaded machine [s].
-TIMEOUT = 800
 NUMBER = r'\b\d+(?:\.\d+)?\b'
 CELLS = json.loads((DOCS / 'tour.ipynb').read_text())['cells']
 
@@ -45,12 +43,11 @@ def coarse(text):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(TIMEOUT + 20)
 def test_every_command_of_the_page_works(tmp_path):
     entries = {'parameters': parameters(**{'map.crs': 'datum 36.6 -84.3 0.0'})}
     record_drawn(tmp_path / 'runs', 1, entries=entries)
     (tmp_path / 'docs').symlink_to(DOCS)
-    done = run_script(coarse('rm -r runs\n'.join(map(script_of, PAGES))), tmp_path, TIMEOUT)
+    done = run_script(coarse('rm -r runs\n'.join(map(script_of, PAGES))), tmp_path)
     assert done.returncode == 0, done.stderr
     lines = r'(?m)^(?:driven .*|reweighted +[.\d]+|optimal .*|none held .*| \d .* Bridge .*)'
     pages = ''.join((ROOT / page).read_text() for page in PAGES)
@@ -67,9 +64,14 @@ def test_every_command_of_the_page_works(tmp_path):
             value = numbers(its_rest)[1]
             assert 0.98 * value < float(its_bound) < 1.02 * float(bound)
     assert 'UTM zone 16N (EPSG:32616)' in done.stderr
+    # How many departures use the closed bridge is up to their draw.
+    said = ' '.join(done.stdout.split())
+    blocked = re.findall(r'now: BLOCKED at [\d.]+,-[\d.]+, [\d.]+ k?m from the start', said)
+    assert len(blocked) == int(re.search(r'(\d) of 5 departures: not clear on', said)[1])
+    known = set(words(said + ' from the start').split())
     for shown in (text for page in PAGES for text in blocks(page, 'text')):
         if 'pip install' not in shown and 'ros2' not in shown:
-            assert set(words(shown).split()) <= set(words(done.stdout).split()), shown
+            assert set(words(shown).split()) <= known, shown
     names = r'\b(?:routes|route|route_2|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
     files = set(re.findall(names, ' '.join(text for page in PAGES for text in blocks(page, 'sh'))))
     assert len(files) == 18 and all((tmp_path / file).stat().st_size for file in files), files
@@ -78,7 +80,6 @@ def test_every_command_of_the_page_works(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(TIMEOUT + 20)
 def test_the_notebook_runs_without_ros(tmp_path):
     """Each cell runs, and its last expression has the representation that a notebook shows."""
     cells = [source.rstrip(';') for source in sources('code')]
@@ -87,6 +88,6 @@ def test_the_notebook_runs_without_ros(tmp_path):
         "\n    assert '<th>value</th>' in each._repr_html_() and len(repr(each)) < 300"
         "\nassert plan.strategy.plot().collections and len(routes) == 20"
         "\nassert routes.crs.to_epsg() == 32616")
-    done = run_python(script, tmp_path, TIMEOUT)
+    done = run_python(script, tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / 'routes.gpx').stat().st_size > 10_000

@@ -117,7 +117,7 @@ def test_the_budget_is_the_same_in_all_rounds_and_never_below_the_shortest_route
     again = plan_trip(risk_map, START, GOAL, planning(1, max_detour=1.1))
     assert plan.strategy.length_budget == pytest.approx(again.strategy.length_budget, rel=1e-3)
     assert plan.strategy.expected_length <= plan.strategy.length_budget * (1.0 + 1e-6)
-    tight = plan_trip(risk_map, START, GOAL, planning(1, max_detour=1.0)).strategy
+    tight = plan_trip(risk_map, START, GOAL, planning(0, max_detour=1.0)).strategy
     shortest = least_weight(tight.network, tight.network.lengths)
     assert tight.length_budget >= shortest * (1.0 - 1e-9)
 
@@ -135,8 +135,8 @@ def test_refinement_lowers_the_value_and_keeps_the_best_round():
 def test_a_later_plan_keeps_the_refined_places():
     risk_map = sloping((30, 0, 14), (30, 26, 36))
     refined = np.array([[30.0, 20.0, 0.8]])
-    options = planning(1)
-    first = plan_trip(risk_map, START, GOAL, options)
+    options = planning(1, 8.0, 8.0)
+    first = plan_trip(risk_map, START, GOAL, planning(0, 8.0, 8.0))
     warm = WarmStart.of(first.trip, refined)
     later = plan_trip(risk_map, (5.0, 20.0), GOAL, options, warm=warm)
     assert (later.network.refined == refined[0]).all(axis=1).any()

@@ -109,6 +109,7 @@ def test_a_broken_pool_keeps_the_finished_results():
     assert all(isinstance(result.error, RuntimeError) for result in results)
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
     distributed = pytest.importorskip('distributed', reason='dask takes the extra "dask"')
     problems = [problem(field(), k) for k in range(8)]

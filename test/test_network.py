@@ -8,7 +8,6 @@ from games import examples, networks
 from hypothesis import given
 
 from ambush_planner import InvalidNetwork, Network
-from ambush_planner.arrays import found_in, members
 from ambush_planner.network.shortest_paths import (
     distances_from,
     on_some_route,
@@ -88,15 +87,3 @@ def test_distances_a_path_and_reachability(network):
     leading = networkx.ancestors(graph, ends[1]) | {ends[1]}
     assert set(np.flatnonzero(reachable_from(network.edges, n, ends[0]))) == reached
     assert set(np.flatnonzero(on_some_route(network.edges, n, *ends))) == reached & leading
-
-
-def test_an_unreachable_node_has_an_empty_path():
-    assert len(shortest_path(np.empty((0, 2), np.int64), np.empty(0), 2, 0, 1)) == 0
-
-
-def test_where_numbers_are_among_keys_and_who_belongs_to_groups():
-    keys = np.array([7, 3, 5])
-    assert found_in(keys, np.array([[3, 7], [4, 9]])).tolist() == [[1, 0], [-1, -1]]
-    assert found_in(keys[:0], keys).tolist() == [-1, -1, -1]
-    of, number = members(np.array([2, 0, 3]))
-    assert (of.tolist(), number.tolist()) == ([0, 0, 2, 2, 2], [0, 1, 0, 1, 2])

@@ -75,20 +75,6 @@ def test_segments_against_exact_clipping_and_distances(a, b, blocked, reach):
     assert clear(field_of(blocked), a, b, float(reach)) == (nearest > reach**2)
 
 
-@pytest.mark.parametrize('resolution', [0.05, 1 / 3, 92.3])
-def test_a_diagonal_touches_both_flanking_cells_at_any_resolution(resolution):
-    field = field_of({(7, 8)}, (20, 20), resolution)
-    centre = (np.arange(20) + 0.5) * resolution
-    def free(a, b):
-        ends = ((centre[a[0]], centre[a[1]]), (centre[b[0]], centre[b[1]]))
-        return clear(field, *ends, resolution=resolution)
-
-    assert not free((7, 7), (8, 8))
-    assert not free((6, 8), (8, 8))
-    assert free((8, 7), (9, 8))
-    assert free((6, 7), (6, 9))
-
-
 @pytest.mark.parametrize('off, expected', [(9e-7, False), (3e-6, True)])
 @pytest.mark.parametrize('turn', range(8))
 def test_contact_within_a_millionth_of_a_cell_blocks(off, expected, turn):

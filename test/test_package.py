@@ -59,7 +59,8 @@ def dependencies(*kinds):
     return [element.text for kind in kinds for element in manifest().findall(kind)]
 
 
-def imported_packages(folder=NAME, walk=ast.walk):
+@cache
+def imported_packages(folder, walk):
     """Return the top-level names that sources import, without the standard library and ours."""
     ours = {NAME, *NOT_INSTALLED}
     ours |= {path.stem for name in NOT_INSTALLED for path in (ROOT / name).glob('*.py')}
@@ -113,7 +114,7 @@ def test_all_imports_are_declared_for_pip():
     extras = arguments['extras_require']
     required = [*arguments['install_requires'], *extras['figures'], *extras['recordings']]
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
-    libraries = imported_packages() & set(ROSDEP_KEYS)
+    libraries = imported_packages(NAME, ast.walk) & set(ROSDEP_KEYS)
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
     assert not [name for name in arguments['install_requires'] if 'ros-' in name or 'rcl' in name]
     for name, extra in FROM_PIP.items():

@@ -57,11 +57,6 @@ def test_finds_a_bent_corridor():
     crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))
 
 
-def test_adds_no_nodes_if_the_lattice_connects_the_ends():
-    free = np.zeros((CELLS, CELLS), bool)
-    assert len(crossing(RiskMap(np.ones(free.shape), free, 1.0)).points) == 16
-
-
 def test_a_grid_suggests_a_spacing_for_the_door():
     risk_map = walled(7, 9, 1)
     with pytest.raises(NoRoute, match=r'at a spacing of 6 m; the map has one, .* of 0\.5 m'):

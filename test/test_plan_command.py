@@ -291,13 +291,6 @@ def test_a_trip_says_what_it_adds_up_and_what_the_first_hit_costs(plain, tmp_pat
         assert done.code == 0, done.out
 
 
-def test_a_map_that_carries_no_risk_is_named(tmp_path):
-    write_map(tmp_path / 'map.yaml', OccupancyMap(np.zeros((20, 20), np.int8), 10.0))
-    done = run_here(plan, tmp_path / 'map.yaml', '--start', 15, 15, '--goal', 185, 185, '-o',
-                    tmp_path / 'r.csv', '--set', 'network.spacing=20')
-    assert done.code == 0 and 'the map carries no risk' in done.err, done.err
-
-
 def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
     def run(*seed):
         done = run_here(plan, plain, *ENDS, '-n', 3, '-o', tmp_path / 'r.csv', *seed,
@@ -375,14 +368,6 @@ def test_a_position_can_be_an_mgrs_reference(tmp_path):
     first = (tmp_path / 'r.csv').read_text().splitlines()[1]
     x, y = map(float, re.search(r'\((\S+) ([^,]+)', first).groups())
     assert (x, y) == pytest.approx((734950.0, 4047050.0), abs=1.0)
-
-
-def test_a_file_that_exists_is_named_when_it_is_overwritten(plain, tmp_path):
-    files = [tmp_path / name for name in ('r.csv', 'r.geojson')]
-    files[0].write_text('precious')
-    done = run_here(plan, plain, *ENDS, '-o', *files)
-    named = [file for file in files if f'{file} will be overwritten' in done.err]
-    assert done.code == 0 and named == files[:1]
 
 
 def test_recorded_departures_are_exported(tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from games import plain_options
 
-from ambush_planner import GameOptions, InvalidOption, PlanningOptions, RiskMap, evaluate, plan_trip
+from ambush_planner import GameOptions, InvalidOption, PlanningOptions, RiskMap, plan_trip
 
 OPTIONS = PlanningOptions(network=plain_options(spacing=20.0),
                           game=GameOptions(ambush_radius=20.0))
@@ -25,13 +25,6 @@ def test_tables_of_edges_and_sites(plan):
     assert (edges.length * edges['probability']).sum() == pytest.approx(
         plan.strategy.expected_length, rel=1e-4)
     assert sites['probability'].sum() == pytest.approx(1.0, abs=1e-3)
-
-
-def test_a_plan_is_compared_and_says_what_other_budgets_buy(plan):
-    assert evaluate(plan) == evaluate(plan.strategy)
-    rows = plan.frontier([1.2, 1.4], [])
-    assert rows[0].value == pytest.approx(plan.value, rel=0.01)
-    assert rows[1].lower_bound <= rows[0].value
 
 
 def test_paths_are_shorter_than_routes_and_their_number_is_checked(plan):

@@ -5,8 +5,6 @@ Its value is compared with that of all mixtures of routes in test_reach.
 """
 
 import math
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -89,7 +87,7 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     assert proved == pytest.approx(later.bound, rel=1e-6)
 
 
-@examples(30)
+@examples(16)
 @given(st.integers(0, 10**6), st.sampled_from([(0, 0.0), (0, 1.0), (0, 2.5), (1, 0.0), (2, 0.0)]),
        st.sampled_from([1.0, 1.05, 1.3, math.inf]))
 def test_potentials_and_edge_flows_of_legs_have_the_value_of_routes(seed, stops_and_reach, detour):
@@ -110,16 +108,6 @@ def test_potentials_and_edge_flows_of_legs_have_the_value_of_routes(seed, stops_
         alone = replace(ambusher, circulations=())
         for each in (ambusher, alone):
             assert lower_bounds(legs, each).sum() >= lp.bound * (1.0 - 5e-3)
-
-
-def test_with_no_site_to_limit_the_value_is_0():
-    game = make_game(terrain_network(3, cells=10),
-                     GameOptions(ambush_radius=1.0, secured_radius=99.0))
-    assert len(game.sites) == 0
-    for detour in (1.0, np.inf):
-        lp = lp_of(one_leg(game, detour))
-        assert lp.bound == 0.0 and len(lp.q) == 0
-        assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
 
 
 def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
@@ -196,20 +184,6 @@ def test_circulations_on_a_graph_that_grows():
         assert found.potential[0] == 0.0
 
 
-def test_a_budget_far_over_the_best_route_is_no_endless_search():
-    points = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 4.0
-    links = [(a, b) for a in range(30) for b in range(30)
-             if 0 < np.hypot(*(points[a] - points[b])) < 5 and a != 17 and b != 12]
-    alpha = np.random.default_rng(0).random(30) + 0.1
-    alpha[[12, 17]] = 0.0
-    network = Network(points, alpha, links, 12, 17)
-    game = make_game(network, GameOptions(ambush_radius=2.0, secured_radius=1.0))
-    found = []
-    for detour in (50.0, np.inf):
-        found.append(lp_of(one_leg(game, detour), 0.0).bound)
-    assert found[0] == pytest.approx(found[1], rel=1e-4)
-
-
 def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
     lp = FaceFlows()
     lp.add_nodes(2)
@@ -220,24 +194,3 @@ def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
         lp.solve(math.inf)
     with pytest.raises(TimeLimit):
         lp.solve(time.monotonic() - 1.0)
-
-
-PRINTS = """
-import threading
-from ambush_planner.game.value.face_flows import FaceFlows
-
-threads = [threading.Thread(target=lambda: [FaceFlows() for _ in range(50)]) for _ in range(4)]
-for thread in threads:
-    thread.start()
-for k in range(50):
-    print(k, flush=True)
-for thread in threads:
-    thread.join()
-print('last')
-"""
-
-
-def test_lps_in_threads_leave_the_standard_output_alone():
-    done = subprocess.run([sys.executable, '-c', PRINTS], capture_output=True, text=True,
-                          timeout=60, check=True)
-    assert done.stdout.split() == [*map(str, range(50)), 'last']

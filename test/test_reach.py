@@ -24,7 +24,7 @@ from ambush_planner.game.hits import entry_value
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
-@examples(45)
+@examples(25)
 @given(st.integers(0, 10**6), st.floats(0.2, 1.5),
        st.sampled_from([-1.0, 0.0, 0.5, 2.0]), st.sampled_from((1.05, 1.3, np.inf)), st.booleans())
 def test_value_and_bound_enclose_the_value_over_all_routes(
@@ -80,9 +80,8 @@ def test_a_route_that_comes_back_to_a_disc_is_hit_once():
     assert strategy.value == pytest.approx(3.0) and strategy.lower_bound == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize('seed', [3, 4])
-def test_label_searches_close_the_gap(seed):
-    network = terrain_network(seed, 'uniform_grid8', 40)
+def test_label_searches_close_the_gap():
+    network = terrain_network(3, 'uniform_grid8', 40)
     strategy = solve(network, GameOptions(ambush_radius=3.0),
                      StrategyOptions(risk_slack=1e-3))
     assert strategy.reason == 'complete'

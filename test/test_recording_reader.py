@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
-import hashlib
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 from io import BytesIO
@@ -16,7 +13,6 @@ import numpy as np
 import pytest
 import zstandard
 from audit_samples import departure, drawn, record, sample_plan
-from commands import NO_ROS
 from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger
 from games import plain_options
 from geometry_msgs.msg import PoseArray
@@ -42,13 +38,6 @@ from ambush_planner.recordings.recorded_departures import (
 from ambush_planner.recordings.recorder import listed_in
 from ambush_planner.recordings.recording_errors import UnreadableRecording
 from ambush_planner.recordings.recording_file import decode, read_recording
-from ambush_planner.recordings.sources import digest_of
-
-VERIFY = NO_ROS + """
-from ambush_planner.commands import cli
-sys.argv[0] = 'ambush'
-sys.exit(cli.main())
-"""
 
 
 def test_messages_are_read_in_the_order_of_time(tmp_path):
@@ -85,14 +74,6 @@ def test_map_and_path_are_those_that_rclpy_reads(files):
     assert np.array_equal(ours.planned_on.values.ravel(), np.array(theirs.data, np.int8))
     path = decode(file.in_role('path'))
     assert np.array_equal(ours.path_poses, path_from_ros(path))
-
-
-def test_commands_read_recordings_without_ros(files):
-    done = subprocess.run(
-        [sys.executable, '-c', VERIFY, 'verify', str(files[0].parent), '--quiet'],
-        capture_output=True, text=True, timeout=60, check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, '')
 
 
 def damaged(data):
@@ -202,26 +183,6 @@ def test_a_list_of_files_by_others_is_read_in_no_time(tmp_path):
     named = {'relative_file_paths': ['a.mcap', [['b']], 3]}
     (tmp_path / 'metadata.yaml').write_text(json.dumps({'rosbag2_bagfile_information': named}))
     assert listed_in(tmp_path) == ['a.mcap']
-
-
-def test_a_large_source_of_a_plan_is_hashed_in_blocks(tmp_path):
-    with (tmp_path / 'dem.tif').open('wb') as file:
-        file.truncate(10**8)
-    tracemalloc.start()
-    found = digest_of(tmp_path / 'dem.tif')
-    assert tracemalloc.get_traced_memory()[1] < 10**7
-    tracemalloc.stop()
-    assert found == hashlib.sha256(bytes(10**8)).hexdigest()
-
-
-def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch):
-    monkeypatch.setattr('ambush_planner.recordings.encoding.FORMAT', '5')
-    data = file_of(small_departure())
-    monkeypatch.undo()
-    path = tmp_path / 'x.mcap'
-    path.write_bytes(data)
-    with pytest.raises(UnreadableRecording, match=f"'5'.*'{FORMAT}'"):
-        read_recording(path)
 
 
 def a_day(**changes):

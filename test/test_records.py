@@ -8,7 +8,6 @@ import math
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from io import BytesIO
 from typing import get_args
 
 import numpy as np
@@ -23,7 +22,6 @@ from ambush_planner import (
     Problem,
     SolverFailed,
     StrategyOptions,
-    arrays,
     evaluate,
     frontier,
     places_to_hold,
@@ -88,7 +86,7 @@ def test_records_of_any_network(data, reach, timed):
     assert 0.0 <= other.bound <= other.value
 
 
-@examples(3)
+@examples(2)
 @given(st.integers(0, 10**6), st.sampled_from((0.0, 1.2, 2.0)), st.sampled_from((0, 0, 1)))
 def test_records_of_plans(seed, reach, stops):
     values = np.rint(10.0 * random_map(seed, 14, 0.0).alpha - 10.0).astype(np.int8)
@@ -122,9 +120,9 @@ def test_records_of_plans(seed, reach, stops):
     for each in places_to_hold(risk_map, start, goal, 2.0, 1, options,
                                candidates=candidates).strategies:
         check_strategy(each)
-    with ThreadPoolExecutor(2) as pool:
-        for solved in solve_many([Problem(risk_map, start, goal, options)] * 2, pool):
-            check_strategy(solved.answer.trip)
+    with ThreadPoolExecutor(1) as pool:
+        (solved,) = solve_many([Problem(risk_map, start, goal, options)], pool)
+    check_strategy(solved.answer.trip)
 
 
 def test_a_certificate_never_has_a_bound_above_its_value():
@@ -136,32 +134,3 @@ def test_a_certificate_never_has_a_bound_above_its_value():
 
 
 # Files of strategies.
-
-
-def test_a_file_that_would_fill_the_memory_is_refused_and_no_other_arrays_are_read(monkeypatch):
-    monkeypatch.setattr(arrays, 'MAX_BYTES', 10**6)
-    stream = BytesIO()
-    np.savez_compressed(stream, points=np.zeros(10**6), other=np.zeros(10**6), alpha=np.ones(3))
-    assert stream.tell() < 10**5
-    with pytest.raises(ValueError, match=r'arrays would take 8e\+06 bytes'):
-        strategy_from_file(stream.getvalue(), GameOptions())
-    stream.seek(0)
-    assert arrays.arrays_in(stream, ('alpha', 'absent')).keys() == {'alpha'}
-
-
-@pytest.mark.parametrize(('solver', 'radius'), [('max_entropy', 1.0), ('simplex', 0.0)])
-def test_a_strategy_comes_back_whole(solver, radius):
-    network = terrain_network(3)
-    theirs = solve(network, GameOptions(ambush_radius=radius), StrategyOptions(solver=solver))
-    trip = strategy_from_file(strategy_file(theirs.alone), GameOptions(ambush_radius=radius))
-    (ours,) = trip.legs
-    for name in ('points', 'alpha', 'edges', 'source', 'target'):
-        assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
-    for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
-        assert np.array_equal(getattr(ours, name), getattr(theirs, name))
-    for name in ('value', 'lower_bound', 'expected_length', 'expected_exposure', 'edge_entropy',
-                 'route_entropy'):
-        assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-9, abs=1e-12)
-    rngs = np.random.default_rng(4), np.random.default_rng(4)
-    assert np.array_equal(*(each.sample_route(rng) for each, rng in zip(
-        (ours, theirs), rngs, strict=True)))

@@ -189,15 +189,6 @@ def test_listeners_get_the_same_bytes_in_order_and_latched_topics_until_sigint(s
     assert 'slow.mcap: 9 messages' in said
 
 
-def test_a_signal_ends_it_cleanly_before_anybody_listens(slow):
-    with listener() as (found, domain), replaying(domain, slow) as process:
-        wait_until(lambda: found.node.get_publishers_info_by_topic('/path'), 'publishers')
-        process.send_signal(signal.SIGTERM)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(TIMEOUT) == 0
-        assert 'Traceback' not in process.stderr.read()
-
-
 def test_another_planner_is_fed(files):
     which = GET_PLAN
     with stage() as running:

@@ -14,7 +14,8 @@ import pytest
 from audit_samples import START, departure, drawn, parameters, record, record_drawn, sample_plan
 from commands import documented_keys
 from drive_samples import dense
-from hypothesis import given, settings
+from games import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import cKDTree
@@ -155,6 +156,7 @@ def off(points, line):
     return cKDTree(dense(line, 0.01)).query(points)[0].max()
 
 
+@examples(25)
 @given(st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=12), st.floats(0.1, 3.0))
 def test_an_outline_is_as_accurate_as_asked_for_and_has_few_points(turns, tolerance):
     yaw = np.repeat(np.cumsum(turns), 9)
@@ -224,8 +226,8 @@ def test_unreadable_files_are_named_and_counted(tmp_path, capsys):
     assert not (tmp_path / 'none').exists()
 
 
+@examples(25)
 @given(st.data())
-@settings(deadline=None)
 def test_losses_and_obstacles_come_through(data):
     shape = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
     alpha = data.draw(arrays(float, shape, elements=st.floats(0.0, 10.0)))

@@ -304,17 +304,3 @@ def test_keyboard_and_fingers_move_and_zoom(browser, page):
         fingers = [{'x': x + k * apart, 'y': y, 'id': k} for k in (-1, 1)]
         browser.ask('Input.dispatchTouchEvent', type=what, touchPoints=fingers)
     assert state(browser)[2] == pytest.approx(2.0, rel=0.05)
-
-
-def test_a_printed_map_is_sharp_and_not_distorted_and_keeps_its_legend(browser, page):
-    opened(browser, page)
-    browser.evaluate('dispatchEvent(new Event("beforeprint")), 0')
-    sharp = browser.evaluate('[map.canvas.width, map.canvas.height]')
-    browser.ask('Emulation.setEmulatedMedia', media='print')
-    ((left, top, right, bottom),) = browser.boxes('canvas')
-    assert sharp[0] / sharp[1] == pytest.approx((right - left) / (bottom - top), rel=0.01)
-    assert sharp[0] > 2 * (right - left)
-    assert all(bottom > top for _, top, _, bottom in browser.boxes('.legend i'))
-    printed = 'getComputedStyle(document.querySelector(".legend i")).printColorAdjust'
-    assert browser.evaluate(printed) == 'exact'
-    browser.ask('Emulation.setEmulatedMedia', media='')

@@ -13,7 +13,7 @@ pytest.importorskip('geopandas', reason='vector files need geopandas')
 import geopandas
 import rasterio
 import shapely
-from commands import run_script, script_of
+from commands import run_here, run_script, script_of
 from rasters import write_geotiff
 from shapely.geometry import LineString, Point, box
 
@@ -204,7 +204,7 @@ POLYGON = rows(box(WEST, SOUTH, WEST + 100, SOUTH + 100))
     ('GRID {incidents: x.gpkg, until: 2024-01-01}', rows(at(9, 9), date=['2025-01-01']),
      'until: .*2024-01-01'),
 ])
-def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_path, capsys):
+def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_path):
     grid = {key: GRID[key] for key in ('resolution', 'bounds')}
     for word, keys in (('GRID', GRID), ('FREE', grid)):
         text = text.replace(word, '\n'.join(f'{k}: {v}' for k, v in keys.items()) + '\nlayers:\n-')
@@ -214,8 +214,8 @@ def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_pa
     with pytest.raises((InvalidLayers, ValueError), match=words):
         risk_from_layers(tmp_path / 'layers.yaml')
     before = sorted(tmp_path.iterdir())
-    assert cli.main(['risk', str(tmp_path / 'layers.yaml'), '-o', str(tmp_path / 'm.yaml')]) == 3
-    assert re.fullmatch('ambush risk: .*\n', capsys.readouterr().err)
+    done = run_here(cli, 'risk', tmp_path / 'layers.yaml', '-o', tmp_path / 'm.yaml')
+    assert done.code == 3 and re.fullmatch('ambush risk: .*\n', done.err)
     assert sorted(tmp_path.iterdir()) == before
 
 

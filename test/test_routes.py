@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from test_trip import roads_of
 
-from ambush_planner import GameOptions, Network, NoRoute, TimeLimit
+from ambush_planner import GameOptions, NoRoute, TimeLimit
 from ambush_planner.game.budget import length_budget
 from ambush_planner.game.certificate.certificate import lower_bounds
-from ambush_planner.game.game import make_game, make_games
+from ambush_planner.game.game import make_games
 from ambush_planner.game.hits import largest_product, law_of
 from ambush_planner.game.legs import Legs
 from ambush_planner.game.value.routes import Routes
@@ -107,13 +107,6 @@ def test_sites_that_join_count_like_those_from_the_beginning(seed, stops, reach)
     found.solve(math.inf)
     entering = np.vstack((legs.entering.toarray(), more.toarray()))
     check(found, legs, least_value(legs, entering, np.append(legs.loss, loss)))
-
-
-def test_without_sites_the_value_is_0():
-    points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
-    game = make_game(Network(points, np.zeros(3), [(0, 1), (1, 2)], 0, 2), GameOptions())
-    found = solved(Legs((game,), (length_budget(game, 1.2),)))
-    assert (found.bound, found.value, found.flow.tolist()) == (0.0, 0.0, [1.0, 1.0])
 
 
 def test_at_the_deadline_there_is_a_strategy():

@@ -5,7 +5,6 @@ import json
 import re
 import shlex
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timezone
 
@@ -19,13 +18,11 @@ from ambush_planner import (
     GameOptions,
     Network,
     PlanningOptions,
-    Problem,
     RiskMap,
     StrategyOptions,
     plan_trip,
     read_risk_map,
     solve,
-    solve_many,
 )
 from ambush_planner.commands import hold, plan
 from ambush_planner.commands.inputs import as_typed
@@ -164,20 +161,6 @@ def test_the_command_writes_the_place_as_asked_and_the_call_of_hold(tmp_path):
     assert held.code == 0 and (tmp_path / 'h.csv').exists(), held.err
 
 
-def test_a_wide_slack_does_not_make_an_ambush_certain():
-    """Two ways, of loss 1 and 2, are driven equally often: an ambush hits half of the routes."""
-    wide = StrategyOptions(risk_slack=0.55, max_detour=np.inf)
-    network = Network([(0, 0), (50, 9), (50, -9), (99, 0)], [0, 1, 2, 0],
-                      [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
-    options, found = PlanningOptions(network=plain_options(spacing=1.0), strategy=wide), solve(
-        network, options=wide)
-    made = replace(plan_trip(ground(), START, GOAL, PlanningOptions(
-        network=plain_options(spacing=20.0))), trip=found.alone,
-        options=options, spacing=1.0)
-    assert made.value == pytest.approx(1.0, abs=0.04)
-    assert not any('every' in text for text in concerns(made))
-
-
 def test_an_ambush_that_misses_one_route_of_300_is_not_certain():
     network = Network([(0, 0), (50, 9), (50, -9), (99, 0)], [0, 1, 300, 0],
                       [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
@@ -224,10 +207,3 @@ def test_solve_warns_of_no_loss_and_of_a_certain_one(alpha, edges, words):
                       target=3)
     with pytest.warns(AmbushPlannerWarning, match=words):
         solve(network)
-
-
-def test_solve_many_warns_of_what_its_plans_say():
-    risk_map = RiskMap(np.zeros((8, 16)), np.zeros((8, 16), dtype=bool), 1.0)
-    with ThreadPoolExecutor(1) as pool, pytest.warns(AmbushPlannerWarning,
-                                                     match='problem 0: .*the value is 0'):
-        solve_many([Problem(risk_map, (1.0, 4.0), (15.0, 4.0))], pool)

@@ -76,12 +76,6 @@ def test_a_geotiff_without_true_metres_is_reprojected_to_its_utm_zone(tmp_path, 
     np.testing.assert_allclose(raster.values[inner], expected[inner], atol=1e-3)
 
 
-def test_a_geotiff_with_a_system_of_its_own_has_an_unknown_one(tmp_path):
-    path = write_geotiff(tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'LOCAL_CS["site"]',
-                         (10, 0, 0, 0, -10, 0))
-    assert read_raster(path).crs is None
-
-
 @pytest.mark.parametrize('shape', [(1, 1), (13, 10)])
 def test_written_maps_read_back_unchanged(tmp_path, shape):
     """Also if Pillow has read the image and written it as PNG."""

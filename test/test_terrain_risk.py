@@ -26,13 +26,6 @@ def only(name):
     return TerrainOptions(weights=tuple(float(name == each) for each in names), slope_limit=1.5)
 
 
-def test_open_plains_are_exposed_and_nothing_else():
-    plain = Elevation(np.full((40, 40), 50.0), 10.0)
-    for name, value in (('depth', 0), ('exposure', 99), ('approach', 0), ('slope', 0)):
-        assert (terrain_map(plain, only(name)).values == value).all()
-    assert (terrain_map(plain).values == round(99 * 0.2)).all()
-
-
 @pytest.mark.parametrize('name', ['depth', 'exposure', 'approach', 'slope'])
 def test_values_follow_the_stated_formula(name):
     elevation = Elevation(hills(), 10.0)

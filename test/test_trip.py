@@ -19,7 +19,6 @@ from games import (
     reached,
     routes_of,
     trip_value,
-    two_pairs_of_gates,
 )
 from hypothesis import given
 from hypothesis import strategies as st
@@ -43,8 +42,6 @@ from ambush_planner.network.construction import build_trip_graph
 from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.plan import departure_path, draw_routes
-from ambush_planner.planning.trip import Trip
-from ambush_planner.routes.corridors import make_corridors
 
 # The tolerance of a certificate, and as much again.
 NEAR = 2e-5
@@ -226,18 +223,6 @@ def test_two_gates_within_the_reach_are_whole_routes_drawn_with_their_shares():
     assert all((1 in route) == (4 in route) for route in routes)
 
 
-def test_on_a_map_of_two_pairs_of_gates_routes_remember_by_which_they_came():
-    """A place between the gates of one side hits both; a chain would cost half as much again."""
-    plan = plan_trip(*two_pairs_of_gates())
-    assert plan.lower_bound == pytest.approx(2.0, rel=0.01) and plan.value <= 2.02 * 1.001
-    mixture = plan.strategy.mixture
-    assert mixture.shares.sum() == pytest.approx(1.0)
-    sides = [plan.network.points[route] for route in plan.strategy.sample_routes(100, 1)]
-    north = [[line[np.abs(line[:, 0] - at - 0.5).argmin(), 1] > 20.0 for at in (25, 35)]
-             for line in sides]
-    assert sorted({tuple(each) for each in north}) == [(False, False), (True, True)]
-
-
 # Plans.
 
 @pytest.fixture(scope='module')
@@ -259,13 +244,6 @@ def test_a_plan_keeps_the_laws_of_legs(made):
     assert made.stops_xy == STOPS and (made.start_xy, made.goal_xy) == (START, GOAL)
 
 
-def test_the_networks_of_a_trip_can_be_built_again(risk_map, made):
-    again = Trip(risk_map, START, GOAL, made.stops_xy, OPTIONS).networks(made.network.refined)
-    for one, leg in zip(again, made.legs, strict=True):
-        assert np.array_equal(one.points, leg.network.points[: len(one.points)])
-        assert np.array_equal(one.edges, leg.network.edges)
-
-
 @pytest.mark.parametrize('turning_radius', [0.0, 12.0])
 def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(made, turning_radius):
     drive = DriveOptions(turning_radius=turning_radius)
@@ -280,13 +258,6 @@ def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(made, tu
         moved = (START[0] + 3.0, START[1]), (GOAL[0], GOAL[1] - 3.0)
         shifted = departure_path(plan, route, 5.0, moved)
         assert (tuple(shifted[0, :2]), tuple(shifted[-1, :2])) == moved
-
-
-def test_corridors_are_those_of_each_leg(risk_map, made):
-    for leg, corridors in zip(made.legs, made.corridors, strict=True):
-        alone = make_corridors(leg.network, risk_map)
-        for name in ('uv', 'links', 'widths', 'radii'):
-            assert np.array_equal(getattr(corridors, name), getattr(alone, name))
 
 
 def test_a_round_trip(risk_map):
@@ -366,7 +337,7 @@ def test_a_plan_is_never_worse_than_that_of_the_plain_network_in_the_same_time(
         risk_map, monkeypatch):
     """However short the time is: what is returned is the best plan that is finished."""
     values, refined = [], 0
-    for limit in (10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0):
+    for limit in (10.0, 100.0, 1000.0, 3000.0):
         for refine in (0, 2):
             monkeypatch.setattr(time, 'monotonic', Clock())
             options = PlanningOptions(

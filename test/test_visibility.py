@@ -108,13 +108,6 @@ def test_exposure_approximates_all_lines_of_sight():
     assert np.corrcoef(found, exact)[0, 1] > 0.97
 
 
-def test_a_plane_is_fully_visible():
-    row, column = np.mgrid[:40, :40]
-    views = viewshed(Elevation(3.0 * row - 2.0 * column, 10.0), ViewOptions(weapon_range=100.0))
-    assert (views.exposure == 1.0).all()
-    np.testing.assert_allclose(views.approach, 100.0)
-
-
 def test_tiles_do_not_change_results(monkeypatch):
     heights = hills((30, 40), 1, 10.0, 3.0)
     heights[10:20, 20:25] = np.nan

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from commands import NO_ROS, documented_keys, run_here, run_python
 from games import plain_options
-from recording_samples import read_with_mcap_ros2, read_with_rosbags
-from test_path_mixtures import GOAL, START, ground, mixtures_of
+from test_path_mixtures import GOAL, START, ground
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
@@ -137,19 +136,6 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
     assert f'<td>{plan.value / 2:.3g}</td>' in measures, 'the table of planners, too'
 
 
-def test_other_readers_take_the_recordings(plans, tmp_path):
-    file = copy_of(plans, 'routes', tmp_path)
-    assert run_here(draw, file).code == 0
-    (path,) = (tmp_path / 'week.departures').iterdir()
-    for rows in (read_with_rosbags(path), read_with_mcap_ros2(path)):
-        assert sorted(topic for topic, *_ in rows) == ['/alpha_map', '/goal_pose', '/path',
-                                                       '/start_pose']
-        messages = {topic: message for topic, _, message in rows}
-        grid = np.frombuffer(bytes(messages['/alpha_map'].data), np.int8)
-        assert np.array_equal(grid == 100, ground().obstacles.ravel())
-        assert messages['/path'].poses[-1].pose.position.x == pytest.approx(GOAL[0])
-
-
 @pytest.mark.parametrize(('name', 'words'), [
     ('routes', ''), ('stops', 'drawn as a whole instead of leg by leg; plan again')])
 def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, name, words, tmp_path,
@@ -176,19 +162,6 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
     assert (found.problems == [] if not words else words in found.problems[0]), found.problems
     if not words:
         assert read_departure(path).value == pytest.approx(plans[name][0].value)
-
-
-def test_few_routes_are_a_strategy_with_their_shares(plans):
-    plan, _ = plans['few']
-    (mixture,), few = plan.few.trip.legs, plan.few
-    judged = mixtures_of(plan.own_map, plan, few.paths).judged(few.shares)
-    assert (mixture.value, *few.worst_xy) == pytest.approx((judged.value, *judged.worst_xy))
-    drawn = mixture.sample_routes(4000, np.random.default_rng(1))
-    for k, (path, share) in enumerate(zip(few.paths, few.shares, strict=True)):
-        nodes, = few.nodes(np.array([k]))
-        count = sum(np.array_equal(each, nodes) for each in drawn)
-        assert abs(count / 4000 - share) < 0.04
-        assert np.isin(mixture.network.points[nodes], path[:, :2]).all()
 
 
 def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
@@ -276,15 +249,6 @@ def test_verify_says_which_plan_each_departure_is_of(plans, tmp_path):
         (2, pytest.approx(value / 2)), (1, pytest.approx(few / 2))]
     said = ' '.join(run_here(verify, folder).out.split())
     assert '3 departures of 2 plans: 2 of ' in said and f'UTC (value {few / 2:.3g})' in said
-
-
-def test_a_dry_run_records_nothing(plans, tmp_path):
-    file = copy_of(plans, 'few', tmp_path)
-    done = run_here(draw, file, '--dry-run', '-o', tmp_path / 'card.html', '--json')
-    result = json.loads(done.out)
-    assert done.code == 0 and 'do not drive this' in done.err
-    assert set(result) == documented_keys(draw) and result['departures'][0]['recording'] is None
-    assert sorted(path.name for path in tmp_path.iterdir()) == ['card.html', 'week.plan']
 
 
 def test_slots_and_routes_follow_the_strategy(plans):
