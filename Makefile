@@ -66,6 +66,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/random_games.py --count 200
 	-$(BIN)/python benchmarks/limits.py
+	-$(BIN)/python benchmarks/limits.py --crowd 20 --busy 8 --limits 60
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_motion.py
 
