@@ -27,8 +27,11 @@ def test_the_commands_and_the_python_plan_with_the_values_that_are_named(tmp_pat
     (tmp_path / 'docs').symlink_to(ROOT / 'docs')
     *_, plan, draw = COMMANDS.splitlines()  # after the installation
     ambush = [sys.executable, '-m', 'ambush_planner.commands.cli']
-    programs = ([*ambush, *plan.split()[1:]], [*ambush, *draw.split()[1:]],
-                [sys.executable, '-c', PYTHON])
+    # With more time, for a machine that does other things.
+    patient = PYTHON.replace('(game=', '(strategy=StrategyOptions(time_limit=1e3), game=').replace(
+        'import GameOptions', 'import StrategyOptions, GameOptions')
+    programs = ([*ambush, *plan.split()[1:], '--set', 'strategy.time_limit=1e3'],
+                [*ambush, *draw.split()[1:]], [sys.executable, '-c', patient])
     planned, drawn, printed = (subprocess.run(program, cwd=tmp_path, capture_output=True, text=True,
                                           check=True).stdout for program in programs)
     assert (tmp_path / 'out/routes.png').stat().st_size > 50_000
