@@ -12,11 +12,10 @@ import time
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..arrays import NEGLIGIBLE, FloatArray
+from ..arrays import NEGLIGIBLE
 from .distribution.acyclic import acyclic_subnetwork, order_potential, topological_order
 from .distribution.gibbs import acyclic_network, in_series
 from .distribution.route_distribution import DISTRIBUTION, RouteDistribution
-from .game import Game
 from .hits import largest_product
 from .search import Incumbent, Search
 from .tolerance import ROUNDS, ceiling, within
@@ -115,7 +114,10 @@ def _around_flow(search: Search) -> RouteDistribution:
     safe = legs.avoiding(search.entering) if bound == 0.0 else None
     parts = []
     for k, (game, p) in enumerate(zip(legs.games, legs.split(flow), strict=True)):
-        game = _within_margin(game, legs.budgets[k].used_margin, p)
+        # Without edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes: so all
+        # best routes for a budget that allows no others are in one order of the nodes.
+        used = game.least_weights(legs.budgets[k].used_margin) <= 1.0 / NEGLIGIBLE
+        game = game.restricted_to(used | (p > 0.0)) or game
         if safe and not p[~safe.games[k].playable].any():  # no route is hit at all
             game = safe.games[k]
         position = topological_order(game, p, order_potential(game))
@@ -128,15 +130,6 @@ def _around_flow(search: Search) -> RouteDistribution:
     distribution.add_sites(search.entering, search.loss)
     distribution.measure(_cap(search))
     return distribution
-
-
-def _within_margin(game: Game, used_margin: FloatArray, p: FloatArray) -> Game:
-    """The game without edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes.
-
-    So all best routes for a budget that allows no others are in one order of the nodes.
-    """
-    used = game.least_weights(used_margin) <= 1.0 / NEGLIGIBLE
-    return game.restricted_to(used | (p > 0.0)) or game
 
 
 def find_mixture(search: Search) -> Incumbent:

@@ -60,8 +60,10 @@ class Faces:
 
     def discs(self, entering: csr_matrix) -> Discs:
         """The faces on the rims of discs that the edges of the rows ``entering`` (K, M) enter."""
-        rims = self._rims(entering)
-        links = len(self.left)
+        links, edge = len(self.left), np.flatnonzero(self.link >= 0)
+        places = edge, self.link[edge]
+        of_edges = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), links))
+        rims = csr_matrix(entering.astype(bool) @ of_edges)  # the links that enter each disc
         places = np.tile(np.arange(links), 2), np.concatenate((self.left, self.right))
         sides = csr_matrix((np.ones(2 * links, bool), places), (links, self.count))
         touched = csr_matrix(rims @ sides)
@@ -90,13 +92,6 @@ class Faces:
         network = self.game.network
         forward = np.where(network.tails < network.heads, 1.0, -1.0)
         return np.where(self.game.playable, np.maximum(forward * flow[self.link], 0.0), 0.0)
-
-    def _rims(self, entering: csr_matrix) -> csr_matrix:
-        """(K, links) bool: the links that enter each disc."""
-        edge = np.flatnonzero(self.link >= 0)
-        places = edge, self.link[edge]
-        links = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), len(self.left)))
-        return csr_matrix(entering.astype(bool) @ links)
 
     def _winding_offsets(self, link: IndexArray, left: IndexArray, right: IndexArray,
                          part: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -43,7 +43,9 @@ class RouteSampler:
         """Return one route (K,): node indices, source first, target last, none twice."""
         route, position = [self._source], {self._source: 0}
         while route[-1] != self._target:
-            node = self._next(route[-1], rng)
+            first, last = self._first[route[-1]], self._first[route[-1] + 1] - 1
+            step = bisect_right(self._steps, rng.random() * self._steps[last], first, last)
+            node = self._heads[step]
             if node in position:
                 for erased in route[position[node] + 1 :]:
                     del position[erased]
@@ -89,12 +91,6 @@ class RouteSampler:
         first, steps = np.array(self._first), np.array(self._steps)
         tails = self._network.tails[self._used]
         return np.asarray(tails + steps / steps[first[tails + 1] - 1])
-
-    def _next(self, node: int, rng: np.random.Generator) -> int:
-        first, last = self._first[node], self._first[node + 1] - 1
-        at = bisect_right(self._steps, rng.random() * self._steps[last], first, last)
-        head: int = self._heads[at]
-        return head
 
 
 class MixtureSampler:

@@ -149,7 +149,11 @@ class _Labels:
         while queue:
             least, cost, number, node, met = heapq.heappop(queue)
             if node == self._target:
-                return cost, self._route(labels, number)
+                route = []
+                while number > 0:
+                    number, k = labels[number]
+                    route.append(self._edge[k])
+                return cost, np.array(route[::-1], dtype=np.int64)
             if comparisons < 0 or time.monotonic() > deadline:
                 return least, None
             here = settled.setdefault(node, [])
@@ -185,10 +189,3 @@ class _Labels:
             cost += self._prices[lowest.bit_length() - 1]
             sites ^= lowest
         return cost
-
-    def _route(self, labels: list[tuple[int, int]], number: int) -> IndexArray:
-        route = []
-        while number > 0:
-            number, k = labels[number]
-            route.append(self._edge[k])
-        return np.array(route[::-1], dtype=np.int64)

@@ -119,7 +119,10 @@ class Mixtures:
         # In a unit near the value, to which the solver's tolerances are relative.
         most = float(self.loss.max(initial=0.0)) or 1.0
         unit = self._unit if self._unit > NEGLIGIBLE * most else most
-        hit, shares = self._hits() / unit, 1.0 / np.bincount(leg)[leg]
+        met = [each.met for each in self._columns]
+        sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
+        hit = csr_matrix((self.loss[sites] / unit, (sites, column)), (len(self.loss), len(met)))
+        shares = 1.0 / np.bincount(leg)[leg]
         losses = hit @ shares
         while True:
             if cap < math.inf or not near.any():
@@ -135,12 +138,6 @@ class Mixtures:
         duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
         q[near], prices = np.split(duals, [np.count_nonzero(near)])
         return Mixture(shares, q, prices * unit, np.asarray(result.eqlin.marginals) * unit)
-
-    def _hits(self) -> csr_matrix:
-        """The loss (S, C) that each route has at each site."""
-        met = [each.met for each in self._columns]
-        sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
-        return csr_matrix((self.loss[sites], (sites, column)), (len(self.loss), len(met)))
 
     def _solve_on(self, hit: csr_matrix, leg: IndexArray, precision: float, deadline: float,
                   vertex: bool) -> OptimizeResult:

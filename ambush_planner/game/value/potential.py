@@ -332,6 +332,8 @@ class Potential:
             result = highs.run(lp, 'simplex', deadline)
         except SolverFailed:
             return
+        if result.x is None:  # HiGHS called it infeasible, by rounding
+            return
         shares = np.maximum(result.x[:-1], 0.0)
         shares /= shares.sum()
         self.value = float((shares @ losses).max(initial=0.0))
