@@ -233,8 +233,7 @@ class Potential:
     def _join(self, z: float) -> int:
         """Add the extreme faces of the discs that exceed z, and those just too far apart.
 
-        Of discs with a common extreme face, only that which exceeds z most is looked at. Returns
-        the number of pairs that are new.
+        Returns the number of pairs that are new.
         """
         height = self._heights(self._potential)
         spread = self._spreads(height, self._first)
@@ -242,26 +241,17 @@ class Potential:
         most = z * (1.0 + self._precision / 2.0) / self._loss
         over = ((hits > most + ROUNDING) & ~self._unavoidable)[site] & (spread > ROUNDING)
         left = most / np.maximum(hits, ROUNDING)
-        last, new = np.append(self._first[1:], len(self._face)), list[int]()
-        known, taken = np.zeros(2 * len(self._face), bool), np.zeros(len(self._rows), bool)
-        known[2 * self._joined + self._up] = True
-        parts = np.flatnonzero(over)
-        losses = (hits * self._loss)[site[parts]]
-        for part in parts[np.argsort(-losses, kind='stable')].tolist():
+        last, pairs = np.append(self._first[1:], len(self._face)), []
+        for part in np.flatnonzero(over).tolist():
             order = self._first[part] + height[self._first[part] : last[part]].argsort()
-            ends = self._face[order[[0, -1]]]
-            if taken[ends].any():
-                continue
             ordered, limit = height[order], spread[part] * left[site[part]]
             above = order[min(ordered.searchsorted(ordered[0] + limit, 'right'), len(order) - 1)]
             below = order[max(ordered.searchsorted(ordered[-1] - limit) - 1, 0)]
-            pairs = np.unique((2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below))
-            pairs = pairs[~known[pairs]]
-            taken[ends] |= len(pairs) > 0
-            new += pairs.tolist()
-        if new:
-            pair, up = np.divmod(new, 2)
-            self._add_pairs(pair, up == 1)
+            pairs += [2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below]
+        known = 2 * self._joined + self._up
+        new, up = np.divmod(np.setdiff1d(np.array(pairs, dtype=np.int64), known), 2)
+        if len(new):
+            self._add_pairs(new, up == 1)
         return len(new)
 
     def _add_pairs(self, pair: IndexArray, up: BoolArray) -> None:
