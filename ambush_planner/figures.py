@@ -74,13 +74,18 @@ def draw_network(axes: Axes, trip: TripStrategy, below_routes: bool = False) -> 
     return draw_segments(axes, trip.game.network.points[edges], p, **pale)
 
 
+def probability_scale(probability: npt.ArrayLike) -> LogNorm:
+    """Return a logarithmic colour scale up to the largest probability."""
+    largest = float(np.max(probability, initial=0.0))
+    return LogNorm(MIN_PROBABILITY, max(largest, 2.0 * MIN_PROBABILITY), clip=True)
+
+
 def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
-                  widths: tuple[float, float] = (0.5, 3.0),
+                  scale: LogNorm | None = None, widths: tuple[float, float] = (0.5, 3.0),
                   cmap: Colormap = PROBABILITY) -> LineCollection:
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
-    largest = float(p.max(initial=0.0))
-    scale = LogNorm(MIN_PROBABILITY, max(largest, 2.0 * MIN_PROBABILITY), clip=True)
+    scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= MIN_PROBABILITY)
     shown = shown[np.argsort(p[shown], kind='stable')]
     linewidths = widths[0] + (widths[1] - widths[0]) * np.asarray(scale(p[shown])) ** 2

@@ -20,7 +20,7 @@ from scipy.sparse import csr_matrix
 from ambush_planner.arrays import FloatArray
 from ambush_planner.figures import PROBABILITY, draw_ends, draw_segments, probability_scale
 from ambush_planner.game.strategy import Strategy
-from ambush_planner.map_figures import OBSTACLE, WIDTH, draw_risk_map, frame, risk_bar, scale_bar
+from ambush_planner.map_figures import LOSS, OBSTACLE, WIDTH, draw_risk_map, draw_scale_bar, frame
 from ambush_planner.maps.risk_map import RiskMap
 
 from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
@@ -104,7 +104,7 @@ def _thresholds(results: Results) -> Figure:
             draw_ends(panel, strategy.alone)
             if panel is panels[1]:
                 panel.set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
-            scale_bar(panel)
+            draw_scale_bar(panel)
     _scales(figure, axes, lines, risk)
     figure.legend(handles=[OBSTACLE, SITES], **LEGEND)
     return figure
@@ -121,7 +121,7 @@ def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
         for panel in (left, right):
             risk = draw_risk_map(panel, risk_map)
             draw_ends(panel, strategy.alone)
-            scale_bar(panel)
+            draw_scale_bar(panel)
     _scales(figure, axes, lines, risk)
     return figure
 
@@ -138,7 +138,7 @@ def _scales(figure: Figure, axes: np.ndarray, lines: LineCollection, risk: AxesI
     """The two colour scales below the panels."""
     layout = {'location': 'bottom', 'pad': 0.02, 'aspect': 30, 'shrink': 0.9}
     figure.colorbar(lines, ax=axes[:, 0], label='expected uses of each edge', format='%g', **layout)
-    risk_bar(figure, risk, axes[:, 1], **layout)
+    figure.colorbar(risk, ax=axes[:, 1], label=LOSS, **layout)
 
 
 def _draw_uses(axes: Axes, strategy: Strategy, scale: LogNorm) -> LineCollection:

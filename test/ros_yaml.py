@@ -9,9 +9,11 @@ EXAMPLES = Path(__file__).resolve().parent.parent / 'msg_examples'
 
 
 def type_of(name):
-    """The class of a message or service type, such as std_srvs/srv/Trigger."""
+    """The class of a message, service or action's part, such as std_srvs/srv/Trigger."""
     package, folder, kind = name.split('/')
-    return getattr(import_module(f'{package}.{folder}'), kind)
+    kind, _, part = kind.partition('_')
+    found = getattr(import_module(f'{package}.{folder}'), kind)
+    return getattr(found.Impl, part) if part else found
 
 
 def filled(message, values):
