@@ -96,8 +96,9 @@ def trip(demo: Section) -> Figure:
     paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
     figures.draw_routes(right, [path[:, :2] for path in paths], figures.places_of(plan.trip))
     right.label_outer()
-    for axes, shown, label in ((left, edges, figures.PASSES), (right, risk, map_figures.LOSS)):
-        figure.colorbar(shown, ax=axes, label=label, location='bottom', shrink=0.9)
+    for axes, shown, label, form in ((left, edges, figures.PASSES, figures.PERCENT),
+                                     (right, risk, map_figures.LOSS, None)):
+        figure.colorbar(shown, ax=axes, label=label, location='bottom', shrink=0.9, format=form)
     figure.legend(handles=[figures.SITES, figures.SECURED_AREA, map_figures.OBSTACLE], ncols=3,
                   **LEGEND)
     return figure
