@@ -25,8 +25,8 @@ class Labels:
     def __init__(self, frame: FloatArray, busy: FloatArray, taken: FloatArray) -> None:
         self._frame, self._busy, self._taken = frame, busy, taken
 
-    def beside(self, point: FloatArray, size: FloatArray, gap: float,
-               is_round: bool = False) -> FloatArray:
+    def place(self, point: FloatArray, size: FloatArray, gap: float,
+              is_round: bool = False) -> FloatArray:
         """The centre (2,) of a label of a size (2,) near a point, at least ``gap`` from it."""
         angles = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False)
         around = np.column_stack((np.cos(angles), np.sin(angles)))
@@ -38,7 +38,7 @@ class Labels:
         best = (ring + _COVERED * covered + _BUSY * np.minimum(busy, _MOST)).argmin()
         return self._take(centres[best], size)
 
-    def on(self, places: FloatArray, size: FloatArray) -> FloatArray | None:
+    def choose(self, places: FloatArray, size: FloatArray) -> FloatArray | None:
         """The centre (2,) of a label on one of some places (C, 2); None if it would cover others.
 
         Of the places where it covers fewest busy points, it is the middle one.

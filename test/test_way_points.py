@@ -145,9 +145,9 @@ def test_labels_cover_neither_each_other_nor_what_is_taken(places, seed):
     labels, boxes = Labels(frame, rng.uniform(size=(50, 2)), taken), [*taken]
     for x, y, u, v in places:
         size = np.array((0.02 + 0.1 * u, 0.03))
-        spot = labels.beside(np.array((x, y)), size, 0.012)
+        spot = labels.place(np.array((x, y)), size, 0.012)
         boxes.append(np.concatenate((spot - size / 2, spot + size / 2)))
-        on = labels.on(np.array([(u, v), (v, u)]), size)
+        on = labels.choose(np.array([(u, v), (v, u)]), size)
         if on is not None:
             boxes.append(np.concatenate((on - size / 2, on + size / 2)))
     boxes = np.array(boxes)

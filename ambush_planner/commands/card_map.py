@@ -257,9 +257,9 @@ def _label(sheet: _Sheet, card: Card, bar: FloatArray) -> None:
     font = _FONT if len(card.way_points) <= _MANY else _CROWDED
     labels = Labels(sheet.box, busy, taken)
 
-    def beside(text: str, xy: FloatArray, size: FloatArray, gap: float, is_round: bool) -> None:
+    def annotate(text: str, xy: FloatArray, size: FloatArray, gap: float, is_round: bool) -> None:
         """Write next to a place, with a thin dotted leader if it is farther than a gap [mm]."""
-        spot = labels.beside(xy, size, gap * metres, is_round)
+        spot = labels.place(xy, size, gap * metres, is_round)
         if (np.abs(spot - xy) > size / 2.0 + 1.5 * gap * metres).any():
             sheet.line(np.array((xy, spot)), 'leader')
         if is_round:
@@ -270,24 +270,24 @@ def _label(sheet: _Sheet, card: Card, bar: FloatArray) -> None:
     for number, each in numbered:
         if each.name:
             text = f'{number} {each.name}'
-            beside(text, each.xy, sheet.size_of(text, font), 1.1 * _END, False)
+            annotate(text, each.xy, sheet.size_of(text, font), 1.1 * _END, False)
     round_size = np.full(2, 1.75 * font * _POINT * metres)
     for number, each in numbered:
         if not each.name:
             sheet.disc(each.xy, _MARK, 'mark')
-            beside(str(number), each.xy, round_size, 1.6 * _MARK, True)
+            annotate(str(number), each.xy, round_size, 1.6 * _MARK, True)
     if card.roads is None:
         return
     for name, places in _named_roads(card.roads, sheet.box):
         size = sheet.size_of(name, _SMALL)
-        if (spot := labels.on(places, size)) is not None:
+        if (spot := labels.choose(places, size)) is not None:
             (x, y), (wide, high) = sheet.at(spot), size / metres
             sheet.parts.append(f'<rect x="{x - wide / 2.0:.2f}" y="{y - high / 2.0:.2f}" '
                                f'width="{wide:.2f}" height="{high:.2f}" rx=".5"/>')
             sheet.text(name, spot, 'shield')
     for x, y, name in card.roads.places[_inside(card.roads.places[:, :2], sheet.box)]:
         text = card.roads.names[int(name)]
-        if (spot := labels.on(np.array([(x, y)]), sheet.size_of(text, _SMALL))) is not None:
+        if (spot := labels.choose(np.array([(x, y)]), sheet.size_of(text, _SMALL))) is not None:
             sheet.text(text, spot, 'place over')
 
 

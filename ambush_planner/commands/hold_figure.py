@@ -40,7 +40,7 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     labels = Labels(frame, marks, np.hstack((marks - size / 4.0, marks + size / 4.0)))
     for k, step in enumerate(found.steps, start=1):
         overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.5, linewidth=0, zorder=5))
-        spot = labels.beside(np.array(step.xy), size, 0.25 * float(size[0]), True)
+        spot = labels.place(np.array(step.xy), size, 0.25 * float(size[0]), True)
         figures.number_badge(overview, k, np.array(step.xy), HELD, spot)
     entries = len(overview.get_legend().get_texts())
     curve = overview.inset_axes((0.0, -figures.BELOW - 0.21 * entries - 0.35 - _TALL, 5.0, _TALL),

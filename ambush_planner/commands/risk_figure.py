@@ -77,7 +77,7 @@ def _name_places(axes: Axes, risk_map: RiskMap, layers: Sequence[Layer]) -> None
     labels = Labels(np.array(risk_map.bounds), np.empty((0, 2)), np.empty((0, 4)))
     for x, y, name in (place for layer in layers for place in layer.names):
         size = np.array((0.6 * len(name), 1.4)) * letter
-        if (spot := labels.on(np.array([(x, y)]), size)) is not None:
+        if (spot := labels.choose(np.array([(x, y)]), size)) is not None:
             axes.text(*spot, name, ha='center', va='center', fontsize=_FONT, style='italic',
                       path_effects=map_figures.HALO, zorder=7)
 

@@ -68,14 +68,15 @@ def curve_bound(faces: Faces, given: Circulation, site_prices: FloatArray, budge
         winds = abs(int(arcs.gain[cycle].sum()))
         bound += weight * min(winds, 1)
         if winds > 1:
-            winding.append((weight * (winds - 1), winds, cycle))
+            winding.append((weight, winds, cycle))
+    if not winding:
+        return bound
     routes = _RoutesAcross(faces)
-    for extra, winds, cycle in sorted(winding, key=lambda curve: -curve[0]):
+    for weight, winds, cycle in sorted(winding, key=lambda curve: -curve[0] * (curve[1] - 1)):
         if bound >= target or time.monotonic() > deadline:
             break
         link, row = arcs.link[cycle], np.unique(arcs.row[cycle])
-        met = routes.least_met(link[link >= 0], row[row >= 0], winds)
-        bound += extra / (winds - 1) * (met - 1)
+        bound += weight * (routes.least_met(link[link >= 0], row[row >= 0], winds) - 1)
     return bound
 
 
