@@ -41,7 +41,7 @@ from ambush_planner import (
 )
 from ambush_planner.game.revaluation import revalue
 from ambush_planner.game.value import highs
-from ambush_planner.game.value.face_flows import FaceFlows
+from ambush_planner.game.value.growing_program import GrowingProgram
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
@@ -216,7 +216,7 @@ def test_a_solver_that_fails_is_named(monkeypatch, recwarn):
     def fails(*_, **__):
         raise SolverFailed('numerical trouble')
 
-    monkeypatch.setattr(FaceFlows, 'solve', fails)
+    monkeypatch.setattr(GrowingProgram, 'solve', fails)
     monkeypatch.setattr(highs, 'run', fails)
     strategy = solve(terrain_network(4, cells=14), GameOptions(ambush_radius=2.0))
     assert strategy.reason == 'solver' and 0.0 <= strategy.lower_bound < strategy.value

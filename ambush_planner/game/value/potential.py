@@ -202,7 +202,7 @@ class Potential:
         """The model without discs at its optimum: links of the shortest-path tree are full."""
         links, faces = _Links(self.faces, self._budget), self.faces
         real, high = links.real, links.capacity[links.real]
-        links.columns = self._flows.add_columns(
+        links.columns = self._flows.add_arcs(
             self._rows[np.column_stack((faces.left, faces.right))[real]],
             np.tile([1.0, -1.0], (len(real), 1)), -faces.crossed[real].astype(np.float64),
             -high, high)
@@ -259,7 +259,7 @@ class Potential:
         face, disc = self._rows[self._face[pair]], self._part_row[self._part[pair]]
         rows = np.column_stack((np.where(up, face, disc), np.where(up, disc, face)))
         none, high = np.zeros(len(pair)), np.full(len(pair), POTENTIAL.endless)
-        columns = self._flows.add_columns(rows, np.tile([1.0, -1.0], (len(pair), 1)),
+        columns = self._flows.add_arcs(rows, np.tile([1.0, -1.0], (len(pair), 1)),
                                           none, none, high)
         self._joined, self._up = np.append(self._joined, pair), np.append(self._up, up)
         self._columns = np.append(self._columns, columns)
@@ -276,7 +276,7 @@ class Potential:
         flow = np.maximum(found.x[self._columns], 0.0) / 2.0
         ambush = np.bincount(site, flow, len(self._loss)) / self._loss
         total, gain = float(ambush.sum()), self._links.bridges - found.cost
-        potential = found.potential[self._rows]
+        potential = found.duals[self._rows]
         self._potential = potential - potential[0]
         self._points.append(_Point(self._potential, self._hits(self._potential),
                                    self._links.used_budget(self._potential)))
