@@ -287,7 +287,7 @@ class Potential:
             self.price = 1.0 / (total * self._budget.limit)
             self._circulations = (self._scaled_circulation(found.x, total),)
         endless = bool((flow > POTENTIAL.endless * (0.5 - ROUNDING)).any())
-        return gain <= limited + self._precision and not endless
+        return gain <= limited + self._precision * self._links.margin and not endless
 
     def _scaled_circulation(self, x: FloatArray, total: float) -> Circulation:
         """The flow of a solution, divided by what adds up to 1 at the sites."""
@@ -337,7 +337,7 @@ class _Links:
     """The links of faces, with the shares of the budget that they take.
 
     ``real`` links have two faces; the others are bridges, and what all routes take for these is
-    ``bridges``.
+    ``bridges``. The shortest route leaves the ``margin``, or 1 if there is no budget.
     """
 
     columns: IndexArray
@@ -351,6 +351,7 @@ class _Links:
         self.real = np.flatnonzero(faces.left != faces.right)
         bridges = self.capacity * np.abs(faces.crossed)
         self.bridges = float(bridges[faces.left == faces.right].sum())
+        self.margin = budget.margin / budget.limit if budget.is_limited else 1.0
 
     def full_links(self) -> IndexArray:
         """Return the real links (K,) to begin with: 1 or -1 on shortest paths, else 0."""
