@@ -137,7 +137,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
     lp = Potential(one_leg(game, 1.2), make_faces(game), 1e-3)
-    with pytest.raises(TimeLimit, match='before the linear program'):
+    with pytest.raises(TimeLimit, match='before a linear program'):
         lp.solve(time.monotonic() - 1.0)
     assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
     assert lp.value == pytest.approx(worst_loss(game, lp.flow))
