@@ -49,7 +49,9 @@ def find_distribution(search: Search) -> Incumbent:
     if best.good or search.legs.no_reentry or search.problem.out_of_time:
         return best
     mixture = find_mixture(search)
-    return mixture if mixture.value < best.value else best
+    # More sites are known now.
+    value, _ = largest_product(search.loss, search.entering, best.law)
+    return mixture if mixture.value <= value else best
 
 
 def find_chain(search: Search) -> Incumbent | None:

@@ -76,7 +76,7 @@ def find_sites(search: Search, sweeps: int = SWEEPS) -> None:
         if search.problem.out_of_time or (sweep >= sweeps and program.bound > 0.0):
             break
         apart = ROUTES.apart if sweep < sweeps - 1 else 0.0
-        threshold = ceiling(program.value if rough else program.bound, search.tolerance)
+        threshold = max(ceiling(program.bound, search.tolerance), program.value)
         found = search.add_violated_sites(program_law(search), threshold, apart)
         if found is None and not rough:
             break

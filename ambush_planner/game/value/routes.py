@@ -35,9 +35,6 @@ class ColumnGeneration(NamedTuple):
     rough: float = 0.02
     gain: float = 0.25  # share of the wanted gap by which a route must cost less to join
     comparisons: int = 1_000_000  # of labels in a search
-    # Share of the largest site price below which label searches leave out sites. Few sites make a
-    # search fast, but each that is left out weakens it.
-    small: float = 3e-3
     apart: float = 0.25  # minimum distance of sites that join at once, as a share of the reach
 
 
@@ -164,10 +161,7 @@ class Routes:
         Returns what all legs cost at least, as ``best_route`` counts, and the number of new routes.
         A proof is kept.
         """
-        q, prices, by_labels = mixture.q, mixture.prices, best_route == self._by_labels
-        site_prices = q * self.loss
-        if by_labels:
-            site_prices = np.where(site_prices > ROUTES.small * site_prices.max(), site_prices, 0.0)
+        q, prices, site_prices = mixture.q, mixture.prices, mixture.q * self.loss
         # A route must cost less than what its leg pays, by its share of the gain.
         most = mixture.costs - ROUTES.gain * self._gap * self.value / len(self._networks)
         added, least = 0, -float(prices.sum())
@@ -177,11 +171,10 @@ class Routes:
             least += bound
             if route is not None and network.cost(route, base, site_prices) < most[leg]:
                 added += self.add_route(leg, route)
-        kept = np.where(site_prices > 0.0, q, 0.0)
-        waits = float(kept.sum())
-        if (by_labels or self.legs.no_reentry) and least > self.bound * waits:
+        waits, proved = float(q.sum()), best_route == self._by_labels or self.legs.no_reentry
+        if proved and least > self.bound * waits:
             margins = np.array([budget.margin for budget in self.legs.budgets])
-            self.bound, self.q = least / waits, kept / waits
+            self.bound, self.q = least / waits, q / waits
             self.prices = np.where(np.isfinite(margins), prices / margins, 0.0) / waits
         return least, added
 
