@@ -126,6 +126,26 @@ def test_a_request_overtakes_a_running_background_solve(queue):
         shared.result(TIMEOUT)
 
 
+def test_a_first_plan_is_the_outcome_and_a_request_overtakes_its_refinement(queue):
+    quick, plans = request(), []
+
+    def ask(last):
+        return queue.submit('trip', replace(last, first=quick.options), plans.append)
+
+    ask(quick).result(TIMEOUT)
+    wait_until(lambda: len(plans) == 2, 'both plans')
+    assert plans[0].value == plans[1].value
+    wait_until(lambda: queue.activity == (False, False), 'the end')
+    outcome = ask(slow_request())
+    assert outcome.result(TIMEOUT) is None and len(plans) == 3
+    wait_until(lambda: queue.activity == (False, True), 'the refinement')
+    assert not queue.keys, 'nobody is to wait for it'
+    assert queue.submit('trip', quick, plans.append, background=True) is outcome
+    queue.withdraw(outcome)
+    assert queue.activity == (False, True)
+    assert submit(queue, 'trip', quick).result(TIMEOUT) is not outcome.result()
+
+
 def test_a_worker_of_low_priority_solves_nothing_else():
     worker = HandedOn.take(None)
     assert worker.solve(request(), True).strategy.value > 0.0 and not worker.alive

@@ -30,7 +30,7 @@ from .errors import Refusal
 from .gate import Gate
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
-from .plan_cache import CachedPlan, PlanCache, Task
+from .plan_cache import CachedPlan, PlanCache
 from .recordings import Recordings
 from .serial_executor import SerialExecutor
 from .topics import Publishers
@@ -92,7 +92,7 @@ class Dispatcher:
         inputs.join_maps()
         inputs.start, inputs.goal, inputs.via = request.start, request.goal, request.via
         trip = inputs.locate(request)
-        cached = self._plans.adopt(Task(trip), saved.plan)
+        cached = self._plans.adopt(saved.plan, trip, trip.parameters)
         self._logger.info(f'plan read from a file: value {saved.plan.value:.6g}, '
                           f'{len(saved.plan.network.points)} nodes')
         self._thread.submit(lambda: self._displayed.show(cached.as_solved))

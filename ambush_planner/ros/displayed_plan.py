@@ -38,6 +38,7 @@ class DisplayedPlan:
         self.markers: tuple[RecordedMessage, ...] = ()
         self._map_is_new = False
         self._latest_resolve: Future[CachedPlan] | None = None
+        plans.on_solved = lambda solved: thread.submit(lambda: self._show_refined(solved))
 
     def show(self, fit: Fit) -> None:
         """Display a plan, perhaps one that joins it: publish markers and report its numbers.
@@ -45,8 +46,9 @@ class DisplayedPlan:
         A first plan is refined from now on, also if that was cancelled before.
         """
         cached, plan = fit.cached, fit.plan
-        if cached.task.first:
-            self._refine(cached)
+        if cached.is_first:
+            with suppress(AmbushPlannerError):  # the node is inactive, or about to end
+                self._plans.refine(cached)
         if plan is self.plan:
             return
         frame, now = cached.trip.map.frame, self._publishers.clock.now().nanoseconds
@@ -93,16 +95,10 @@ class DisplayedPlan:
             self._latest_resolve = None
         self._reporter.set(assessment=assessment, stale=stale)
 
-    def _refine(self, cached: CachedPlan) -> None:
-        """Have a first plan's network refined, and show the new plan if it still shows this one."""
-        def show_result(solve: Future[CachedPlan]) -> None:
-            with suppress(AmbushPlannerError):  # the first plan stays
-                refined = solve.result()
-                if self.cached is cached:
-                    self.show(refined.as_solved)
-
-        with suppress(AmbushPlannerError):  # the node is inactive, or about to end
-            self._thread.submit_after(self._plans.refine(cached), show_result)
+    def _show_refined(self, solved: CachedPlan) -> None:
+        """Show a plan instead of the first one for its trip."""
+        if self.cached and self.cached.is_first and self.cached.trip == solved.trip:
+            self.show(solved.as_solved)
 
     def _resolve(self, cached: CachedPlan, why: str) -> None:
         """Have the plan solved for the current map in the background, and show the new one."""

@@ -159,7 +159,7 @@ class Recordings:
         held = queued.departure.held
         try:
             if held.plan not in self._plan_files:
-                crs = held.task.parameters.occupancy.crs
+                crs = held.parameters.occupancy.crs
                 self._plan_files[held.plan] = attachments_of(held.plan, crs)
             path = self._recorder.record_departure(
                 recorded_messages(queued.departure, self._full_name),

@@ -50,7 +50,8 @@ class Trip:
     """A request located on a map; poses and positions [m] are in the map's frame.
 
     The ``request`` has a start: that of the robot, if none was given. ``robot`` is the frame in
-    which the start was given, if that moves in the map's frame; '' for a fixed place.
+    which the start was given, if that moves in the map's frame; '' for a fixed place. Trips are
+    equal if they have the same plan.
     """
 
     map: CurrentMap
@@ -61,6 +62,18 @@ class Trip:
     goal_xy: Position
     stops_xy: tuple[Position, ...] = ()
     robot: str = ''
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Trip) and self._solved_for == other._solved_for
+
+    def __hash__(self) -> int:
+        return hash(self._solved_for)
+
+    @cached_property
+    def _solved_for(self) -> tuple[object, ...]:
+        planning = self.parameters.planning
+        limits = planning.strategy.time_limit, planning.max_gap, planning.network.refine
+        return self.map, self.start_xy, self.goal_and_tolerance, self.conditions, limits
 
     @property
     def parameters(self) -> NodeParameters:

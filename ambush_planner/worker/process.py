@@ -109,23 +109,40 @@ class WorkerProcess:
         return not ends.poll(0)
 
     def solve(self, request: PlanRequest, low_priority: bool = False) -> Plan:
-        """Solve a request, in little more than the strategy's ``time_limit``.
+        """Return the plan that is wanted first, in little more than the strategy's ``time_limit``.
 
-        A process cannot leave ``low_priority``, so it is killed after such a solve.
+        If that is not the last one of the request, ``next_plan`` has to be called. A process cannot
+        leave ``low_priority``, so it is killed after such a solve.
 
         Raises the errors of ``plan_from_request``; TimeLimit if the solve overran its limit and was
         killed; WorkerFailed if the process died.
         """
-        limit = request.options.strategy.time_limit
-        late = no_plan_in(limit)
         if self._pidfd is None:
             self._begin()
-        with self._killed_after(_GRACE * limit + _MARGIN, late, _KILLED):
-            pickle.dump((request, low_priority), self._stream, PICKLE_PROTOCOL)
-            self._stream.flush()
-            answer: Plan | AmbushPlannerError = pickle.load(self._stream)
-        if low_priority:
+        try:
+            return self._received(request, (request, low_priority))
+        finally:
+            if low_priority:
+                self.kill()
+
+    def next_plan(self, request: PlanRequest) -> Plan:
+        """Return the plan of the request's options after its first one; raises as ``solve`` does.
+
+        It is solved with low priority.
+        """
+        try:
+            return self._received(request)
+        finally:
             self.kill()
+
+    def _received(self, request: PlanRequest, sent: object = None) -> Plan:
+        """Return the next plan of a request, after something has been ``sent``."""
+        limit = request.options.strategy.time_limit
+        with self._killed_after(_GRACE * limit + _MARGIN, no_plan_in(limit), _KILLED):
+            if sent is not None:
+                pickle.dump(sent, self._stream, PICKLE_PROTOCOL)
+                self._stream.flush()
+            answer: Plan | AmbushPlannerError = pickle.load(self._stream)
         if isinstance(answer, AmbushPlannerError):
             raise answer
         return answer

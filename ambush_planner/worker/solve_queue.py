@@ -29,7 +29,8 @@ _Result = TypeVar('_Result')
 class _Solve(Generic[_Key, _Result]):
     """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
-    ``waiters`` callers wait for its outcome. Without any it is a background solve.
+    ``waiters`` callers wait for its outcome. Without any it is a background solve, as is what
+    ``refines`` a plan that callers have.
     """
 
     key: _Key
@@ -42,8 +43,12 @@ class _Solve(Generic[_Key, _Result]):
     cancelled: str = ''
 
     @property
+    def refines(self) -> bool:
+        return self.low_priority or self.outcome.done()
+
+    @property
     def background(self) -> bool:
-        return not self.waiters
+        return self.refines or not self.waiters
 
 
 class SolveQueue(Generic[_Key, _Result]):
@@ -65,16 +70,17 @@ class SolveQueue(Generic[_Key, _Result]):
 
     @property
     def activity(self) -> tuple[bool, bool]:
-        """Return whether solves run or wait: of normal, and of low priority."""
+        """Return whether solves run or wait, and whether a plan is refined or is to be."""
         with self._condition:
-            low = {each.low_priority for each in self._unfinished}
-            return False in low, True in low
+            refines = {each.refines for each in self._unfinished}
+            return False in refines, True in refines
 
     @property
     def keys(self) -> list[_Key]:
         """The keys of the solves that can be shared, the running one first."""
         with self._condition:
-            return [each.key for each in self._unfinished if not each.cancelled]
+            return [each.key for each in self._unfinished
+                    if not (each.cancelled or each.refines)]
 
     @property
     def _unfinished(self) -> list[_Solve[_Key, _Result]]:
@@ -85,17 +91,18 @@ class SolveQueue(Generic[_Key, _Result]):
                background: bool = False, low_priority: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
+        If the request wants a ``first`` plan, that is the outcome, and refined in the background.
         The future raises the errors of ``WorkerProcess.solve``, or SolveCancelled.
 
         Parameters
         ----------
         finish
-            Makes the outcome from the plan, in the queue's thread.
+            Makes the outcome from a plan, in the queue's thread; it is called with each plan.
         background
             No caller waits for it: it runs after all others, and the next solve of any kind
             replaces it, unless it is for the same key.
         low_priority
-            The worker leaves the processor to other processes.
+            It refines a plan that callers have, and leaves the processor to other processes.
 
         Raises what the queue refuses solves with, and QueueFull if too many wait.
         """
@@ -104,7 +111,8 @@ class SolveQueue(Generic[_Key, _Result]):
             if self._closed:
                 raise shutting_down()
             solve = next((each for each in self._unfinished
-                          if each.key == key and not each.cancelled), None)
+                          if each.key == key and not each.cancelled
+                          and (background or not each.refines)), None)
             superseded: list[_Solve[_Key, _Result]] = []
             if solve is None:
                 if not background:
@@ -120,7 +128,8 @@ class SolveQueue(Generic[_Key, _Result]):
     def withdraw(self, outcome: Future[_Result]) -> None:
         """A caller no longer waits for ``outcome``: end its solve if nobody else does."""
         with self._condition:
-            here = [each for each in self._unfinished if each.outcome is outcome]
+            here = [each for each in self._unfinished
+                    if each.outcome is outcome and not each.refines]
             for solve in here:
                 solve.waiters -= 1
             ended = [solve for solve in here if not solve.waiters]
@@ -204,12 +213,19 @@ class SolveQueue(Generic[_Key, _Result]):
             if solve.cancelled:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request, solve.low_priority))
+            if solve.request.first:
+                with self._condition:
+                    if not solve.cancelled:
+                        solve.outcome.set_result(result)
+                solve.finish(worker.next_plan(solve.request))
         except Exception as raised:  # also MemoryError: callers wait for an outcome
             error = known(raised)
             if error is not raised and self._worker is not None:
                 self._worker.kill()
         with self._condition:
             self._running = None
+        if solve.outcome.done():
+            return  # callers keep the first plan
         if solve.cancelled:
             solve.outcome.set_exception(SolveCancelled(solve.cancelled))
         elif error is not None:
