@@ -51,9 +51,9 @@ class Status:
     """The node's status.
 
     ``problems`` are by what they concern: errors of a 'request', of a map ('alpha_map', 'costmap'),
-    of the 'join' of both or of a 'recording'; warnings of 'parameters', of a topic's 'qos', of
-    updates of a map that were lost ('alpha_map_updates', 'costmap_updates'), of a costmap that has
-    'stopped', of a map without 'risk' and of a 'disk'. ``assessment`` is of the displayed plan
+    of the 'join' of both or of a 'recording'; warnings of a topic's 'qos', of updates of a
+    map that were lost ('alpha_map_updates', 'costmap_updates'), of a costmap that has 'stopped', of
+    a map without 'risk' and of a 'disk'. ``assessment`` is of the displayed plan
     on the current map, and ``stale`` says why that plan is stale, if it is. The
     ``last_answer`` to a request may have been the rest of the path of the ``last`` departure.
     ``records``: whether departures are recorded.
@@ -123,10 +123,8 @@ class Reporter:
         self._change(lambda status: replace(status, **fields))
 
     def forget(self) -> None:
-        """Clear everything except the warning about parameters."""
-        self._change(lambda status: Status(
-            records=status.records,
-            problems={key: each for key, each in status.problems.items() if key == 'parameters'}))
+        """Clear everything except whether departures are recorded."""
+        self._change(lambda status: Status(records=status.records))
 
     def note(self, concern: str, wrong: Exception | str | None) -> None:
         """Set the error or warning of a concern of ``Status.problems``; None and '' clear it."""

@@ -148,8 +148,7 @@ class Inputs:
     def latest(self) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
-        Raises Refusal if an input has not arrived, and InvalidOption while parameters contradict
-        each other.
+        Raises Refusal if an input has not arrived.
         """
         self.current_map()
         if self.start is None and not self._settings.current.values['robot_base_frame']:
@@ -158,18 +157,18 @@ class Inputs:
                           'robot_base_frame')
         if self.goal is None:
             raise Refusal('NO_GOAL', f'no goal yet: publish one on {self._full_name("goal_pose")}')
-        return TripRequest(self._settings.agreeing(), self.start, self.goal, via=self.via)
+        return TripRequest(self._settings.current, self.start, self.goal, via=self.via)
 
     def given(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
               stops: PoseArray) -> TripRequest:
         """Return the trip of a request with its own poses, as if they had arrived on the topics.
 
-        Raises Refusal without a map, and InvalidOption while parameters contradict each other.
+        Raises Refusal without a map.
         """
         self.asked_directly = True
         self.current_map()
         via = stops if stops.poses else None
-        return TripRequest(self._settings.agreeing(), start, goal, tolerance, via)
+        return TripRequest(self._settings.current, start, goal, tolerance, via)
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises Refusal if none has arrived."""
