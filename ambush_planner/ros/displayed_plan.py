@@ -12,6 +12,7 @@ from ..planning.plan import Plan
 from ..recordings.messages import RecordedMessage
 from ..recordings.schemas import MARKER_NAMES
 from ..worker.solve_errors import SolveCancelled
+from .current_map import CurrentMap
 from .diagnostics import Reporter
 from .inputs import Inputs
 from .markers import MARKERS
@@ -37,7 +38,6 @@ class DisplayedPlan:
         self.plan: Plan | None = None
         self.markers: tuple[RecordedMessage, ...] = ()
         self._map_is_new = False
-        self._latest_resolve: Future[CachedPlan] | None = None
         plans.on_solved = lambda solved: thread.submit(lambda: self._show_refined(solved))
 
     def show(self, fit: Fit) -> None:
@@ -87,33 +87,26 @@ class DisplayedPlan:
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
             )
-            if not cached.trip.robot:
-                with suppress(AmbushPlannerError):  # the node is inactive
-                    self._resolve(cached, stale)
-                    stale += '; a new plan is being solved'
-        else:
-            self._latest_resolve = None
         self._reporter.set(assessment=assessment, stale=stale)
+        if stale and not cached.trip.robot:
+            with suppress(AmbushPlannerError):  # the node is inactive
+                self._resolve(cached, newest, stale)
+
+    def _resolve(self, cached: CachedPlan, newest: CurrentMap, stale: str) -> None:
+        """Have the plan solved for the newest map in the background, and show the new one."""
+        def show_result(solve: Future[CachedPlan]) -> None:
+            try:
+                self.show(solve.result().as_solved)
+            except SolveCancelled:
+                pass
+            except AmbushPlannerError as error:
+                if self.cached is cached and self._inputs.map is newest:
+                    self._reporter.set(stale=f'{stale}, and the new solve failed: {error}')
+
+        trip = replace(cached.trip, map=newest)
+        self._thread.submit_after(self._plans.solve(trip, background=True), show_result)
 
     def _show_refined(self, solved: CachedPlan) -> None:
         """Show a plan instead of the first one for its trip."""
         if self.cached and self.cached.is_first and self.cached.trip == solved.trip:
             self.show(solved.as_solved)
-
-    def _resolve(self, cached: CachedPlan, why: str) -> None:
-        """Have the plan solved for the current map in the background, and show the new one."""
-        def show_result(solve: Future[CachedPlan]) -> None:
-            latest = solve is self._latest_resolve  # the map has not changed again
-            if latest:
-                self._latest_resolve = None
-            try:
-                self.show(solve.result().as_solved)
-            except AmbushPlannerError as error:
-                if latest and self.cached is cached:
-                    cancelled = isinstance(error, SolveCancelled)
-                    outcome = 'was cancelled' if cancelled else f'failed: {error}'
-                    self._reporter.set(stale=f'{why}, and the new solve {outcome}')
-
-        trip = replace(cached.trip, map=self._inputs.current_map())
-        self._latest_resolve = self._plans.solve(trip, background=True)
-        self._thread.submit_after(self._latest_resolve, show_result)
