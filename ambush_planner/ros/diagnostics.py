@@ -133,7 +133,7 @@ class Reporter:
                 self._failed_at = time.monotonic()
             self._change(lambda status: status.noting(concern, wrong))
 
-    def departing(self, departure: Departure) -> Departure:
+    def prepare(self, departure: Departure) -> Departure:
         """Return a departure that is about to leave, with its report and what this remarks.
 
         The report is not published. With ``recording.required`` it says that the recording is done.
@@ -148,8 +148,8 @@ class Reporter:
         remarks = '; '.join(filter(None, (departure.remarks, trouble and trouble.message)))
         return replace(departure, report=report, remarks=remarks)
 
-    def departed(self, departure: Departure) -> None:
-        """Publish the report of a departure that leaves, made by ``departing``."""
+    def publish(self, departure: Departure) -> None:
+        """Publish the report of a departure that leaves, made by ``prepare``."""
         assert departure.report is not None
         with self._lock:
             self._status = self._left(departure)

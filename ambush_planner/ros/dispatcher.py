@@ -107,9 +107,9 @@ class Dispatcher:
             self._waiting = [each for each in self._waiting if not each.answer.done()]
             self._departures.trips.watch()
 
-        waits = self._recordings.waits
-        self._reporter.note('disk', f'the disk of the recordings has not responded for {waits:.0f} '
-                            's' if waits else '')
+        hung_for = self._recordings.hung_for
+        self._reporter.note('disk', 'the disk of the recordings has not responded for '
+                            f'{hung_for:.0f} s' if hung_for else '')
         self._recordings.refuse()
         self._thread.submit(watch)
         self._retry()
@@ -133,11 +133,11 @@ class Dispatcher:
     def replan(self) -> Future[Plan]:
         """Solve the latest trip on the current map, whether or not a plan is cached."""
         result: Future[Plan] = Future()
-        latest = self.inputs.latest()
+        latest = self.inputs.latest_request()
 
         def begin() -> None:
             self._gate.check()
-            trip = self.inputs.locate(latest).out_of_obstacle()
+            trip = self.inputs.locate(latest).leave_obstacle()
             self._when_solved(self._plans.solve(trip), show, result)
 
         def show(cached: CachedPlan) -> None:
@@ -183,7 +183,7 @@ class Dispatcher:
         trip = self.inputs.locate(pending.trip_request)
         if (not pending.draws and self._goes_on(trip, pending)) or self._waits_for_room(pending):
             return
-        trip = trip.out_of_obstacle()
+        trip = trip.leave_obstacle()
         fit = self._plans.fit(trip, pending.tries >= _ANY_VALUE_FROM)
         if not (fit and self._departures.draw(fit, pending)):
             self._try_again(pending, trip)
@@ -213,7 +213,7 @@ class Dispatcher:
 
     def _goes_on(self, trip: Trip, pending: Pending) -> bool:
         """Answer a robot that has arrived or is on its way; False if it is neither."""
-        if left := self._departures.leaving.get(trip.robot):
+        if left := self._departures.unsettled.get(trip.robot):
             self._thread.submit_after(left, lambda _: self._try(pending), pending.answer)
             return True
         under_way = self._departures.trips.continued_by(trip)

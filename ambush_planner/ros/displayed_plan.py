@@ -25,9 +25,10 @@ from .topics import Publishers
 class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
-    Call ``show`` on the departures thread only, which is ``thread``. The plan is ``cached``, None
-    before the first one; ``markers`` are those of ``plan``, which may join it, that
-    recordings have: RViz and Foxglove hide the whole network.
+    Call ``show`` on the departures thread only, which is ``thread``. The plan is ``cached``; what
+    is shown is ``plan``, that plan itself or one that joins it from where a robot is. Both are None
+    before the first one. ``markers`` are those of ``plan`` without the whole network, which RViz
+    and Foxglove hide: recordings keep these.
     """
 
     def __init__(self, plans: PlanCache, inputs: Inputs, settings: NodeSettings,

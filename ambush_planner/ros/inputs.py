@@ -145,7 +145,7 @@ class Inputs:
         return tuple(self._full_name(name) for name, given in inputs.items()
                      if not given or (unused and name == 'alpha_map'))
 
-    def latest(self) -> TripRequest:
+    def latest_request(self) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
         Raises Refusal if an input has not arrived.
@@ -159,8 +159,8 @@ class Inputs:
             raise Refusal('NO_GOAL', f'no goal yet: publish one on {self._full_name("goal_pose")}')
         return TripRequest(self._settings.current, self.start, self.goal, via=self.via)
 
-    def given(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
-              stops: PoseArray) -> TripRequest:
+    def request_between(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
+                        stops: PoseArray) -> TripRequest:
         """Return the trip of a request with its own poses, as if they had arrived on the topics.
 
         Raises Refusal without a map.

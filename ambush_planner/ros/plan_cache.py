@@ -26,7 +26,7 @@ from ..routes.driven_path import Ends
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .gate import Gate
-from .trip import Suits, Trip, how
+from .trip import Match, Trip, match
 
 # Least spacing that is expected of a plan that is being solved [m].
 _LEAST_SPACING = 0.1
@@ -66,21 +66,21 @@ class CachedPlan:
         """Return where routes for this trip begin and end [m]."""
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
-    def how(self, trip: Trip) -> Suits:
-        """Return how the plan suits a trip; a goal that was moved stays the same."""
+    def match(self, trip: Trip) -> Match:
+        """Return how well the plan suits a trip; a goal that was moved stays the same."""
         if self.goal_was_moved and trip.goal_xy != self.trip.goal_xy:
-            return Suits.NOT
-        return how(self.trip, trip, self.plan.spacing, self.plan.start_tolerance)
+            return Match.NONE
+        return match(self.trip, trip, self.plan.spacing, self.plan.start_tolerance)
 
     def fit(self, trip: Trip) -> Fit | None:
         """Return how one can depart from a trip's own place, if at all."""
-        suits = self.how(trip)
-        if suits > Suits.NEARLY or not self._allows(trip):
+        found = self.match(trip)
+        if found > Match.NEAR or not self._allows(trip):
             return None
-        fits = suits == Suits.EXACTLY or self.ground.connects(trip.map, self.ends(trip))
+        fits = found == Match.EXACT or self.ground.connects(trip.map, self.ends(trip))
         return Fit(self, trip) if fits else None
 
-    def joined(self, trip: Trip, at_any_value: bool) -> Fit | None:
+    def join(self, trip: Trip, at_any_value: bool) -> Fit | None:
         """Return how a robot that has moved joins this plan from where it is, if at all.
 
         Unless ``at_any_value``, that must not raise the value by more than ``strategy.max_gap``. On
@@ -153,11 +153,11 @@ class PlanCache:
         ``at_any_value``: even if joining it raises the value much.
         """
         with self._lock:
-            suiting = sorted((each for each in self._plans if each.how(trip) != Suits.NOT),
+            suiting = sorted((each for each in self._plans if each.match(trip) != Match.NONE),
                              key=lambda one: one.trip.distance(trip))
             near = [each for each in suiting if trip.robot and each.trip.goal_xy == trip.goal_xy]
             tries = chain((each.fit(trip) for each in suiting),
-                          (each.joined(trip, at_any_value) for each in near[:1]))
+                          (each.join(trip, at_any_value) for each in near[:1]))
             fit = next(filter(None, tries), None)
             if fit is not None:
                 self._keep(fit.cached)
@@ -178,7 +178,7 @@ class PlanCache:
         """
         wanted = [trip.parameters]
         with self._lock:
-            known = next((each for each in self._plans if each.how(trip) == Suits.EXACTLY), None)
+            known = next((each for each in self._plans if each.match(trip) == Match.EXACT), None)
             if is_graded(trip.parameters.planning) and (known is None or known.is_first):
                 wanted.insert(0, trip.parameters.with_plain_network(len(trip.stops_xy) + 1))
             earlier = known if known and known.trip.map is not trip.map else None
@@ -235,7 +235,7 @@ class PlanCache:
 
     def _keep(self, cached: CachedPlan) -> None:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
-        others = [each for each in self._plans if each.how(cached.trip) != Suits.EXACTLY]
+        others = [each for each in self._plans if each.match(cached.trip) != Match.EXACT]
         taken = np.cumsum([
             _OF_EDGE * len(each.plan.network.edges) + _OF_CELL * each.trip.map.values.size
             for each in (cached, *reversed(others))])
@@ -249,5 +249,5 @@ def _will_suit(solved: Trip, trip: Trip) -> bool:
     # The planner chooses a spacing that is at least the map's resolution.
     spacing = planning.network.spacing or max(trip.map.resolution, _LEAST_SPACING)
     limit = solved.parameters.planning.strategy.time_limit
-    return (how(solved, trip, spacing, start_tolerance(planning, spacing)) != Suits.NOT
+    return (match(solved, trip, spacing, start_tolerance(planning, spacing)) != Match.NONE
             and limit == planning.strategy.time_limit)

@@ -67,10 +67,10 @@ class Recordings:
         self._thread.start()
 
     @property
-    def waits(self) -> float:
-        """For how long a departure has been waiting for a disk that hangs [s]; 0 if none has."""
-        waits = time.monotonic() - self._begun
-        return waits if self._unwritten and waits > _MAX_WAIT else 0.0
+    def hung_for(self) -> float:
+        """Return for how long the disk has written nothing that waits for it [s]; 0: it writes."""
+        silent = time.monotonic() - self._begun
+        return silent if self._unwritten and silent > _MAX_WAIT else 0.0
 
     def has_room(self, waited: float) -> bool:
         """Return whether a departure may be drawn now that has ``waited`` for room [s].
@@ -78,7 +78,7 @@ class Recordings:
         So that there is no wait between a draw and the departure, ask before. A hung disk has
         room: it makes no difference to wait longer.
         """
-        return bool(len(self._unwritten) < _MAX_WAITING or self.waits
+        return bool(len(self._unwritten) < _MAX_WAITING or self.hung_for
                     or (waited > _MAX_WAIT and not self._options.required))
 
     def publish(self, departure: Departure, leave: Callable[[], None]) -> Future[None]:
@@ -94,7 +94,7 @@ class Recordings:
             if not self._options.enabled or queued.left.exception():
                 return queued.left
         with self._condition:
-            if len(self._unwritten) < _MAX_WAITING and not (required and self.waits):
+            if len(self._unwritten) < _MAX_WAITING and not (required and self.hung_for):
                 if not self._unwritten:
                     self._begun = time.monotonic()
                 self._unwritten.append(queued)
@@ -108,7 +108,7 @@ class Recordings:
 
         Without an ``error``, only if the disk hangs.
         """
-        if not self._options.required or not (error or self.waits):
+        if not self._options.required or not (error or self.hung_for):
             return 0
         refused = [each for each in list(self._unwritten) if self._settle(each)]
         for each in refused:

@@ -24,7 +24,7 @@ from .conversions import fields_of
 from .departure_record import Answer
 from .dispatcher import Dispatcher
 from .errors import ErrorBoundary, send_until_known
-from .serial_executor import started
+from .serial_executor import future_of
 from .topics import REQUESTS
 from .trip import TripRequest
 
@@ -43,7 +43,7 @@ class Requests:
         self._node, self._error_boundary, self._dispatcher = node, error_boundary, dispatcher
         planning = MutuallyExclusiveCallbackGroup()
         self._serve(Trigger, '~/new_route', lambda request: self._ask(
-            Trigger, '~/new_route', request, self._dispatcher().inputs.latest(), 'topics'),
+            Trigger, '~/new_route', request, self._dispatcher().inputs.latest_request(), 'topics'),
                     self._new_route_response, planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
                     lambda answer: GetPlan.Response(plan=answer.path.message), planning)
@@ -57,8 +57,8 @@ class Requests:
         """Ask for a path between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
-        trip = self._dispatcher().inputs.given(request.start, request.goal, request.tolerance,
-                                               stops or PoseArray())
+        trip = self._dispatcher().inputs.request_between(
+            request.start, request.goal, request.tolerance, stops or PoseArray())
         return self._ask(GetPlan, '~/get_plan', request, trip, client)
 
     def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
@@ -69,7 +69,7 @@ class Requests:
         the executor, and one that awaits it is polled, which takes a whole core.
         """
         service: Any = self._node.create_service(
-            kind, name, lambda request, _: started(partial(start, request)), qos_profile=REQUESTS,
+            kind, name, lambda request, _: future_of(partial(start, request)), qos_profile=REQUESTS,
             callback_group=group,
         )
         send = partial(send_until_known, service.send_response)
