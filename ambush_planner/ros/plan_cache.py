@@ -173,26 +173,30 @@ class PlanCache:
         """Solve for exactly this trip.
 
         If the network is to be refined and no refined plan is known, on whichever map, the outcome
-        is a first plan. A ``background`` solve is given up for the next one that somebody waits
-        for.
+        is a first plan, and refined behind it. Then nobody waits any more, nor for a ``background``
+        solve: the next one that somebody waits for ends both.
         """
-        wanted = [trip.parameters]
+        parameters, grid = trip.parameters, trip.map
+        wanted = [parameters]
         with self._lock:
             known = next((each for each in self._plans if each.match(trip) == Match.EXACT), None)
-            if is_graded(trip.parameters.planning) and (known is None or known.is_first):
-                wanted.insert(0, trip.parameters.with_plain_network(len(trip.stops_xy) + 1))
-            earlier = known if known and known.trip.map is not trip.map else None
-            return self._submit(trip, wanted, earlier, background)
+            if is_graded(parameters.planning) and (known is None or known.is_first):
+                wanted.insert(0, parameters.with_plain_network(len(trip.stops_xy) + 1))
+            similar = known if known and known.trip.map is not trip.map else None
+            request = PlanRequest(
+                # Without the message that the map came in.
+                OccupancyMap(grid.values, grid.resolution, grid.origin), parameters.occupancy,
+                trip.start_xy, *trip.goal_and_tolerance, parameters.planning, trip.stops_xy,
+                WarmStart.of(similar.plan.trip) if similar else None,
+                wanted[0].planning if len(wanted) > 1 else None)
+            return self.queue.submit(trip, request, partial(self._solved, trip, iter(wanted)),
+                                     background)
 
     def refine(self, first: CachedPlan) -> None:
-        """Refine a first plan in the background, unless it is being refined or has been.
-
-        Nobody needs the plan soon, and the robot's programs need the processor.
-        """
+        """Refine a first plan in the background, unless it is being refined or has been."""
         with self._lock:
             if first in self._plans:
-                self._submit(first.trip, [first.trip.parameters], first, background=True,
-                             low_priority=True)
+                self.solve(first.trip, background=True)
 
     def adopt(self, plan: Plan, trip: Trip, parameters: NodeParameters) -> CachedPlan:
         """Keep a plan for a trip."""
@@ -209,25 +213,17 @@ class PlanCache:
             for each in self._plans:
                 each.ground.forget_all_but(newest)
 
-    def _submit(self, trip: Trip, wanted: list[NodeParameters], known: CachedPlan | None,
-                background: bool, low_priority: bool = False) -> Future[CachedPlan]:
-        """Solve with the parameters ``wanted``, of a first plan and of the last one.
-
-        The first solve starts from a ``known`` plan for nearly the same.
-        """
-        first, last = wanted[0].planning, wanted[-1]
-        # Without the message that the map came in.
-        grid = OccupancyMap(trip.map.values, trip.map.resolution, trip.map.origin)
-        request = PlanRequest(
-            grid, last.occupancy, trip.start_xy, *trip.goal_and_tolerance, last.planning,
-            trip.stops_xy, WarmStart.of(known.plan.trip) if known else None,
-            first if len(wanted) > 1 else None)
-        return self.queue.submit(trip, request, partial(self._solved, trip, iter(wanted)),
-                                 background, low_priority)
-
     def _solved(self, trip: Trip, wanted: Iterator[NodeParameters], plan: Plan) -> CachedPlan:
-        """Keep the plan; this happens before the future of its solve is done."""
-        cached = self.adopt(plan, trip, next(wanted))
+        """Keep the plan; this happens before the future of its solve is done.
+
+        A first plan that is known and as good stays: robots may be on their way on it.
+        """
+        parameters = next(wanted)
+        with self._lock:
+            known = next((each for each in self._plans if each.trip == trip), None)
+        if known and parameters is not trip.parameters and known.plan.value <= plan.value:
+            return known
+        cached = self.adopt(plan, trip, parameters)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.value:.6g}, '
                           f'{len(plan.network.points)} nodes')
         self.on_solved(cached)

@@ -61,10 +61,7 @@ def serve(connection: socket.socket) -> None:
             _lower_priority()
 
         while True:
-            request, low_priority = pickle.load(stream)
-            if low_priority:
-                _lower_priority()
-            send(_answer(request, send_first))
+            send(_answer(pickle.load(stream), send_first))
 
 
 def _answer(request: PlanRequest, finished: Finished) -> Plan | AmbushPlannerError:

@@ -106,40 +106,35 @@ class WorkerProcess:
         ends.register(self._socket, POLLHUP)
         return not ends.poll(0)
 
-    def solve(self, request: PlanRequest, low_priority: bool = False) -> Plan:
+    def solve(self, request: PlanRequest) -> Plan:
         """Return the plan that is wanted first, in little more than the strategy's ``time_limit``.
 
-        If that is not the last one of the request, ``next_plan`` has to be called. A process cannot
-        leave ``low_priority``, so it is killed after such a solve.
+        If that is not the last one of the request, ``next_plan`` has to be called.
 
         Raises the errors of ``plan_from_request``; TimeLimit if the solve overran its limit and was
         killed; WorkerFailed if the process died.
         """
         if self._pidfd is None:
             self._begin()
-        try:
-            return self._received(request, (request, low_priority))
-        finally:
-            if low_priority:
-                self.kill()
+        return self._received(request, sends=True)
 
     def next_plan(self, request: PlanRequest) -> Plan:
         """Return the plan of the request's options after its first one; raises as ``solve`` does.
 
-        It is solved with low priority.
+        It is solved with low priority, which a process cannot leave: it is killed.
         """
         try:
-            return self._received(request)
+            return self._received(request, sends=False)
         finally:
             self.kill()
 
-    def _received(self, request: PlanRequest, sent: object = None) -> Plan:
-        """Return the next plan of a request, after something has been ``sent``."""
+    def _received(self, request: PlanRequest, sends: bool) -> Plan:
+        """Return the next plan of a request, which this ``sends`` before."""
         limit = request.options.strategy.time_limit
         self._socket.settimeout(min(_GRACE * limit + _MARGIN, _LONGEST))
         try:
-            if sent is not None:
-                pickle.dump(sent, self._stream, PICKLE_PROTOCOL)
+            if sends:
+                pickle.dump(request, self._stream, PICKLE_PROTOCOL)
                 self._stream.flush()
             answer: Plan | AmbushPlannerError = pickle.load(self._stream)
         except (OSError, EOFError, pickle.UnpicklingError) as error:

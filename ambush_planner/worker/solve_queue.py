@@ -36,7 +36,6 @@ class _Solve(Generic[_Key, _Result]):
     key: _Key
     request: PlanRequest
     finish: Callable[[Plan], _Result]
-    low_priority: bool
     waiters: int = 0
     outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
@@ -44,7 +43,7 @@ class _Solve(Generic[_Key, _Result]):
 
     @property
     def refines(self) -> bool:
-        return self.low_priority or self.outcome.done()
+        return self.outcome.done()
 
     @property
     def background(self) -> bool:
@@ -88,7 +87,7 @@ class SolveQueue(Generic[_Key, _Result]):
         return [*running, *self._waiting.values()]
 
     def submit(self, key: _Key, request: PlanRequest, finish: Callable[[Plan], _Result],
-               background: bool = False, low_priority: bool = False) -> Future[_Result]:
+               background: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
         If the request wants a ``first`` plan, that is the outcome, and refined in the background.
@@ -101,8 +100,6 @@ class SolveQueue(Generic[_Key, _Result]):
         background
             No caller waits for it: it runs after all others, and the next solve of any kind
             replaces it, unless it is for the same key.
-        low_priority
-            It refines a plan that callers have, and leaves the processor to other processes.
 
         Raises what the queue refuses solves with, and QueueFull if too many wait.
         """
@@ -118,7 +115,7 @@ class SolveQueue(Generic[_Key, _Result]):
                 if not background:
                     self._check_room()
                 superseded = self._end_background(running=not background)
-                solve = _Solve(key, request, finish, low_priority)
+                solve = _Solve(key, request, finish)
                 self._waiting[key] = solve
                 self._condition.notify()
             solve.waiters += not background
@@ -212,7 +209,7 @@ class SolveQueue(Generic[_Key, _Result]):
             worker = self._living_worker()
             if solve.cancelled:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
-            result = solve.finish(worker.solve(solve.request, solve.low_priority))
+            result = solve.finish(worker.solve(solve.request))
             if solve.request.first:
                 with self._condition:
                     if not solve.cancelled:
