@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn
 
 from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.msg import OccupancyGrid
@@ -22,8 +21,6 @@ from .errors import FrameMismatch, Refusal
 from .parameter_changes import NodeSettings
 from .transforms import FrameTransforms
 from .trip import Trip, TripRequest
-
-_Read = TypeVar('_Read')
 
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.
 MAX_STOPS = 50
@@ -77,27 +74,22 @@ class Inputs:
         out. Then raises the last of its errors: Refusal if bytes are not a message, or there is no
         map to update, InvalidRiskMap if one is malformed or does not fit.
         """
-        errors, name = [], self._full_name(topic)
-
-        def read(each: Arrived, fits: Callable[[Any], _Read]) -> _Read | None:
+        newest, name = self._arrived[topic], self._full_name(topic)
+        in_order = sorted(arrived, key=lambda each: each.sent_ns)
+        maps = [k for k, each in enumerate(in_order) if each.kind is OccupancyGrid]
+        updates, errors = [], []
+        for each in in_order[maps[-1] if maps else 0:]:
             try:
-                return fits(message_from(each.data, each.kind, name))
+                message = message_from(each.data, each.kind, name)
+                if each.kind is OccupancyGrid:
+                    newest = map_from(message, name, each.sent_ns)
+                elif newest is None:
+                    self._no_map()
+                elif each.sent_ns >= newest.sent_ns:
+                    newest.check_update(message)
+                    updates.append(message)
             except (InvalidRiskMap, Refusal) as error:
                 errors.append(error)
-                return None
-
-        def fitting(update: Any) -> Any:
-            (newest or self._no_map()).check_update(update)
-            return update
-
-        in_order = sorted(arrived, key=lambda each: each.sent_ns)
-        maps = (read(each, partial(map_from, topic=name, sent_ns=each.sent_ns))
-                for each in reversed(in_order) if each.kind is OccupancyGrid)
-        newest = next(filter(None, maps), self._arrived[topic])
-        since = newest.sent_ns if newest else 0
-        updates = [update for each in in_order
-                   if each.kind is not OccupancyGrid and each.sent_ns >= since
-                   and (update := read(each, fitting))]
         if newest is not None:
             self.take(topic, newest.updated(updates) if updates else newest)
         if errors:
