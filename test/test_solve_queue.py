@@ -136,8 +136,12 @@ def test_a_first_plan_is_the_outcome_and_a_request_overtakes_its_refinement(queu
     wait_until(lambda: len(plans) == 2, 'both plans')
     assert plans[0].value == plans[1].value
     wait_until(lambda: queue.activity == (False, False), 'the end')
+    queue._report = reported = Mock()
+    ask(replace(quick, options=replace(quick.options, network=NetworkOptions(spacing=1e-3)))
+        ).result(TIMEOUT)
+    wait_until(lambda: reported.called, 'why there is no refined plan')
     outcome = ask(slow_request())
-    assert outcome.result(TIMEOUT) is None and len(plans) == 3
+    assert outcome.result(TIMEOUT) is None and len(plans) == 4
     wait_until(lambda: queue.activity == (False, True), 'the refinement')
     assert not queue.keys, 'nobody is to wait for it'
     assert queue.submit('trip', quick, plans.append, background=True) is outcome

@@ -145,7 +145,8 @@ class PlanCache:
         self._plans: list[CachedPlan] = []  # the least recently used one first
         self._lock = RLock()
         self._losses = LatestLosses()
-        self.queue: SolveQueue[Trip, CachedPlan] = SolveQueue(gate.check)
+        self.queue: SolveQueue[Trip, CachedPlan] = SolveQueue(
+            gate.check, lambda error: logger.warning(f'a plan was not refined: {error}'))
 
     def fit(self, trip: Trip, at_any_value: bool = False) -> Fit | None:
         """Return the nearest plan that suits a trip, else the nearest one that can be joined.

@@ -53,11 +53,13 @@ class _Solve(Generic[_Key, _Result]):
 class SolveQueue(Generic[_Key, _Result]):
     """Passes solves to one worker process, which it replaces if it died.
 
-    ``check`` raises what solves are refused with, if they are.
+    ``check`` raises what solves are refused with, if they are; ``report`` gets the error of a
+    refinement that failed, whose callers have the first plan.
     """
 
-    def __init__(self, check: Callable[[], None]) -> None:
-        self._check = check
+    def __init__(self, check: Callable[[], None],
+                 report: Callable[[AmbushPlannerError], None] = lambda _: None) -> None:
+        self._check, self._report = check, report
         self._condition = Condition()
         self._waiting: dict[_Key, _Solve[_Key, _Result]] = {}
         self._running: _Solve[_Key, _Result] | None = None
@@ -222,8 +224,9 @@ class SolveQueue(Generic[_Key, _Result]):
         with self._condition:
             self._running = None
         if solve.outcome.done():
-            return  # callers keep the first plan
-        if solve.cancelled:
+            if error is not None and not solve.cancelled:
+                self._report(error)
+        elif solve.cancelled:
             solve.outcome.set_exception(SolveCancelled(solve.cancelled))
         elif error is not None:
             solve.outcome.set_exception(error)
