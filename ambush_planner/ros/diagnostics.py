@@ -16,7 +16,6 @@ from std_msgs.msg import Header
 from ..planning.changed_ground import Assessment
 from ..planning.concerns import concerns, plan_numbers
 from ..planning.plan import Plan
-from ..worker.solve_errors import SolveCancelled
 from .departure_record import Departure
 from .errors import OK_CODE, code_of
 from .gate import ACTIVE
@@ -29,21 +28,22 @@ _ERRORS = ('request', 'alpha_map', 'costmap', 'join', 'recording')
 
 
 class Problem(NamedTuple):
-    """A problem: a code (``error_codes``; '' for a warning), a message, and the level."""
+    """A problem: the code of its error, '' if it is a warning, and a message."""
 
     code: str
     message: str
-    level: bytes
 
     @classmethod
     def of(cls, wrong: Exception | str) -> Problem:
         """Return the problem that an error or a warning is."""
         if isinstance(wrong, str):
-            return cls('', wrong, DiagnosticStatus.WARN)
-        # A solve that was cancelled on request has not failed.
-        cancelled = isinstance(wrong, SolveCancelled)
-        return cls(code_of(wrong), str(wrong) or type(wrong).__name__,
-                   DiagnosticStatus.WARN if cancelled else DiagnosticStatus.ERROR)
+            return cls('', wrong)
+        return cls(code_of(wrong), str(wrong) or type(wrong).__name__)
+
+    @property
+    def level(self) -> bytes:
+        """The level of a status; a solve that was cancelled on request has not failed."""
+        return DiagnosticStatus.WARN if self.code in ('', 'CANCELLED') else DiagnosticStatus.ERROR
 
 
 @dataclass(frozen=True)

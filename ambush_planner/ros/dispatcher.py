@@ -148,8 +148,8 @@ class Dispatcher:
         self._thread.submit(begin, result)
         return result
 
-    def cancel(self, why: AmbushPlannerError | None = None) -> tuple[int, int]:
-        """Cancel all solves, and refuse departures that wait for the disk; return their numbers."""
+    def cancel(self, why: AmbushPlannerError | None = None) -> bool:
+        """Cancel all solves, and refuse departures that wait for the disk; False if none is."""
         error = why or SolveCancelled('the request was cancelled')
 
         def refuse() -> None:
@@ -157,9 +157,9 @@ class Dispatcher:
                 if not each.answer.running():  # it has not been drawn
                     _refuse(each, error)
 
-        departures = len(self._aside) + self._recordings.refuse(error)
+        waited = bool(self._aside), self._recordings.refuse(error)
         self._thread.submit(refuse)
-        return self._plans.queue.cancel(str(error)), departures
+        return self._plans.queue.cancel(str(error)) or any(waited)
 
     def _begin(self, pending: Pending) -> None:
         """Refuse the client's waiting requests for other goals, and try to answer."""

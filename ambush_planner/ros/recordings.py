@@ -103,18 +103,18 @@ class Recordings:
         self._failed(queued, self._hung(f'departure {departure.number} is not recorded'))
         return queued.left
 
-    def refuse(self, error: AmbushPlannerError | None = None) -> int:
-        """Refuse the departures that must be recorded first and are not yet; return their number.
+    def refuse(self, error: AmbushPlannerError | None = None) -> bool:
+        """Refuse the departures that must be recorded first and are not yet; False: there are none.
 
         Without an ``error``, only if the disk hangs.
         """
         if not self._options.required or not (error or self.hung_for):
-            return 0
+            return False
         refused = [each for each in list(self._unwritten) if self._settle(each)]
         for each in refused:
             self._failed(each, error or self._hung(f'departure {each.departure.number} is refused'),
                          report=error is None)
-        return len(refused)
+        return bool(refused)
 
     def finish(self) -> None:
         """Write the waiting departures, then end."""

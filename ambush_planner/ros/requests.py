@@ -89,8 +89,8 @@ class Requests:
             partial(respond, header)
         )
 
-    def _cancel(self, _: Trigger.Request) -> Future[tuple[int, int]]:
-        done: Future[tuple[int, int]] = Future()
+    def _cancel(self, _: Trigger.Request) -> Future[bool]:
+        done: Future[bool] = Future()
         done.set_result(self._dispatcher().cancel())
         return done
 
@@ -113,12 +113,9 @@ def _replan_response(plan: Plan) -> Trigger.Response:
                     f'{plan.trip.gap:.3g}, {len(plan.network.points)} nodes')
 
 
-def _cancel_response(counts: tuple[int, int]) -> Trigger.Response:
-    solves, departures = counts
-    parts = [*(['the solve was cancelled' if solves == 1 else f'{solves} solves were cancelled']
-               if solves else []),
-             *([f'{departures} departures no longer wait for the disk'] if departures else [])]
-    return _success('; '.join(parts)) if parts else _failure('no solve is running')
+def _cancel_response(ended: bool) -> Trigger.Response:
+    return (_success('cancelled: solves, and departures that wait for the disk') if ended else
+            _failure('no solve is running'))
 
 
 def _success(message: str) -> Trigger.Response:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -38,7 +37,6 @@ class _Solve(Generic[_Key, _Result]):
     finish: Callable[[Plan], _Result]
     waiters: int = 0
     outcome: Future[_Result] = field(default_factory=Future)
-    begin: float = 0.0
     cancelled: str = ''
 
     @property
@@ -137,14 +135,14 @@ class SolveQueue(Generic[_Key, _Result]):
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
         _end(waited, _WITHDRAWN)
 
-    def cancel(self, why: str) -> int:
-        """Cancel all solves; return their number."""
+    def cancel(self, why: str) -> bool:
+        """Cancel all solves; False: there are none."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
             running = self._running is not None and not self._running.cancelled
             self._end_running(why)
         _end(waiting, why)
-        return len(waiting) + running
+        return running or bool(waiting)
 
     def close(self) -> None:
         """Cancel all solves and end the worker process."""
@@ -169,11 +167,8 @@ class SolveQueue(Generic[_Key, _Result]):
         # If none is running, the first waiting solve is about to begin.
         if waiting - (running is None) < _MAX_WAITING:
             return
-        since = f' (for {time.monotonic() - running.begin:.1f} s)' if running else ''
-        raise QueueFull(
-            f'a solve is running{since} and {_MAX_WAITING} others are waiting; try again later, or '
-            'call cancel'
-        )
+        raise QueueFull(f'a solve is running and {_MAX_WAITING} others are waiting; try again '
+                        'later, or call cancel')
 
     def _end_running(self, why: str) -> None:
         if self._running is not None:
@@ -201,7 +196,6 @@ class SolveQueue(Generic[_Key, _Result]):
                 return None
             key = min(self._waiting, key=lambda key: self._waiting[key].background)
             self._running = self._waiting.pop(key)
-            self._running.begin = time.monotonic()
             return self._running
 
     def _answer(self, solve: _Solve[_Key, _Result]) -> None:
