@@ -138,7 +138,7 @@ def seconds(stamp: Any) -> float:
 
 
 class Match(IntEnum):
-    """How well a plan suits another trip: as it is, by moved ends, by being joined, or not."""
+    """Fit of a plan for another trip: as it is, by moved ends, by being joined, or none."""
 
     EXACT, NEAR, JOINED, NONE = range(4)
 
