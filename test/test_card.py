@@ -3,6 +3,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import threading
 from base64 import b64decode
@@ -19,7 +20,6 @@ from games import examples, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from test_report_browser import BINARY
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card, card_page, draw
@@ -40,6 +40,8 @@ from ambush_planner.routes.legs import (
 from ambush_planner.routes.way_points import WayPoint
 
 FRAME = 'datum 36.6 -84.3 0.2'
+BINARY = next(filter(None, map(shutil.which, (
+    'chromium', 'chromium-browser', 'google-chrome'))), None)
 NO_STOPS = np.empty((0, 2))
 PLACES = st.tuples(*2 * [st.integers(-50, 50)])
 

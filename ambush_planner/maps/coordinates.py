@@ -25,7 +25,6 @@ from .risk_map import to_map_axes, to_world
 # Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
 MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
-_TERMS = 8  # of a polynomial, in each direction
 
 
 class Coordinates:
@@ -89,25 +88,6 @@ class Coordinates:
                 first = np.stack((latitude, longitude), axis=-1)[bad][0].tolist()
                 raise InvalidCoordinates(f'{first}: {problem} ({bad.sum()} such positions)')
         return to_map_axes(self.origin, xy)
-
-
-def degrees_polynomial(crs: str, low: FloatArray, high: FloatArray) -> dict[str, Any]:
-    """Return a polynomial for latitude and longitude in the box ``low`` to ``high`` (2,) [m].
-
-    With s and t in -1..1 over the box, latitude is the sum of ``lat[i][j] s^i t^j``, interpolated
-    at Chebyshev points. The error is under 1 mm in boxes of 300 km. Raises InvalidCoordinates.
-    """
-    middle, half = (high + low) / 2.0, (high - low) / 2.0
-    at = np.cos(math.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
-    s, t = np.meshgrid(at, at, indexing='ij')
-    powers = np.linalg.inv(np.vander(at, increasing=True))
-    degrees = Coordinates(crs).to_lat_lon(middle + half * np.stack((s, t), axis=-1))
-    # Continuous across the antimeridian.
-    first = degrees[0, 0, 1]
-    degrees[..., 1] = (degrees[..., 1] - first + 180.0) % 360.0 + first - 180.0
-    latitude, longitude = (powers @ degrees[..., k] @ powers.T for k in (0, 1))
-    return {'middle': middle.tolist(), 'half': half.tolist(), 'lat': latitude.tolist(),
-            'lon': longitude.tolist()}
 
 
 def utm_zone(latitude: float, longitude: float) -> Any:
