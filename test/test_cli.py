@@ -121,7 +121,7 @@ def inputs(tmp_path_factory):
 
 LINES = {
     'audit': 'runs', 'card': 'runs/run_0.mcap -o card.html --speed 20',
-    'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported',
+    'replay': 'runs --every 0', 'report': 'runs -o reported',
     'verify': 'runs',
     'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
@@ -198,8 +198,8 @@ ROUTES = 'plan map.yaml --start 15 15 --goal 285 185 --set network.spacing=40 -o
 
 @pytest.mark.parametrize(('missing', 'lines', 'codes', 'extra'), [
     (['rclpy'], ['replay runs'], '2', 'jazzy'),
-    (['matplotlib'], ['report runs -o page', 'audit runs', 'risk layers.yaml -o risk.yaml'],
-     '0 0 2', 'figures'),
+    (['matplotlib'], ['audit runs', 'report runs -o page', 'risk layers.yaml -o risk.yaml'],
+     '0 2 2', 'figures'),
     (GIS, [f'{ROUTES} few.csv', f'{ROUTES} few.png few.gpx'], '0 2', 'figures,gis'),
 ])
 def test_commands_need_no_package_for_other_things_and_name_the_extra_of_one(

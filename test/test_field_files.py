@@ -125,7 +125,6 @@ def position(text, xy=None):
 
 MIDDLE = CORNER + 205.0
 LATITUDE, LONGITUDE = Coordinates(CRS).to_lat_lon(MIDDLE).tolist()
-MINUTES = [f'{int(each)} {60.0 * (each % 1.0):.4f}' for each in (LATITUDE, LONGITUDE)]
 GIS = {
     'heights of a band called `elev_ft`': heights(factor=0.3048, description='elev_ft'),
     'a grid whose `.prj` says `Zunits FEET`': ascii_grid('FEET', 0.3048),
@@ -148,7 +147,7 @@ GIS = {
     '`--start 36S UG 68 12`': position('36S UG 68 12'),
     '`--start 37,06096 31,32974`': position('37,06096 31,32974'),
     'a northing before the easting, on the map': position('{1} {0}'.format(*MIDDLE)),
-    'UTM with the other hemisphere': position('33 S {:.0f} {:.0f}'.format(*MIDDLE)),
+    '`--start "48 50.5N 14 23.1E"`': position('48 50.5N 14 23.1E'),
 }
 
 
@@ -273,10 +272,7 @@ RIGHT = {
     'NetCDF with scale_factor': netcdf((HILLS * 10.0).astype('i2'), scale_factor=0.1),
     'a grid in metres': ascii_grid('NO', 1.0), 'DEM 10 m': heights(description='DEM 10 m'),
     '`time` and `Time`': tracks(rows('x,y,Time,time', ['06:00'] * 20, TIMES)),
-    'minutes': position(f'N{MINUTES[0]} E{MINUTES[1]}', MIDDLE),
-    'east first': position(f'{LONGITUDE:.6f}E {LATITUDE:.6f}N', MIDDLE),
     'signs': position(f'{LATITUDE:.6f}°, {LONGITUDE:.6f}°', MIDDLE),
-    'UTM': position('33U {:.0f}mE {:.0f}mN'.format(*MIDDLE), MIDDLE),
     'MGRS in one word': position('33UVQ5520510205', MIDDLE),
 }
 

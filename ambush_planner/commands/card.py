@@ -21,7 +21,7 @@ EPILOG = """\
 FILE is a recorded departure (.mcap), of the node or of ambush draw, or with --route a plan of few
 routes (.plan).
 The page is for printing (A4): the map with this route, and its way points with grid references
-(MGRS, UTM, latitude and longitude, or the map's metres), true bearings (from the map's y axis if
+(MGRS, latitude and longitude, or the map's metres), true bearings (from the map's y axis if
 its coordinate system is unknown), distances along the path, times, and what is secured on the way.
 It tells nothing of other routes. MGRS needs the package mgrs, which is in the extra gis.
 --json: {"verdict", "file", "legs", "length"}

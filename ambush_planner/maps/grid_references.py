@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions (K, 2) in WGS 84 [degrees] as maps and receivers name them, and true bearings."""
+"""MGRS references of positions (K, 2) in WGS 84 [degrees], and true bearings."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InvalidCoordinates
-from .coordinates import WGS84, converter, horizontal, utm_zone
-
-_BANDS = 'CDEFGHJKLMNPQRSTUVWXX'  # of MGRS, 8 degrees each, from 80 degrees south
 
 
 def from_mgrs(zone_and_square: str, east: str, north: str) -> FloatArray:
@@ -29,36 +26,6 @@ def from_mgrs(zone_and_square: str, east: str, north: str) -> FloatArray:
     except MGRSError:
         pass
     raise InvalidCoordinates('no MGRS reference, such as 36S UG 68180 12179')
-
-
-def from_utm(zone: int, letter: str, east: float, north: float) -> FloatArray:
-    """Latitude and longitude of a UTM position; N and S are hemispheres, other letters bands.
-
-    Raises InvalidCoordinates.
-    """
-    if not (1 <= zone <= 60 and 1e5 <= east < 1e6):
-        raise InvalidCoordinates('UTM has the zones 1 to 60, and eastings from 100000 to 999999, '
-                                 'before the northing')
-    south = letter == 'S' or letter < 'N'
-    system = horizontal(f'EPSG:{(32700 if south else 32600) + zone}')
-    longitude, latitude = converter(system, horizontal(WGS84)).transform(east, north)
-    if letter not in 'NS' and letter != _BANDS[int(np.clip((latitude + 80.0) // 8.0, 0, 20))]:
-        raise InvalidCoordinates(f'at latitude {latitude:.4f}, it is not in band {letter}; write N '
-                                 'or S for the hemisphere')
-    return np.array((latitude, longitude))
-
-
-def utm_references(lat_lon: FloatArray) -> list[str]:
-    """Return zone, hemisphere, easting and northing, whole metres rounded down as in MGRS.
-
-    Raises InvalidCoordinates near the poles, which have no UTM zone.
-    """
-    found = []
-    for latitude, longitude in lat_lon.tolist():
-        zone = utm_zone(latitude, longitude)
-        east, north = converter(horizontal(WGS84), zone).transform(longitude, latitude)
-        found.append(f'{zone.utm_zone[:-1]} {zone.utm_zone[-1]} {int(east)} {int(north)}')
-    return found
 
 
 def mgrs_references(lat_lon: FloatArray) -> list[str]:
