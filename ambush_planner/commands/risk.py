@@ -50,7 +50,7 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-MAP.png has a picture of each layer and of the result. The second band of a GeoTIFF from an
+MAP.png shows the result with the shapes of all layers. The second band of a GeoTIFF from an
 elevation model has the heights.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """
