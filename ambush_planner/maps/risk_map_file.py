@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ..arrays import arrays_in
 from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates
-from .elevation_file import HEIGHTS, read_raster
+from .elevation_file import read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions, agreed_crs
 from .risk_map import GradedLosses, RiskMap, to_map_axes
@@ -141,24 +141,20 @@ def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
 def write_geotiff(path: Path, grid: OccupancyMap) -> None:
     """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
 
-    Heights are a second band; the losses of the values 0 and 100 are tags.
+    The losses of the values 0 and 100 are tags.
 
     Raises InvalidCoordinates if the map has no such system.
     """
     import rasterio
 
     system = Coordinates(grid.crs or '')
-    heights, (rows, columns) = grid.heights, grid.values.shape
-    kind, unknown = (np.uint8, _UNKNOWN) if heights is None else (np.float32, np.nan)
-    values = np.where(grid.values < 0, unknown, grid.values).astype(kind)[::-1]
-    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=kind,
-                       count=1 if heights is None else 2, crs=system.crs.to_wkt(),
-                       transform=cell_transform(grid), nodata=unknown, compress='deflate') as file:
+    rows, columns = grid.values.shape
+    values = np.where(grid.values < 0, _UNKNOWN, grid.values).astype(np.uint8)[::-1]
+    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=np.uint8,
+                       count=1, crs=system.crs.to_wkt(), transform=cell_transform(grid),
+                       nodata=_UNKNOWN, compress='deflate') as file:
         file.write(values, 1)
         file.update_tags(alpha_min=grid.losses[0], alpha_max=grid.losses[1])
-        if heights is not None:
-            file.write(heights[::-1], 2)
-            file.set_band_description(2, HEIGHTS)
 
 
 def cell_transform(grid: OccupancyMap | RiskMap) -> Any:
