@@ -165,14 +165,11 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
 
 
 def _csv(drawn: Drawn) -> bytes:
-    from .planning.route_layers import lines_in_system
-
     columns, text = drawn.columns, io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(['WKT', *columns])
-    for line, *row in zip(lines_in_system(drawn.paths, drawn.risk_map.crs), *columns.values(),
-                          strict=True):
-        corners = ','.join(f'{x:.4f} {y:.4f}' for x, y in line)
+    for path, *row in zip(drawn.paths, *columns.values(), strict=True):
+        corners = ','.join(f'{x:.4f} {y:.4f}' for x, y in path[:, :2])
         writer.writerow([f'LINESTRING ({corners})', *row])
     return text.getvalue().encode()
 

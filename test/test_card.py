@@ -117,7 +117,7 @@ def test_grid_references_agree_with_pyproj(runs, tmp_path):
     mgrs = pytest.importorskip('mgrs', reason='MGRS takes the extra "gis"')
     _, rows = written(runs[0] / 'known/run_0.mcap', tmp_path, '--speed', 36)
     degrees = pyproj.Transformer.from_crs('EPSG:4326', 'EPSG:32616')
-    path = Coordinates(FRAME).to_crs(runs[1][0])  # EPSG:32616
+    path = np.transpose(degrees.transform(*Coordinates(FRAME).to_lat_lon(runs[1][0]).T))
     for _, square, lat_lon, *_ in rows:
         latitude, longitude = map(float, lat_lon.split(', '))
         place = degrees.transform(latitude, longitude)

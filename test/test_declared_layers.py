@@ -113,10 +113,8 @@ def test_the_system_at_the_top_is_that_of_files_without_one(tmp_path):
         top = {'crs': CRS} if terrain in layers else GRID
         risk_map = risk_from_layers({**top, 'layers': layers}, tmp_path).risk_map
         assert risk_map.crs == CRS and 100 <= risk_map.obstacles.sum() < 150
-    for top, words in (({}, 'coordinate system'), ({'crs': 'datum 48 14 0'}, 'datum .*terrain')):
-        with pytest.raises(AmbushPlannerError, match=words):
-            risk_from_layers({**top, 'layers': [terrain, {**area, 'polygons': 'f.geojson'}]},
-                             tmp_path)
+    with pytest.raises(AmbushPlannerError, match='coordinate system'):
+        risk_from_layers({'layers': [terrain, {**area, 'polygons': 'f.geojson'}]}, tmp_path)
 
 
 @pytest.mark.parametrize('yaw', [0.0, 0.5])

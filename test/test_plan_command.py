@@ -18,7 +18,6 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 import geopandas
 import gpxpy
 import pyogrio
-import rasterio
 import shapely
 from audit_samples import GOAL, START, parameters, record_drawn
 from pyproj import CRS, Geod, Transformer
@@ -96,9 +95,6 @@ def test_the_whole_chain_is_exact_to_a_centimetre(tmp_path, latitude, longitude,
     ground = tmp_path / f'map.{way}'
     if way == 'npz':
         ground.write_bytes(npz_bytes(risk_from_terrain(dem)))
-    with rasterio.open(tmp_path / 'map.tif') as file:
-        heights = file.read(2)
-    assert 65.0 < np.nanmin(heights) < 75.0 < 130.0 < np.nanmax(heights) < 135.0
     done = run_here(plan, ground, '-n', 3, '--json', '-o', *(tmp_path / f for f in FILES),
                     '--set', 'network.spacing=400',
                     '--start', '{:.9f},{:.9f}'.format(*ends[0]),

@@ -92,7 +92,6 @@ def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any
 def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..map_figures import as_png
     from ..maps import TerrainOptions, ViewOptions
-    from ..maps.risk_map_file import in_local_frame
     from ..maps.terrain_risk import terrain_of_file
     from ..recordings.sources import list_sources
     from .risk_figure import layers_figure
@@ -100,15 +99,12 @@ def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit
     cli.require(('pyproj', 'rasterio'))
     options = TerrainOptions(view=ViewOptions(**_given(arguments, _VIEW)),
                              **_given(arguments, (*_GROUND, 'weights')))
-    frame = arguments.crs if arguments.crs.startswith('datum ') else ''
     with console.waiting('lines of sight') as tell:
         grid = terrain_of_file(arguments.source, options, arguments.resolution,
-                               None if frame else arguments.crs or None,
+                               arguments.crs or None,
                                lambda share: tell(f'{share:.0%}'))
     picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
                      [arguments.source.name])
-    if frame:
-        grid = in_local_frame(grid, frame)
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
     files.append(list_sources(files, [arguments.source]))
     console.line(_summary(grid))

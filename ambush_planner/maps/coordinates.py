@@ -5,7 +5,8 @@ A map file names its system as text: either anything that pyproj reads (``EPSG:3
 metres as its unit, or ``datum LAT LON YAW``, the local frame of a robot whose navsat_transform
 (package robot_localization) has that ``datum`` and no ``use_local_cartesian``. Its origin is LAT
 LON; its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_offset`` and
-``magnetic_declination_radians``). Lengths are those of the UTM zone.
+``magnetic_declination_radians``). Lengths at the origin are those of the UTM zone: within 3 km, the
+frame is navsat_transform's to 10 cm.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..errors import InvalidCoordinates, import_extra
-from .risk_map import to_map_axes, to_world
 
 # Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
 MAX_STRETCH = 0.01
@@ -30,46 +30,25 @@ WGS84 = 'EPSG:4326'
 class Coordinates:
     """The coordinate system of a map's world positions (x, y) [m].
 
-    ``crs`` is its ``pyproj.CRS``, and ``origin`` (x, y, yaw) the pose of the world frame in it.
+    ``crs`` is its ``pyproj.CRS``.
 
     Raises InvalidCoordinates if the text is no coordinate system in metres, or pyproj is missing.
     """
 
     def __init__(self, text: str) -> None:
-        self.origin = (0.0, 0.0, 0.0)
         if not text:
             raise InvalidCoordinates('the coordinate system of the map is unknown; name it (--crs '
                                      "EPSG:32616), or the robot's frame (--crs 'datum LAT LON "
                                      "YAW')")
-        words = text.split()
-        if words[:1] != ['datum']:
-            self.crs = horizontal(text)
-            self._to_degrees = converter(self.crs, horizontal(WGS84))
-            if not (self.crs.is_projected and is_metric(self.crs)):
-                raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
-                                         'metre; reproject the map, for example to its UTM zone')
-            return
-        try:
-            latitude, longitude, yaw = map(float, words[1:])
-            if not math.isfinite(latitude + longitude + yaw):
-                raise ValueError
-        except ValueError:
-            raise InvalidCoordinates(
-                f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
-        self.crs = utm_zone(latitude, longitude)
+        self.crs = horizontal(text)
         self._to_degrees = converter(self.crs, horizontal(WGS84))
-        turn = _pyproj().Proj(self.crs).get_factors(longitude, latitude).meridian_convergence
-        (x, y), = self.from_lat_lon([(latitude, longitude)])
-        self.origin = x, y, yaw + math.radians(turn)
-
-    def to_crs(self, xy: npt.ArrayLike) -> FloatArray:
-        """Convert world positions (..., 2) to easting and northing in ``crs`` (..., 2) [m]."""
-        return to_world(self.origin, xy)
+        if not (self.crs.is_projected and is_metric(self.crs)):
+            raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
+                                     'metre; reproject the map, for example to its UTM zone')
 
     def to_lat_lon(self, xy: npt.ArrayLike) -> FloatArray:
         """Convert world positions (..., 2) to WGS 84 latitude and longitude (..., 2) [degrees]."""
-        east, north = np.moveaxis(self.to_crs(xy), -1, 0)
-        longitude, latitude = self._to_degrees.transform(east, north)
+        longitude, latitude = self._to_degrees.transform(*np.moveaxis(np.asarray(xy), -1, 0))
         return np.stack((latitude, longitude), axis=-1)
 
     def from_lat_lon(self, lat_lon: npt.ArrayLike) -> FloatArray:
@@ -87,7 +66,7 @@ class Coordinates:
             if bad.any():
                 first = np.stack((latitude, longitude), axis=-1)[bad][0].tolist()
                 raise InvalidCoordinates(f'{first}: {problem} ({bad.sum()} such positions)')
-        return to_map_axes(self.origin, xy)
+        return xy
 
 
 def utm_zone(latitude: float, longitude: float) -> Any:
@@ -120,9 +99,31 @@ def metric_system(crs: Any, x: float, y: float) -> Any:
     return utm_zone(latitude, longitude)
 
 
+def is_robot_frame(text: object) -> bool:
+    """Return whether a text names the frame of a robot, as ``datum LAT LON YAW``."""
+    return str(text).split()[:1] == ['datum']
+
+
+def _robot_frame(text: str) -> str:
+    """The frame of a robot for PROJ: an oblique Mercator projection, which can be turned."""
+    try:
+        latitude, longitude, yaw = map(float, text.split()[1:])
+        if not math.isfinite(latitude + longitude + yaw):
+            raise ValueError
+    except ValueError:
+        raise InvalidCoordinates(
+            f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
+    zone = utm_zone(latitude, longitude)
+    scale = _pyproj().Proj(zone).get_factors(longitude, latitude).meridional_scale
+    return (f'+proj=omerc +lat_0={latitude!r} +lonc={longitude!r} +alpha=45 '
+            f'+gamma={45.0 + math.degrees(yaw)!r} +k={scale!r} +datum=WGS84 +units=m')
+
+
+@lru_cache(16)
 def horizontal(text: Any) -> Any:
     """Return the ``pyproj.CRS`` of a text without its heights; raises InvalidCoordinates."""
     pyproj = _pyproj()
+    text = _robot_frame(text) if is_robot_frame(text) else text
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # +init=epsg:32616 is an old way to say it
@@ -165,10 +166,6 @@ def agree(one: str, other: str) -> bool:
     """Return whether two texts name the same coordinate system, whatever they say of heights."""
     if one == other:
         return True
-    words = one.split(), other.split()
-    if any(each[0] == 'datum' for each in words):
-        return words[0][0] == words[1][0] and [*map(float, words[0][1:])] == [
-            *map(float, words[1][1:])]
     first, second = horizontal(one), horizontal(other)
     return bool(first.equals(second, ignore_axis_order=True)
                 or first.to_epsg() is not None and first.to_epsg() == second.to_epsg())
@@ -229,7 +226,7 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
         return points
     system = Coordinates(map_crs)
     xy = np.stack(converter(own, system.crs).transform(*points.T), axis=-1)
-    return to_map_axes(system.origin, np.where(np.isfinite(xy), xy, np.nan))
+    return np.where(np.isfinite(xy), xy, np.nan)
 
 
 def longest_edge(crs: Any) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
 from . import raster_units as units
-from .coordinates import agree, metric_system, resolve_system
+from .coordinates import agree, horizontal, is_robot_frame, metric_system, resolve_system
 from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
@@ -39,7 +39,8 @@ def read_raster(path: Path, is_risk: bool = False, crs: str | None = None) -> Ra
 
     Those of a risk map are whole numbers, -1..100, NaN if unknown. A file without a coordinate
     system gets ``crs``. Heights whose cells are not in metres on the ground (degrees, feet, Web
-    Mercator) are reprojected to the UTM zone by bilinear interpolation.
+    Mercator) are reprojected to the UTM zone, and to ``crs`` if that is the frame of a robot, by
+    bilinear interpolation.
 
     Raises InvalidTerrain if the file is malformed or too large, or if rasterio is not installed;
     InvalidRiskMap if heights are read as risk, or a risk map is not in metres; OSError if the file
@@ -70,7 +71,8 @@ def read_raster(path: Path, is_risk: bool = False, crs: str | None = None) -> Ra
 def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
     _check(path, dataset)
-    system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
+    frame = crs if is_robot_frame(crs) else None
+    system = resolve_system(dataset.crs and dataset.crs.to_wkt(), None if frame else crs)
     units.check_axes(path, units.tags_of(dataset), system)
     values = _values(dataset)
     if is_risk:
@@ -78,8 +80,8 @@ def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Ras
     else:
         units.check_heights(path, dataset)
         _fill_holes(path, values)
-    raster = _in_metres(path, values, dataset.transform, system, is_risk)
-    if crs and system and not (agree(crs, system.to_wkt()) or agree(crs, str(raster.crs))):
+    raster = _in_metres(path, values, dataset.transform, system, is_risk, frame)
+    if crs and system and not any(agree(crs, each) for each in (system.to_wkt(), str(raster.crs))):
         raise InvalidTerrain(f'{path}: the file is in {system.name}, not in {crs}; leave out '
                              '--crs (crs), or correct the file')
     least, most = (float(dataset.tags().get(tag, loss))
@@ -167,7 +169,8 @@ def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
         warn(f'{path}: no value is over 1, of 100: if 1 stands for the most risk, multiply by 100')
 
 
-def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, is_risk: bool) -> Raster:
+def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, is_risk: bool,
+               frame: str | None) -> Raster:
     """Values (H, W), the northernmost row first, reprojected if the system is not in metres."""
     from rasterio import Affine
     from rasterio.transform import array_bounds
@@ -176,17 +179,19 @@ def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, is_risk: bo
         west, south, east, north = array_bounds(*values.shape, grid)
         turns = round((west + east) / 720.0) if own.is_geographic else 0  # longitudes from 0 to 360
         grid = Affine(grid.a, 0.0, grid.c - 360.0 * turns, 0.0, grid.e, grid.f)
-        target = metric_system(own, (west + east) / 2.0 - 360.0 * turns, (south + north) / 2.0)
+        target = horizontal(frame) if frame else metric_system(
+            own, (west + east) / 2.0 - 360.0 * turns, (south + north) / 2.0)
         if target is not own and is_risk:
             raise InvalidRiskMap(f'{path}: its cells are not in metres on the ground, but in '
                                  f'{own.name}; reproject it with gdalwarp -r near -t_srs '
                                  f'{target.to_string()} -tr METRES METRES')
         if target is not own:
             values, grid = _reprojected(path, values, grid, own, target)
-            warn(f'{path}: reprojected from {own.name} to {target.name} ({target.to_string()}), '
-                 f'cells of {grid.a:.4g} m')
-        own = target.to_string()
-    return Raster(values[::-1], -grid.e, grid.a, (grid.c, grid.f + grid.e * len(values)), own)
+            warn(f'{path}: reprojected from {own.name} to '
+                 f'{frame or f"{target.name} ({target.to_string()})"}, cells of {grid.a:.4g} m')
+        own = frame or target.to_string()
+    return Raster(values[::-1], -grid.e, grid.a, (grid.c, grid.f + grid.e * len(values)),
+                  own or frame)
 
 
 def _reprojected(path: Path, values: HeightArray, grid: Any, crs: Any,

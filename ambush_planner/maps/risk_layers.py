@@ -20,7 +20,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import AmbushPlannerError
 from ..option_checks import check_at_least
-from .coordinates import Coordinates
+from .coordinates import Coordinates, is_robot_frame
 from .elevation import MAX_CELLS
 from .incidents import kernel_density, weighted_incidents
 from .map_file import read_yaml
@@ -179,8 +179,6 @@ def _with_defaults(where: str, given: Mapping[str, Any],
 
 def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution: float,
              progress: Callable[[float], None] | None) -> _Joined:
-    if crs and crs.startswith('datum'):
-        raise InvalidLayers(f'crs: {crs}: a terrain is in a coordinate system; name that')
     given = {key: each for key, each in values.items() if each is not None}
     view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
@@ -203,8 +201,8 @@ def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
         raise InvalidLayers(f'bounds {bounds} have {columns} x {rows} cells of {resolution:g} m; '
                             f'at least 1 and at most {MAX_CELLS} are possible')
     crs = str(top['crs']) if top['crs'] else None
-    if crs and (system := Coordinates(crs)).origin == (0.0, 0.0, 0.0):
-        crs = system.crs.to_string()
+    if crs and not is_robot_frame(crs):
+        crs = Coordinates(crs).crs.to_string()
     cells = np.zeros((rows, columns))
     ground = RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
     return _Joined(ground, cells + base)

@@ -271,7 +271,7 @@ def _in_frame_of(risk_map: RiskMap, features: GeoDataFrame, own: Any) -> GeoData
         edge = shapely.get_coordinates(shapely.segmentize(
             shapely.box(*np.ravel(risk_map.bounds)), min(risk_map.size)))
         around = np.transpose(converter(system.crs, horizontal(own)).transform(
-            *system.to_crs(edge).T))
+            *edge.T))
         near = *(around.min(axis=0) - 100.0 * step), *(around.max(axis=0) + 100.0 * step)
         shapes = features.geometry.where(features.geom_type == 'Point',
                                          features.clip_by_rect(*near))
