@@ -136,7 +136,7 @@ LINES = {
                 '--set network.spacing=40',
     'judge': 'map.yaml trips.csv --start 15 15 --goal 285 185 -o judged.png --reach 20 '
              '--set network.spacing=40 network.refine=0',
-    'hold': 'map.yaml --start 15 15 --goal 285 185 -o hold.csv --radius 40 -k 1 '
+    'hold': 'map.yaml --start 15 15 --goal 285 185 -o hold.png --radius 40 -k 1 '
             '--candidates to.csv --set network.spacing=40',
     'plan': 'map.yaml --start 15 15 --goal 285 185 -o made.plan --set network.spacing=40',
     'draw': 'week.plan', 'export': 'runs -o exported.csv',
@@ -157,7 +157,7 @@ def test_json_is_the_object_documented_in_the_help(name, inputs, monkeypatch, ca
 
 
 ENDS = '--start 15 15 --goal 285 185'
-HOLD, JUDGE = f'hold map.yaml {ENDS} -o h.csv', f'judge map.yaml trips.csv {ENDS} -o j.png'
+HOLD, JUDGE = f'hold map.yaml {ENDS} -o h.png', f'judge map.yaml trips.csv {ENDS} -o j.png'
 
 
 @pytest.mark.parametrize(('line', 'code', 'words'), [

@@ -155,10 +155,10 @@ def test_the_command_writes_the_place_as_asked_and_the_call_of_hold(tmp_path):
                     'network.spacing=10', 'network.refine=0', '-o', tmp_path / 'r.csv')
     assert done.code == 0 and re.search(r'every route, at 36\.\d{5},-84\.\d{5}, ', done.err)
     line = re.search('To find what to hold: (.*)', done.err)[1]
-    words = shlex.split(line.replace('-o hold.csv hold.png', f'-o {tmp_path}/h.csv'))
+    words = shlex.split(line.replace('-o hold.png', f'-o {tmp_path}/h.png'))
     assert words[:3] == ['ambush', 'hold', str(file)] and '--reach 10' in line
     held = run_here(hold, *words[2:], '-k', 1)
-    assert held.code == 0 and (tmp_path / 'h.csv').exists(), held.err
+    assert held.code == 0 and (tmp_path / 'h.png').exists(), held.err
 
 
 def test_an_ambush_that_misses_one_route_of_300_is_not_certain():

@@ -183,7 +183,7 @@ def _hold_line(arguments: argparse.Namespace, plan: Plan) -> str:
                  map(str, value) if isinstance(value, list) else [value] * (value is not True)))]
     radius = 2.0 * (plan.options.game.ambush_radius or plan.spacing)
     return ' '.join(['ambush hold', *map(_quoted, [str(arguments.map), *given]),
-                     f'--radius {radius:g} -o hold.csv hold.png'])
+                     f'--radius {radius:g} -o hold.png'])
 
 
 def _quoted(word: str) -> str:
