@@ -31,6 +31,8 @@ _GONE = {
     'replay --inputs-only': _Gone(_BAG),
     'replay --rate': _Gone(_BAG),
     'replay --topics': _Gone(_BAG),
+    'card --route': _Gone('leave it out: few routes (ambush plan --routes) are briefed by their '
+                          'map and their GPX file'),
     'risk --roads': _Gone('the roads of a risk map are a layer: {roads: roads.gpkg, width: 8, '
                           'factor: 0.5, passable: true} (docs/risk_layers.md)'),
     '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from audit_samples import drawn, occupancy, parameters, record_drawn, sample_plan
+from audit_samples import drawn, parameters, record_drawn, sample_plan
 from commands import run_here
 from games import examples, plain_options
 from hypothesis import given
@@ -26,7 +26,6 @@ from ambush_planner.commands import card, card_page, draw
 from ambush_planner.commands.card_map import card_map
 from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
-from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.recordings.plan_file import plan_bytes, saved_plan
@@ -224,25 +223,6 @@ def test_a_dry_run_is_a_training_on_card_and_receiver(road_plan, tmp_path):
     assert '<span>TRAINING</span>' in page and 'Training: do not drive this' in page
     assert '<name>TRAINING 20' in file
     assert rows_of(page)[1][-1] == '1.7', 'minutes at 36 km/h'
-
-
-def test_one_of_few_routes(tmp_path):
-    """Without a speed there are no times."""
-    start, goal = (12.5, 147.5), (387.5, 152.5)
-    ground = risk_from_occupancy(occupancy(), 5.0)
-    options = PlanningOptions(network=plain_options(spacing=20.0), game=GameOptions(
-        ambush_radius=25.0, secured_radius=0.0))
-    plan = plan_trip(ground, start, goal, options, routes=3, rng=1)
-    plan.save(tmp_path / 'few.plan', n=0)
-    page, rows = written(tmp_path / 'few.plan', tmp_path, '--route', 1)
-    places = np.array([row[1].split() for row in rows], float)
-    assert all(np.hypot(*(plan.few.paths[0][:, :2] - place).T).min() < 0.1 for place in places)
-    assert 'No area on the way is secured' in page and len(rows[0]) == 5 and 'km/h' not in page
-    count = len(plan.few.paths)
-    for options, words in (('', 'name a route with --route N'),
-                           ('--route 9', f'has routes 1 to {count}, not 9')):
-        done = run_here(card, tmp_path / 'few.plan', '-o', tmp_path / 'c.html', *options.split())
-        assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
 
 
 def test_progress_is_shown_while_a_card_is_drawn(road_plan, tmp_path, monkeypatch):

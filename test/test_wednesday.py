@@ -38,7 +38,7 @@ def drawn_from(plans, name, folder, days=6, plan_name='week'):  # noqa: F811
     return file, sorted((folder / f'{plan_name}.departures').iterdir())
 
 
-@pytest.mark.parametrize('name', ['few', 'stops', 'roads'])
+@pytest.mark.parametrize('name', ['routes', 'stops', 'roads'])
 def test_on_its_own_ground_a_plan_is_clear_and_costs_the_same(plans, name):  # noqa: F811
     plan, file = plans[name]
     before = NewGround(plan.own_map, read_plan(file).parameters.planning.network.roads)
@@ -203,7 +203,7 @@ def test_two_departures_of_one_plan_for_one_day_are_named(plans, tmp_path):  # n
     """Drawn from copies elsewhere, whose folders are then put together."""
     for name in ('anna', 'ben'):
         (tmp_path / name).mkdir()
-        drawn_from(plans, 'few', tmp_path / name, 5)
+        drawn_from(plans, 'routes', tmp_path / name, 5)
     for path in sorted((tmp_path / 'ben/week.departures').iterdir())[1:]:
         path.unlink()
     both = tmp_path / 'both'
@@ -258,7 +258,7 @@ def test_a_shared_folder_is_shared_and_a_closed_file_is_no_forgery(plans, tmp_pa
     shared.chmod(0o2770)
     mask = os.umask(0o077)
     try:
-        file, found = drawn_from(plans, 'few', shared, 2)
+        file, found = drawn_from(plans, 'routes', shared, 2)
         done = run_here(draw, file, '--date', '2041-01-01', '-o', shared / 'card.html')
     finally:
         os.umask(mask)

@@ -43,9 +43,7 @@ plan's gap is wide, it warns and the exit code is 1.
 If a file cannot be written, nothing is, and nothing has been drawn.
 """
 DETAILS = """\
---json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
-"recording"}]}
-Of a plan with few routes, route is the number of the one drawn, a list on trips with stops.
+--json: {"verdict", "files", "departures": [{"number", "date", "slot", "length", "recording"}]}
 """
 
 
@@ -200,10 +198,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     rows = []
     for k, day in enumerate(dates, start=1):
         drawn = plan_departures.draw_departure(saved, arguments.slot or '')
-        few = saved.plan.few
-        numbers = (few.numbers(drawn.route) + 1).tolist() if few else []
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
-               'route': numbers[0] if len(numbers) == 1 else numbers or None,
                'length': drawn.length, 'recording': None}
         for path, data in _outputs(arguments, console, saved, drawn, number + k, day):
             files[path] = data
@@ -221,8 +216,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         raise
     if arguments.days is None:
         when_leaving = ', '.join(filter(None, (dates[0], drawn.slot)))
-        routes = ''.join(f'route {k}, ' for k in numbers)
-        console.line(f'{when_leaving}: {routes}{distance(drawn.length)}')
+        console.line(f'{when_leaving}: {distance(drawn.length)}')
     if files:
         console.secret(files)
     if arguments.dry_run:

@@ -35,7 +35,7 @@ have the routes that -n draws. All are secret, and only you can read them.
 If the gap is over 10 % (strategy.max_gap): exit code 1, no FILE.plan without --accept-gap.
 """
 DETAILS = f"""\
-The node and ambush card read FILE.plan, too.
+The node reads FILE.plan, too.
 {FORMATS_HELP}
 With --routes, the files have a layer or track for each route, with its number and share, and .png
 shows all. The table on the console has the faces of one or two dice (a first and a second one) and
@@ -89,6 +89,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
+    if arguments.routes is not None and any(
+            path.suffix.lower() == PLAN for path in arguments.output):
+        raise cli.UsageError('--routes is for briefing and for draws by hand: leave out FILE.plan, '
+                             'or --routes')
     check_outputs(arguments.output, console)
     risk_map, start, goal, stops = read_ground(arguments, of_map)
 

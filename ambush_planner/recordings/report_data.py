@@ -49,7 +49,7 @@ class Section:
     def measures(self) -> dict[str, Measures]:
         """The departures' strategy, at the times that are drawn, and planners of a fixed route."""
         last = self.departures[-1]
-        rows = compared(self.trip, last.trip if last.few else self.trip)
+        rows = compared(self.trip, self.trip)
         drawn = rows['stochastic']
         return rows | {'stochastic': replace(
             drawn, p_first=drawn.p_first * last.covered, p_repeated=drawn.p_repeated * last.covered,
