@@ -136,9 +136,9 @@ def horizontal(text: Any) -> Any:
 def resolve_system(own: Any, given: Any = None) -> Any:
     """Return the horizontal ``pyproj.CRS`` of a file that names ``own``; None if it is unknown.
 
-    ``given`` names it if the file does not: if ``own`` is missing, undefined, a local system, or
-    lacks a datum. Raises InvalidCoordinates if ``given`` has another unit or projection, or if
-    nothing names the datum, or a unit other than the metre.
+    ``given`` names it if the file does not: if ``own`` is missing, undefined or a local system.
+    Raises InvalidCoordinates if that has another unit than ``given`` or the metre, or if ``own``
+    has no datum.
     """
     own, given = (horizontal(each) if each else None for each in (own, given))
     if own is None or own.name.lower().startswith('undefined'):
@@ -150,15 +150,7 @@ def resolve_system(own: Any, given: Any = None) -> Any:
                                      f'{unit}; convert it to metres, or name a system in that '
                                      'unit with --crs')
         return given
-    try:
-        converter(own, horizontal(WGS84))
-    except InvalidCoordinates:
-        if given is None:
-            raise
-        if not _same_projection(own, given):
-            raise InvalidCoordinates(f'the file is in another projection, {own.name!r}, than '
-                                     f'{given.name}') from None
-        return given
+    converter(own, horizontal(WGS84))  # else its datum is unknown
     return own
 
 
@@ -169,15 +161,6 @@ def agree(one: str, other: str) -> bool:
     first, second = horizontal(one), horizontal(other)
     return bool(first.equals(second, ignore_axis_order=True)
                 or first.to_epsg() is not None and first.to_epsg() == second.to_epsg())
-
-
-def _same_projection(one: Any, other: Any) -> bool:
-    """Return whether two systems are one projection of one ellipsoid, of whatever datum."""
-    axes = np.array([(each.ellipsoid.semi_major_metre, each.ellipsoid.semi_minor_metre)
-                     for each in (one, other)])
-    degrees = np.meshgrid(np.arange(-175.0, 180.0, 10.0), np.arange(-85.0, 90.0, 10.0))
-    first, second = (np.array(_pyproj().Proj(each)(*degrees)) for each in (one, other))
-    return bool(np.ptp(axes, axis=0).max() < 1.0 and np.allclose(first, second))
 
 
 @lru_cache(16)
@@ -198,8 +181,8 @@ def converter(source: Any, target: Any) -> Any:
         what = f'ellipsoid {crs.ellipsoid.name}' if crs.ellipsoid else 'it is a local system'
         raise InvalidCoordinates(
             f'the datum of the coordinate system {crs.name!r} is unknown ({what}), so that its '
-            'places can be 100 m and more off on the ground; name the whole system with --crs, by '
-            'its EPSG code or with +towgs84') from error
+            'places can be 100 m and more off on the ground; give the file a system with a datum, '
+            'with gdal_edit.py -a_srs or Assign Projection in QGIS') from error
 
 
 def _pyproj() -> Any:
