@@ -102,7 +102,7 @@ def route_graph(*frames):
     return json.dumps({'type': 'FeatureCollection', 'features': [*nodes, edge]})
 
 
-DRAWING = ('0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n2\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\n'
+DRAWING = ('0\nSECTION\n2\nENTITIES\n0\n'
            'LINE\n8\nROADS\n10\n0\n20\n0\n11\n9\n21\n9\n0\nENDSEC\n0\nEOF\n')
 KLASSE = lines(klasse=['path', 'street'])
 IN_DEGREES = lines(highway=['road', 'road']).to_crs(4326)
@@ -112,7 +112,7 @@ ROADS = {
     'roads of a city, `klasse` says what they are': roads(frame=KLASSE),
     'footways of TIGER': roads('a.shp', lines(MTFCC=['S1710', 'S1400'])),
     'a drawing, its layers are `Layer`': roads(frame=lines(Layer=['POWER', 'ROADS'])),
-    'a drawing in feet': roads('a.dxf', text=DRAWING),
+    'a drawing as `.dxf`': roads('a.dxf', text=DRAWING),
     'a map of lanelet2': roads('a.osm', text=OSM.replace('highway', 'type').replace(
         'TAGS', '<tag k="type" v="line_thin"/>')),
     '`--all-lines-are-roads` for data that are known': roads(
@@ -218,7 +218,6 @@ TABLES = {
     'times as milliseconds since 1970': tracks(rows('x,y,timestamp', range(
         1741000000000, 1741000020000, 1000))),
     'dates such as 07.04.2026': incidents(dated('07.04.2026', '2026-04-07')),
-    '`until: 1/4/2026`': incidents(dated('2025-03-31'), until='1/4/2026'),
     '`easting` and `northing` in `zone` 34': tracks(
         rows('easting,northing,zone', ['34'] * 20)),
     'degrees and minutes in `lat`': tracks('lat,lon\n48 50.5,14 23.1\n'),

@@ -69,8 +69,6 @@ def parser() -> argparse.ArgumentParser:
                       help='why that departure was not driven, with --earlier unused')
     made.add_argument('--late-entry', action='store_true',
                       help='enter a departure for a day before that of others')
-    made.add_argument('--map', type=Path, metavar='FILE', help="the plan's map, if it was moved")
-    made.add_argument('--roads', type=Path, metavar='FILE', help='its roads, if they were moved')
     made.add_argument('--ground-unchanged', action='store_true', help='draw even if map, roads or '
                       'layers have changed or are gone: the ground is as it was')
     made.add_argument('--dry-run', action='store_true',
@@ -133,8 +131,7 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
     """Return whether the plan's sources are unchanged, or the user says that the ground is."""
     from ..recordings import sources
 
-    files = {sources.MAP: arguments.map, sources.ROADS: arguments.roads}
-    changed = sources.changes(saved.sources, arguments.plan.parent, files)
+    changed = sources.changes(saved.sources, arguments.plan.parent)
     if not changed or arguments.ground_unchanged:
         for text in changed:
             console.warn(f'{text}; you say that the ground has not changed')
@@ -143,7 +140,7 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
         console.error(text)
     console.say('Nothing was drawn. If the ground has changed, plan again to a new name, and see '
                 'which departures are affected with ambush verify FOLDER --map MAP [--roads FILE]. '
-                'Else name a file that was moved with --map or --roads, or add --ground-unchanged.')
+                'If it is as it was, add --ground-unchanged.')
     return False
 
 

@@ -22,7 +22,7 @@ DETAILS = """\
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
 In a line, value and lower bound are those if this place and those before it are held. The picture
-also has the strategy if all are held, and the value as a curve.
+also has the strategy if all are held.
 It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
 --json: {"verdict", "picture", "value", "lower_bound", "complete", "places": [{...}]}
 """

@@ -29,27 +29,19 @@ def weighted_incidents(features: GeoDataFrame,
     Also says how many there are, and when, if dates matter. Raises InvalidFeatures if an
     attribute is missing or malformed.
     """
-    from pandas import Series
-
     places = np.stack((features.geometry.x, features.geometry.y), axis=1)
     weights = attribute_values(features, 'weight', values['weight'])
     half_life = values['half_life']
     check_at_least('half_life', half_life, 1e-3, 'days', finite=False)
-    if half_life == math.inf and values['until'] is None:
+    if half_life == math.inf:
         return places, weights, ''
     dates = read_dates(attribute(features, 'date', values['date']), values['date'])
     if missing := int(dates.isna().sum()):
         raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have no date such '
                               'as 2025-03-31')
-    until = (dates.max() if values['until'] is None
-             else read_dates(Series([values['until']]), 'until').iloc[0])
-    counts = (dates <= until).to_numpy()
-    if not counts.any():
-        raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
-    days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
-    return (places[counts], (weights * 0.5 ** (days / half_life))[counts],
-            f'{counts.sum()} of {len(dates)} incidents count, {dates.min():%Y-%m-%d} to '
-            f'{dates[counts].max():%Y-%m-%d}')
+    days = ((dates.max() - dates).dt.total_seconds() / 86400.0).to_numpy()
+    return (places, weights * 0.5 ** (days / half_life),
+            f'{len(dates)} incidents, {dates.min():%Y-%m-%d} to {dates.max():%Y-%m-%d}')
 
 
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,

@@ -45,8 +45,8 @@ _KINDS: Mapping[str, Mapping[str, Any]] = {
     'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
     'polygons': {**_SHAPES, 'buffer': 0.0},
     'roads': {**_SHAPES, 'width': 0.0, 'road_column': '', 'all_lines_are_roads': False},
-    'incidents': {'loss': 9.0, 'bandwidth': None, 'half_life': math.inf, 'until': None,
-                  'date': 'date', 'weight': 1.0},
+    'incidents': {'loss': 9.0, 'bandwidth': None, 'half_life': math.inf, 'date': 'date',
+                  'weight': 1.0},
 }
 _GEOMETRIES = {'polygons': ('Polygon', 'LineString', 'Point'), 'roads': ('LineString',),
                'incidents': ('Point',)}
