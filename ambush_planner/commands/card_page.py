@@ -18,8 +18,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy
-from ..maps.coordinates import Coordinates
-from ..maps.grid_references import mgrs_references, true_bearings
+from ..maps.coordinates import Coordinates, mgrs_references, true_bearings
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..planning.plan import Route

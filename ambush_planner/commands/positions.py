@@ -55,8 +55,7 @@ class Position:
         """Another world position [m] on the map, written as this one was typed."""
         import numpy as np
 
-        from ..maps.coordinates import Coordinates
-        from ..maps.grid_references import mgrs_references
+        from ..maps.coordinates import Coordinates, mgrs_references
 
         if not (self.in_degrees and risk_map.crs):
             x, y = np.asarray(xy, dtype=float).tolist()
@@ -112,7 +111,7 @@ def positions_in(text: str) -> list[Position]:
 def _numbers(kind: str, *parts: str) -> Iterable[Any]:
     """The numbers of a position (2,) from the groups of its pattern."""
     if kind == 'mgrs':
-        from ..maps.grid_references import from_mgrs
+        from ..maps.coordinates import from_mgrs
 
         zone, square, east, north, both = parts
         half = (len(both or '') + 1) // 2

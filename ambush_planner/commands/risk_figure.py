@@ -52,7 +52,6 @@ def _draw_shapes(axes: Axes, layers: Sequence[Layer]) -> list[Line2D]:
         else:
             layer.shapes.plot(ax=axes, aspect=None, zorder=5, **style)
         key.append(Line2D([], [], label=layer.file, **style))
-    axes.set(xlabel='', ylabel='')
     return key
 
 
