@@ -53,6 +53,12 @@ def roads(name='roads.gpkg', frame=None, text=None, **options):
     return say
 
 
+def with_levels():
+    bridge = CORNER + [(200.0, -100.0), (200.0, 10.0), (200.0, 100.0)]
+    halves = STRAIGHT[:2], STRAIGHT[1:], bridge[:2], bridge[1:], ROUND
+    return lines(*halves, highway=['road'] * 5, F_ZLEV=[0, 0, 0, 1, 0], T_ZLEV=[0, 0, 1, 0, 0])
+
+
 def short_side_road():
     end = CORNER + (100.0, 10.03)
     shapes = [Coordinates(CRS).to_lat_lon(each)[:, ::-1] for each in (
@@ -131,10 +137,7 @@ ROADS = {
     'a shapefile with fewer rows than shapes': fewer_rows,
     'a shapefile without `.dbf`': without_dbf,
     'a side road that ends 3 cm short, in degrees': roads('a.geojson', short_side_road()),
-    'levels at the ends of roads, `F_ZLEV`': roads('a.shp', lines(
-        **NAMES, oneway=['no', 'no'], F_ZLEV=[0, 1])),
-    'roads of Overture': roads(frame=lines(**{
-        'subtype': ['road', 'rail'], 'class': ['track', ''], 'access_restrictions': ['[]', '[]']})),
+    'bridge and road with levels at their ends': roads('a.shp', with_levels()),
     'a way with `visible="false"`': roads('a.osm', text=OSM.replace(
         'TAGS', '<tag k="highway" v="road"/>').replace(
             '<way id="12"', "<way id='12' visible = 'false'")),
