@@ -69,6 +69,8 @@ def parser() -> argparse.ArgumentParser:
                       help='why that departure was not driven, with --earlier unused')
     made.add_argument('--late-entry', action='store_true',
                       help='enter a departure for a day before that of others')
+    made.add_argument('--map', type=Path, metavar='FILE', help="the plan's map, if it was moved")
+    made.add_argument('--roads', type=Path, metavar='FILE', help='its roads, if they were moved')
     made.add_argument('--ground-unchanged', action='store_true', help='draw even if map, roads or '
                       'layers have changed or are gone: the ground is as it was')
     made.add_argument('--dry-run', action='store_true',
@@ -131,7 +133,8 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
     """Return whether the plan's sources are unchanged, or the user says that the ground is."""
     from ..recordings import sources
 
-    changed = sources.changes(saved.sources, arguments.plan.parent)
+    files = {sources.MAP: arguments.map, sources.ROADS: arguments.roads}
+    changed = sources.changes(saved.sources, arguments.plan.parent, files)
     if not changed or arguments.ground_unchanged:
         for text in changed:
             console.warn(f'{text}; you say that the ground has not changed')
@@ -140,7 +143,7 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
         console.error(text)
     console.say('Nothing was drawn. If the ground has changed, plan again to a new name, and see '
                 'which departures are affected with ambush verify FOLDER --map MAP [--roads FILE]. '
-                'If it is as it was, add --ground-unchanged.')
+                'Else name a file that was moved with --map or --roads, or add --ground-unchanged.')
     return False
 
 
