@@ -37,6 +37,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game.game import make_games
+from ambush_planner.game.proof import _leg_targets
 from ambush_planner.game.solver import solve_legs
 from ambush_planner.network.construction import build_trip_graph
 from ambush_planner.network.trip_graph import TripGraph
@@ -108,6 +109,14 @@ def check_laws(trip, visits):
     losses = trip.game.network.alpha * mean
     assert trip.value == pytest.approx(losses.max(), rel=1e-9, abs=1e-12)
     assert trip.lower_bound <= min(proved + 1e-9 * (1.0 + proved), trip.value)
+
+
+def test_each_leg_is_to_prove_the_losses_of_its_own():
+    """Not a share of all: legs that lose nothing were to prove as much as the others."""
+    trip = solved(roads_of(3, 2), GameOptions(ambush_radius=1.0, secured_radius=0.5))
+    losses = trip.hits @ (trip.ambusher.q * trip.game.loss)[trip.game.sites]
+    assert np.ptp(losses) > 0.1 * trip.value
+    assert _leg_targets(trip.joint, trip.law, trip.ambusher, trip.value) == pytest.approx(losses)
 
 
 # Laws.

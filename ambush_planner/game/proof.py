@@ -7,7 +7,6 @@ Both are computed again from the strategies and the ambusher alone (``certificat
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -85,9 +84,11 @@ def _leg_targets(legs: Legs, law: Law, ambusher: Ambusher, target: float) -> Flo
     site_prices = (game.loss * ambusher.q)[game.sites]
     rows = np.flatnonzero(site_prices)
     uses, entering = legs.split(law.uses(legs.edge_count)), csr_matrix(legs.entering[rows])
-    edge = np.arange(legs.edge_count)
-    hits = [float(site_prices[rows] @ law.meets(csr_matrix(entering.multiply(
-        (edge >= begin) & (edge < end))))) for begin, end in pairwise(legs.first.tolist())]
+    leg, hits = np.repeat(np.arange(len(legs.games)), np.diff(legs.first)), []
+    for k in range(len(legs.games)):
+        of_leg = csr_matrix(entering.multiply(leg == k))
+        of_leg.eliminate_zeros()  # the law asks which entries there are
+        hits.append(float(site_prices[rows] @ law.meets(of_leg)))
     paid = [price * (float(p[p > 0.0] @ budget.reduced_cost[p > 0.0]) - budget.margin)
             if price > 0.0 else 0.0
             for price, budget, p in zip(ambusher.prices, legs.budgets, uses, strict=True)]
