@@ -207,9 +207,8 @@ class SolveQueue(Generic[_Key, _Result]):
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request))
             if solve.request.first:
-                with self._condition:
-                    if not solve.cancelled:
-                        solve.outcome.set_result(result)
+                if not solve.cancelled:
+                    solve.outcome.set_result(result)
                 solve.finish(worker.next_plan(solve.request))
         except Exception as raised:  # also MemoryError: callers wait for an outcome
             error = known(raised)
