@@ -212,7 +212,8 @@ class SolveQueue(Generic[_Key, _Result]):
                 solve.finish(worker.next_plan(solve.request))
         except Exception as raised:  # also MemoryError: callers wait for an outcome
             error = known(raised)
-            if error is not raised and self._worker is not None:
+            # It may be solving on.
+            if (error is not raised or solve.request.first) and self._worker is not None:
                 self._worker.kill()
         with self._condition:
             self._running = None
