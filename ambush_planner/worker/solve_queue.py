@@ -207,13 +207,13 @@ class SolveQueue(Generic[_Key, _Result]):
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request))
             if solve.request.first:
-                with self._condition:
-                    if not solve.cancelled:
-                        solve.outcome.set_result(result)
+                if not solve.cancelled:
+                    solve.outcome.set_result(result)
                 solve.finish(worker.next_plan(solve.request))
         except Exception as raised:  # also MemoryError: callers wait for an outcome
             error = known(raised)
-            if error is not raised and self._worker is not None:
+            # It may be solving on.
+            if (error is not raised or solve.request.first) and self._worker is not None:
                 self._worker.kill()
         with self._condition:
             self._running = None
