@@ -27,7 +27,7 @@ from ambush_planner import (
 )
 from ambush_planner.commands import hold
 from ambush_planner.commands.inputs import options_of
-from ambush_planner.game.revaluation import bound_if_held
+from ambush_planner.game.revaluation import bound_if_secured
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.tables import InvalidFeatures
@@ -86,18 +86,19 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour):
     once = value_by_routes(network.alpha, near, routes, limits)
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1.0 - 2e-6) - 1e-9
-    assert bound_if_held(before.alone, places) <= once * (1.0 + 1e-6) + 1e-9
-    assert bound_if_held(before.alone, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
+    assert bound_if_secured(before.as_trip, places) <= once * (1.0 + 1e-6) + 1e-9
+    unchanged = bound_if_secured(before.as_trip, ())
+    assert unchanged == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
 
 
 def test_the_ambusher_of_a_trip_bounds_it_with_more_secured_area(yard):
     strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).trip
-    assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
+    assert bound_if_secured(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
     for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none
         held = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=(place,))
         planned = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=held),
                             stops=[(22.0, 16.0)]).trip
-        assert bound_if_held(strategy, (place,)) <= planned.value * (1.0 + 1e-9)
+        assert bound_if_secured(strategy, (place,)) <= planned.value * (1.0 + 1e-9)
 
 
 def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(yard, found):

@@ -55,7 +55,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     check_outputs(arguments.output, console)
     risk_map, start, goal, stops = read_ground(arguments, of_map)
 
-    from ..game.strategy import within_slack
+    from ..game.strategy import within_tolerance
     from ..operations.hold import places_to_hold
 
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
@@ -75,7 +75,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                      'to find better ones, name a few --candidates, or allow more time '
                      '(strategy.time_limit)')
     console.result['files'] = console.secret(arguments.output)
-    sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
+    sound = all(within_tolerance(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
 

@@ -46,7 +46,7 @@ def find_distribution(search: Search) -> Incumbent:
     if best is None:
         law = flow_law(search)
         best = Incumbent(law, largest_product(search.loss, search.entering, law)[0])
-    if best.good or search.legs.no_reentry or search.problem.out_of_time:
+    if best.within_tolerance or search.legs.no_reentry or search.problem.out_of_time:
         return best
     mixture = find_mixture(search)
     return mixture if mixture.value < best.value else best
@@ -66,7 +66,7 @@ def find_chain(search: Search) -> Incumbent | None:
     if search.problem.site_search is None:  # otherwise other sites may cost the flow more
         best = search.better(best, distribution)
     for _ in range(ROUNDS):
-        distribution.deadline = end if best and best.good else latest
+        distribution.deadline = end if best and best.within_tolerance else latest
         if time.monotonic() > distribution.deadline:
             search.reason = 'time'
             break
@@ -76,7 +76,7 @@ def find_chain(search: Search) -> Incumbent | None:
             break
         if feasible:
             threshold = ceiling(program.bound, JOINING * search.tolerance)
-            found = search.add_violated_sites(distribution.chain, threshold, ROUTES.apart)
+            found = search.add_violated_sites(distribution.chain, threshold, ROUTES.site_spacing)
         if found:
             distribution.add_sites(found.entering, found.alpha)
             search.solve_program()
@@ -89,10 +89,10 @@ def find_chain(search: Search) -> Incumbent | None:
         best = search.better(best, distribution)
         grew = distribution.entropy > entropy * (1.0 + GROWTH)
         entropy = distribution.entropy
-        kept = best is not None and best.good  # one that was over a budget is not
+        kept = best is not None and best.within_tolerance  # one that was over a budget is not
         if distribution.good and (distribution.exact or kept and not grew):
             break
-    if best and not best.good:
+    if best and not best.within_tolerance:
         find_sites(search, ROUNDS)
         best = search.better(best, _around_flow(search))
     return best

@@ -137,7 +137,7 @@ class ExposedLegs:
         ground, edge = np.unique(edges @ (len(points), 1), return_inverse=True)
         self._edge = edge.ravel()
         begins = np.array([own[each.source] for own, each in zip(at, networks, strict=True)])
-        secured = games[0].secured.shrunk(games[0].options.tube)
+        secured = games[0].secured.shrink(games[0].options.tube)
         self._ground = ExposedEdges(points, np.stack(np.divmod(ground, len(points)), axis=1),
                                     secured, begins, np.unique(self._edge[used]))
 

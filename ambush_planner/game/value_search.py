@@ -69,9 +69,9 @@ def find_sites(search: Search, sweeps: int = SWEEPS) -> None:
         search.solve_program()
         if search.problem.out_of_time or (sweep >= sweeps and search.program.bound > 0.0):
             break
-        apart = ROUTES.apart if sweep < sweeps - 1 else 0.0
+        spacing = ROUTES.site_spacing if sweep < sweeps - 1 else 0.0
         threshold = ceiling(search.program.bound, search.tolerance)
-        if search.add_violated_sites(program_law(search), threshold, apart) is None:
+        if search.add_violated_sites(program_law(search), threshold, spacing) is None:
             break
 
 

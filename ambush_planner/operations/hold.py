@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The next place to hold: the one that lowers a plan's value most if nobody can wait around it.
 
-Places are added one by one, each given those before it. Any ambusher's mixture bounds from below
-what holding a place can achieve, by what it causes from elsewhere (``bound_if_held``). So only the
-most promising candidates are solved, until no other one can be better by more than the slack, or
-the time is up.
+Places are chosen greedily, each given those before it. The ambusher of any solved plan, restricted
+to other sites, bounds from below what securing a place can achieve (``bound_if_secured``). So only
+the most promising candidates are solved, until no other one can be better by more than the risk
+slack, or the time limit passes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from ..arrays import sums
 from ..errors import InvalidOption, TimeLimit
 from ..game.game import SecuredPlace
-from ..game.revaluation import bound_if_held
+from ..game.revaluation import bound_if_secured
 from ..game.strategy import TripStrategy
 from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
@@ -138,7 +138,7 @@ def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tole
     those solved by then, None if none of them is better than holding no other place.
     """
     held = [(*before.game.options.held_places, (*xy, radius)) for _, xy in places]
-    bounds = np.array([bound_if_held(before, each) for each in held])
+    bounds = np.array([bound_if_secured(before, each) for each in held])
     values, last = np.full(len(held), np.inf), before
     strategies: dict[int, TripStrategy] = {}
     with suppress(TimeLimit):
@@ -151,7 +151,7 @@ def _best_of(places: Sequence[_Place], radius: float, before: TripStrategy, tole
             last = strategies[k] = compared(held[k], last)
             values[k], bounds[k] = last.value, last.lower_bound
             for j in set(left) - {k}:
-                bounds[j] = max(bounds[j], bound_if_held(last, held[j]))
+                bounds[j] = max(bounds[j], bound_if_secured(last, held[j]))
     if left and not values.min() <= before.value:
         return None, False
     best = next(k for k, value in enumerate(values) if within(value, values.min(), tolerance))

@@ -232,7 +232,7 @@ class CellSearch:
             parts = (cells[:, None] * n + np.indices((n, n)).reshape(2, -1).T).reshape(-1, 2)
             which = np.repeat(which, n * n)
         points = self._cells.centres(parts, 1.0 / n)
-        out = ~self._game.secured.shrunk(self._widened).covers(points)
+        out = ~self._game.secured.shrink(self._widened).covers(points)
         parts, which, points = parts[out], which[out], points[out]
         rows = self._rows(parts, 1.0 / n)
         most = loss[which] * law.meets_at_most(rows)

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..arrays import FloatArray
-from ..game.strategy import within_slack
+from ..game.strategy import within_tolerance
 from ..game.tolerance import Reason
 from ..words import distance, ends
 from .one_place import OnePlace, find_one_place
@@ -111,13 +111,13 @@ def _coarse(plan: Plan) -> list[str]:
 
 def is_sound(plan: Plan) -> bool:
     """Return whether the gap is within the slack, and an ambush costs anything at all."""
-    return within_slack(plan.trip, plan.options.strategy) and plan.value > 0.0
+    return within_tolerance(plan.trip, plan.options.strategy) and plan.value > 0.0
 
 
 def wide_gap(plan: Plan) -> str:
     """Why the value is further above its lower bound than the slack, and what helps; '' if not."""
     strategy, options = plan.trip, plan.options.strategy
-    if within_slack(strategy, options):
+    if within_tolerance(strategy, options):
         return ''
     wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
     if strategy.lower_bound > 0.0:

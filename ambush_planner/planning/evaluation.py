@@ -60,7 +60,7 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     """
     if isinstance(planned, Plan):
         return compared(planned.drawn_from, planned.trip)
-    return compared(planned.alone, planned.alone)
+    return compared(planned.as_trip, planned.as_trip)
 
 
 def compared(drawn: TripStrategy, whole: TripStrategy) -> dict[str, Measures]:

@@ -91,7 +91,7 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
         return None
     fitted = ground.fitted(newest, ends, np.unique(at))
     first = fitted.corridors[0]
-    secured = secured_in_map_axes(trip.game.secured.shrunk(trip.game.options.tube), first.origin)
+    secured = secured_in_map_axes(trip.game.secured.shrink(trip.game.options.tube), first.origin)
     first = replace(first, network=moved, secured=secured)
     joined = replace(fitted, trip=trip, corridors=(first, *fitted.corridors[1:]))
     return JoinedPlan(joined, Assessment(trip.value, trip.lower_bound, share, trip.expected_length,

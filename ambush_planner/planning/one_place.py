@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..game.game import Game
 from ..game.solver import ALL_ROUTES, certain_sites
-from ..game.strategy import within_slack
+from ..game.strategy import within_tolerance
 from .plan import Plan
 
 # Maximum radius of the secured area that is proposed, as a share of the straight way.
@@ -40,7 +40,7 @@ class OnePlace:
 
 def find_one_place(plan: Plan) -> OnePlace | None:
     """Return the place of the ambusher that hits every route of a leg, None if there is none."""
-    if not within_slack(plan.trip, plan.options.strategy):
+    if not within_tolerance(plan.trip, plan.options.strategy):
         return None
     for k, leg in enumerate(plan.drawn_from.legs):
         if len(nodes := certain_sites(leg)):

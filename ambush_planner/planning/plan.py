@@ -114,7 +114,7 @@ class Plan(Shown):
 
     def of_leg(self, number: int) -> Plan:
         """The plan of one leg alone."""
-        return replace(self, trip=self.legs[number].alone,
+        return replace(self, trip=self.legs[number].as_trip,
                        corridors=self.corridors[number : number + 1], few=None)
 
     def legs_from(self, first: int) -> Plan:
@@ -326,7 +326,7 @@ def _leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptio
         reach = 0.0
     return make_corridors(strategy.network, risk_map, options.network.clearance, limit,
                           options.network.clear_of_edge, most, reach,
-                          game.secured.shrunk(game.options.tube), among)
+                          game.secured.shrink(game.options.tube), among)
 
 
 def draw_routes(plan: Plan, n: int, rng: np.random.Generator) -> list[Route]:

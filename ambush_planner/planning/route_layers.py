@@ -57,7 +57,7 @@ def strategy_tables(trip: TripStrategy, risk_map: RiskMap) -> Mapping[str, Any]:
     import shapely
 
     game = trip.game
-    secured, network, q = game.secured.shrunk(0.0), game.network, trip.ambusher.q
+    secured, network, q = game.secured.shrink(0.0), game.network, trip.ambusher.q
     edges, p = trip.ground_uses
     system = Coordinates(risk_map.crs) if risk_map.crs else None
     points = system.to_crs(network.points) if system else network.points

@@ -98,7 +98,7 @@ class Ground:
 
     def finish(self, search: Search, end: float) -> TripStrategy:
         """The second half of ``solve``."""
-        search.go_on_until(*search_ends(end, time_left(end)))
+        search.move_deadlines(*search_ends(end, time_left(end)))
         tighten(search)
         return finish(search)
 

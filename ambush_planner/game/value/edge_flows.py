@@ -4,7 +4,7 @@
     minimise z   subject to   loss at site j of the entries of all legs <= z,
                               a unit flow for each leg, within its length budget.
 
-Entries are hits where simple routes enter a site's reach at most once: without a reach.
+EntryLaw are hits where simple routes enter a site's reach at most once: without a reach.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .linear_program import ORDINARY, conservation
 class EdgeFlows:
     """The LP of all legs: until it is solved, its strategies are the shortest routes."""
 
-    apart = 0.0
+    site_spacing = 0.0
 
     def __init__(self, legs: Legs, gap: float) -> None:
         self._legs, self._gap, self.bound = legs, gap, 0.0

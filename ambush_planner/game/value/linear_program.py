@@ -20,7 +20,7 @@ from ..game import Game
 from ..hits import entry_value
 from ..legs import Legs
 from ..route_sampler import shortest_route_strategy
-from ..strategy import Strategy, StrategyOptions, make_strategies, within_slack
+from ..strategy import Strategy, StrategyOptions, make_strategies, within_tolerance
 from ..tolerance import ROUNDS
 from . import highs
 from .cut import solve_by_min_cut
@@ -110,7 +110,7 @@ def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget
     legs, ambusher = Legs((whole,), (length if limited else own,)), Ambusher(q, (price,))
     (found,) = make_strategies(legs, p, [None], ambusher, lower_bounds(legs, ambusher),
                                iterations=int(result.nit)).legs
-    if within_slack(found, options):
+    if within_tolerance(found, options):
         return found
     return replace(found, reason='solver' if game.no_reentry else 'stalled')
 

@@ -73,7 +73,7 @@ class Potential:
         What the ``flow`` costs at the sites so far.
     """
 
-    apart = 0.0  # of sites that join at once [reaches]
+    site_spacing = 0.0
 
     def __init__(self, legs: Legs, faces: Faces, gap: float, first: float = np.inf) -> None:
         """The search for z begins at ``first``, or at half the largest loss if that is less.

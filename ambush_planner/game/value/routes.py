@@ -41,7 +41,7 @@ class ColumnGeneration(NamedTuple):
     # Share of the largest site price below which label searches leave out sites. Few sites make a
     # search fast, but each that is left out weakens it.
     small: float = 3e-3
-    apart: float = 0.25  # minimum distance of sites that join at once, as a share of the reach
+    site_spacing: float = 0.25  # minimum distance between sites added at once [reaches]
 
 
 ROUTES = ColumnGeneration()
@@ -60,7 +60,7 @@ class Routes:
         That of the ``mixture`` found.
     """
 
-    apart = ROUTES.apart
+    site_spacing = ROUTES.site_spacing
 
     def __init__(self, legs: Legs, gap: float) -> None:
         self.legs, self._gap, count = legs, gap, len(legs.games)
