@@ -119,7 +119,7 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
                            for game in search.legs.games]].reshape(-1, 2)
     rims = np.where(narrow, search.legs.reach, 0.0)[:, None] * COMPASS[:, None]
     plain = node_spacing(risk_map, options.network)
-    spacing = np.max([grades.wanted(points + rim, ends, plain) for rim in rims], axis=0)
+    spacing = np.max([grades.spacing_at(points + rim, ends, plain) for rim in rims], axis=0)
     coarse = spacing > FINE * finest
     if site_prices[sites[coarse]].sum() <= COARSE_SHARE * site_prices.sum():
         return None
