@@ -215,7 +215,7 @@ def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, rea
     held = [(200.0, 200.0, 30.0)]
     crs = 'datum -33.9 18.4 0.3' if reach else ''
     entries = {'parameters': parameters(**{'game.ambush_radius': reach, 'map.crs': crs,
-                                           'game.held_places': held})}
+                                           'game.secured_places': held})}
     a_plan = sample_plan(reach=reach, held=tuple(held))
     opened(browser, written(tmp_path, 1, a_plan, entries=entries))
     costs = cost_raster(a_plan.trip, a_plan.risk_map, 160).cost

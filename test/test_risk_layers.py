@@ -114,7 +114,7 @@ def test_polygons_and_roads_in_their_order(folder):
 
 def test_roads_open_obstacles_that_forbidden_polygons_close_and_held_ground_costs_nothing(folder):
     layers = [{'terrain': 'dem.tif'}, {'roads': 'roads.gpkg', 'width': 'width', 'passable': True},
-              {'polygons': 'zones.geojson', 'held': True},
+              {'polygons': 'zones.geojson', 'secured': True},
               {'polygons': 'zones.geojson', 'forbidden': 'barred'}]
     steps = [joined(folder, *layers[:k]).risk_map for k in range(1, 5)]
     road = joined(folder, *layers[:2]).layers[1].values > 0.0
@@ -222,7 +222,7 @@ def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_pa
 def test_the_files_that_the_command_writes(folder, tmp_path, capsys):
     layers = [{'terrain': 'dem.tif'}, {'polygons': 'zones.geojson', 'loss': 6},
               {'incidents': 'incidents.gpkg', 'bandwidth': 'auto'}, {'roads': 'roads.gpkg'},
-              {'polygons': 'zones.geojson', 'held': True}]
+              {'polygons': 'zones.geojson', 'secured': True}]
     (folder / 'layers.yaml').write_text(yaml.safe_dump({'layers': layers}))
     output = tmp_path / 'map.yaml'
     assert cli.main(['risk', str(folder / 'layers.yaml'), '-o', str(output), '--json']) == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush hold``: which places to hold next."""
+"""``ambush hold``: the next places to secure."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ The table (.csv) has a row for each place, the picture (.png) the places on the 
 DETAILS = """\
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
-In a row of the table, value and lower_bound are those if this place and those before it are held;
-no other candidate can bring the value below others instead. The picture also has the strategy if
-all are held, and the value as a curve.
+In a row of the table, value and lower_bound are those if this place and those before it are
+secured; no other candidate can bring the value below others instead. The picture also has the
+strategy if all are secured, and the value as a curve.
 It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
 --json: {"verdict", "files", "value", "lower_bound", "complete", "places": [{...}]}
 """
@@ -35,15 +35,15 @@ It ends at strategy.time_limit (60 s) with the best so far, and complete is fals
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
-        'hold', 'Find the places whose holding lowers the value most.', EPILOG, DETAILS,
+        'hold', 'Find the places to secure that lower the value most.', EPILOG, DETAILS,
         '--start POSITION --goal POSITION --radius METRES [options] -o FILE ...',
         ('-k', '--radius', '--candidates'))
     made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
-                      help='number of places to hold (default: 5)')
+                      help='number of places to secure (default: 5)')
     made.add_argument('--radius', type=float, required=True, metavar='METRES',
-                      help='radius of the area that holding a place secures')
+                      help='radius of the area that is secured around each place')
     made.add_argument('--candidates', metavar='PLACES', help='the places that can '
-                      "be held (default: places around the ambusher's sites)")
+                      "be secured (default: places around the ambusher's sites)")
     add_outputs(made, 'table and picture to write', ('.csv', '.png'))
     return made
 
@@ -101,7 +101,7 @@ def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
 def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Position,
           risk_map: RiskMap, console: cli.Console) -> None:
     before = found.before
-    console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
+    console.line(f'{"none secured":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
     for row in rows:
         at = row['name'] or like.like((row['x'], row['y']), risk_map)
         count = row['candidates'] - 1
@@ -111,9 +111,9 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
                      f'{row["lower_bound"]:.4g}{others}')
     if len(rows) < wanted and found.complete:
         console.say('No further place: the value is 0, or no candidate remains.')
-    held = found.strategies[-1].game.options.held_places
-    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
-    console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
+    secured = found.strategies[-1].game.options.secured_places
+    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in secured)
+    console.line(f"To plan with them: --set 'game.secured_places=[{places}]'")
     console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows,
                       'complete': found.complete}
 

@@ -18,30 +18,30 @@ from ..maps.risk_map import RiskMap
 from ..operations.hold import Holding
 from ..words import count
 
-HELD = '#35c48c'  # a green that is none of the routes'
+SECURED = '#35c48c'  # a green that is none of the routes'
 NAME_WIDTH = 12  # characters in a line below the curve
 _TALL = 1.6  # height of the curve [inches]
-_KEY = Line2D([], [], linestyle='none', marker='o', markersize=12, color=HELD, alpha=0.5,
-              markeredgewidth=0.0, label='held: nobody can wait here')
+_KEY = Line2D([], [], linestyle='none', marker='o', markersize=12, color=SECURED, alpha=0.5,
+              markeredgewidth=0.0, label='secured: nobody can wait here')
 
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
-    """The places on the map, with the strategy if all are held, and below the value as a curve."""
+    """Draw the places with the strategy if all are secured, and below it the value as a curve."""
     width, height = risk_map.size
     figure = Figure(figsize=(map_figures.WIDTH, 5.0 + 4.2 * height / width), layout='compressed')
     overview = figure.subplots()
     figures.draw_strategy(overview, found.strategies[-1], risk_map, key=[_KEY])
-    held = f'{count(len(found.steps), "place")} held (green)'
-    overview.set_title(f'{held}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
+    title = f'{count(len(found.steps), "place")} secured (green)'
+    overview.set_title(f'{title}\n{overview.get_title(loc="left")}', fontsize='medium', loc='left',
                        linespacing=1.4)
     frame = np.column_stack((overview.get_xlim(), overview.get_ylim()))
     size = np.full(2, figures.BADGE * float(np.ptp(frame[:, 0])))
     marks = figures.marks_of(found.strategies[-1])
     labels = Labels(frame, marks, np.hstack((marks - size / 4.0, marks + size / 4.0)))
     for k, step in enumerate(found.steps, start=1):
-        overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.5, linewidth=0, zorder=5))
+        overview.add_patch(Circle(step.xy, radius, color=SECURED, alpha=0.5, linewidth=0, zorder=5))
         spot = labels.place(np.array(step.xy), size, 0.25 * float(size[0]), True)
-        figures.number_badge(overview, k, np.array(step.xy), HELD, spot)
+        figures.number_badge(overview, k, np.array(step.xy), SECURED, spot)
     entries = len(overview.get_legend().get_texts())
     curve = overview.inset_axes((0.0, -figures.BELOW - 0.21 * entries - 0.35 - _TALL, 5.0, _TALL),
                                 transform=figures.inches(overview))
@@ -52,7 +52,7 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
     names = [fill(f'{number} {step.name}', NAME_WIDTH)
              for number, step in enumerate(found.steps, 1)]
     curve.set_xticks(range(len(found.strategies)), ['0', *names])
-    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
+    curve.set(xlabel=f'places secured, {radius:g} m around each', ylim=(0.0, None),
               ylabel='mean loss\nby the best ambush')
     curve.grid(color='0.92')
     curve.legend(frameon=False)

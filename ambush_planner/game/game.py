@@ -42,10 +42,10 @@ class GameOptions:
         Radius of the secured area around the source, each stop and the target [m]: nobody can wait
         there, and with a reach nobody who drives there is hit. None, or -1: the reach plus the
         tube, which is an assumption.
-    held_places
+    secured_places
         More of the secured area: discs (x, y, radius) [m] in world coordinates, such as a
         checkpoint on the way. As around the ends, nobody can wait there, and with a reach nobody
-        who drives there is hit.
+        who drives there is hit. The old name ``held_places`` works until the next release.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
@@ -71,11 +71,13 @@ class GameOptions:
     ambush_in_obstacles: bool = allowed(False)
     tube: float = length()
     widened: float = length()
-    held_places: tuple[SecuredPlace, ...] = ()
+    secured_places: tuple[SecuredPlace, ...] = ()
+    held_places: InitVar[Iterable[Iterable[float]] | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, held_places: Iterable[Iterable[float]] | None) -> None:
         check_options(self)
-        object.__setattr__(self, 'held_places', _checked_places(self.held_places))
+        given = self.secured_places if held_places is None else held_places
+        object.__setattr__(self, 'secured_places', _checked_places(given))
 
     @property
     def reach(self) -> float:
@@ -91,14 +93,15 @@ class GameOptions:
 
 
 def _checked_places(given: Iterable[Iterable[float]]) -> tuple[SecuredPlace, ...]:
-    """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
+    """Return ``secured_places`` as tuples of numbers; raises InvalidOption."""
     try:
         places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)
         good = all(math.isfinite(sum(place)) and place[2] > 0.0 for place in places)
     except (TypeError, ValueError):
         good = False
     if not good:
-        raise InvalidOption(f'held_places must each be x, y and a radius over 0 [m], got {given!r}')
+        raise InvalidOption('secured_places must each be x, y and a radius over 0 [m], got '
+                            f'{given!r}')
     return places
 
 
@@ -232,7 +235,7 @@ def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game,
     ends = np.unique(np.concatenate([each.points[[each.source, each.target]]
                                      for each in networks]), axis=0)
     points, alpha = networks[0].points, networks[0].alpha
-    secured = secured_area(ends, options.secured_distance, options.held_places)
+    secured = secured_area(ends, options.secured_distance, options.secured_places)
     # A site stands for all places within ``widened``: it is dropped only if all are secured.
     loss = frozen_array(np.where(secured.shrink(options.widened).covers(points), 0.0, alpha),
                         np.float64)

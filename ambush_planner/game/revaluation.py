@@ -65,7 +65,7 @@ def bound_if_secured(trip: TripStrategy, places: tuple[SecuredPlace, ...]) -> fl
 
     It is certified by the trip's ambusher, restricted to the sites that are left and scaled to 1.
     """
-    legs = legs_in_game(trip, replace(trip.game.options, held_places=places))
+    legs = legs_in_game(trip, replace(trip.game.options, secured_places=places))
     q = np.where(legs.games[0].loss > 0.0, trip.ambusher.q, 0.0)
     share = float(q.sum())
     if share == 0.0:

@@ -93,7 +93,7 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     plan = plan_quietly(risk_map, start, goal, options, share=PLANNED)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('the secured area covers everything around start and goal, so that '
-                            'nobody can wait there: choose a smaller radius (--held)')
+                            'nobody can wait there: choose a smaller radius (--secured)')
     mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips],
                             np.zeros(len(trips), dtype=np.int64))
     driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
