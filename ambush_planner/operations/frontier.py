@@ -100,12 +100,12 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     ground = Ground.of(risk_map, options)
     networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(
         planned.game.network.refined)
-    games, site_search = ground.played(networks, WarmStart.of(planned))
+    games, site_search = ground.make_games(networks, WarmStart.of(planned))
 
     def solved(budgets: StrategyOptions) -> TripStrategy:
         if budgets == options.strategy:
             return planned
-        return solve_legs(games, budgets, site_search and site_search.on(ground.cells))
+        return solve_legs(games, budgets, site_search and site_search.with_losses(ground.cells))
 
     return _rows(solved, tasks, on_row)
 

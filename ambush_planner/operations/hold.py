@@ -27,7 +27,7 @@ from ..game.strategy import TripStrategy
 from ..game.tolerance import within
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_whole
-from ..planning.cell_losses import thinned
+from ..planning.cell_losses import thin_out
 from ..planning.options import PlanningOptions
 from ..planning.solving import Ground, WarmStart
 from ..planning.trip import Position, Trip, plan_trip
@@ -179,7 +179,7 @@ def _order_by_site_price(strategy: TripStrategy, given: Sequence[_Place] | None,
     if given is not None:
         return [given[k] for k in np.argsort(-taken, kind='stable')]
     most_first = np.lexsort((-game.loss[game.sites] * strategy.hits.sum(axis=0), -taken))
-    kept = thinned(points, most_first, MIN_DISTANCE * radius)[:MAX_CANDIDATES]
+    kept = thin_out(points, most_first, MIN_DISTANCE * radius)[:MAX_CANDIDATES]
     return [('', (x, y)) for x, y in points[kept].tolist()]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mixture of few routes that departures draw from, as ``operations.few_routes`` finds it."""
+"""Record of a mixture of few routes that departures are drawn from (``operations.few_routes``)."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from ..routes.driven_path import joined
 
 @dataclass(frozen=True, eq=False)
 class FewRoutes:
-    """Few routes of each leg of a trip, drawn leg by leg.
+    """A mixture of few routes of each leg of a trip, drawn leg by leg.
 
     Attributes
     ----------
     paths : K arrays (L, 3)
-        The driven paths of the legs' routes, those of the first leg first.
+        The driven paths of the routes, leg by leg.
     leg : (K,)
         The leg of each, from 0.
     shares : (K,)
-        How likely each is driven on its leg; the leg's largest first.
+        Probability of each on its leg, in falling order.
     trip : TripStrategy
-        The mixture, on networks of each leg's paths side by side. Its ambusher waits at the worst
-        place anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``:
-        paths as they are driven, from which these were chosen. The plan's own bound is that of
+        The mixture as strategies, on networks that have each leg's paths as separate lines. Its
+        ambusher waits at the worst place of the map. Its lower bound is that of all mixtures of the
+        candidates, the driven paths from which these were chosen. The plan's own bound is about
         another game, in which convoys may stray from their routes by the tube.
     candidates : int
-        Their number.
+        Number of candidates.
     costs : (K,)
-        Lengths [m], or driving times [s] if the network has them.
+        Length of each [m], or its driving time [s] if the network has times.
     curve : ((K, value), ...)
         The value of the best mixture found with at most K routes a leg.
     routes : K arrays
@@ -50,12 +50,12 @@ class FewRoutes:
 
     @property
     def value(self) -> float:
-        """Mean loss by the worst ambusher who knows all of this."""
+        """Largest mean loss that an ambush at one place causes."""
         return self.trip.value
 
     @property
     def lower_bound(self) -> float:
-        """No mixture of the candidates has a smaller value."""
+        """Lower bound of the value of every mixture of the candidates."""
         return self.trip.lower_bound
 
     @property
@@ -65,26 +65,26 @@ class FewRoutes:
         return np.asarray(network.points[q.argmax()])
 
     def nodes(self, numbers: IndexArray) -> tuple[IndexArray, ...]:
-        """The nodes of the routes with ``numbers`` (legs,) in the networks of ``trip``."""
+        """Return the nodes of the routes with ``numbers`` (legs,) in the networks of ``trip``."""
         found = []
         for k, leg in zip(numbers, self.trip.legs, strict=True):
-            network, before = leg.network, np.count_nonzero(self.leg < self.leg[k])
+            network, earlier = leg.network, np.count_nonzero(self.leg < self.leg[k])
             first = np.flatnonzero(network.tails == network.source)
-            heads = np.split(network.heads, first[1:])[k - before]
+            heads = np.split(network.heads, first[1:])[k - earlier]
             found.append(np.append(network.source, heads))
         return tuple(found)
 
     def draw(self, n: int, rng: np.random.Generator) -> IndexArray:
-        """Draw ``n`` departures, (n, legs): the number of a route for each leg."""
-        own = [np.flatnonzero(self.leg == k) for k in range(len(self.trip.legs))]
-        return np.stack([rng.choice(each, n, p=self.shares[each]) for each in own], axis=1)
+        """Draw ``n`` departures: the numbers (n, legs) of their routes."""
+        by_leg = [np.flatnonzero(self.leg == k) for k in range(len(self.trip.legs))]
+        return np.stack([rng.choice(each, n, p=self.shares[each]) for each in by_leg], axis=1)
 
     def path(self, numbers: IndexArray) -> FloatArray:
-        """The path of a departure with some ``numbers`` (legs,) of routes."""
+        """Return the path (L, 3) of a departure with the routes ``numbers`` (legs,)."""
         return joined([self.paths[k] for k in numbers])
 
     def numbers(self, route: tuple[IndexArray, ...]) -> IndexArray:
-        """The numbers (legs,) of a departure's routes; ValueError if one is none of the few."""
+        """Return the numbers (legs,) of a departure's routes; raises ValueError for others."""
         found = [k for leg, nodes in enumerate(route) for k in np.flatnonzero(self.leg == leg)
                  if np.array_equal(self.routes[k], nodes)]
         if len(found) != len(self.trip.legs):

@@ -22,8 +22,8 @@ import numpy as np
 from ..arrays import FloatArray
 from ..game.search import Progress, Search
 from ..maps.risk_map import RiskMap
-from .cell_losses import thinned
-from .options import PlanningOptions, finest_spacing, grading, node_spacing
+from .cell_losses import thin_out
+from .options import PlanningOptions, grading, node_spacing, useful_spacing
 from .solving import Ground, WarmStart
 
 # Unless the number of rounds is given: most rounds after the first one, and most nodes, those of
@@ -114,7 +114,7 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     sites = np.flatnonzero(site_prices > SHARE * site_prices.sum())
     share, points = site_prices[sites] / site_prices.sum(), search.points[sites]
     narrow, level = share > NARROW[0], np.searchsorted(NARROW, share)
-    finest = np.array([finest_spacing(risk_map, each * reach) for each in SPACINGS])[level]
+    finest = np.array([useful_spacing(risk_map, each * reach) for each in SPACINGS])[level]
     ends = network.points[[(game.network.source, game.network.target)
                            for game in search.legs.games]].reshape(-1, 2)
     rims = np.where(narrow, search.legs.reach, 0.0)[:, None] * COMPASS[:, None]
@@ -127,4 +127,4 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     assert network.refined is not None  # it is graded
     every = np.concatenate((network.refined, added))
     finest_first = np.argsort(every[:, 2], kind='stable')
-    return every[np.sort(thinned(every[:, :2], finest_first, APART * grades.radius))]
+    return every[np.sort(thin_out(every[:, :2], finest_first, APART * grades.radius))]

@@ -21,7 +21,7 @@ from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
 from ..operations.slots import Slots
 from ..planning.ambush_costs import BestAmbush, best_ambush, cost_raster
-from ..planning.evaluation import Measures, compared
+from ..planning.evaluation import Measures, compare_with_fixed
 from ..routes.legs import main_corners
 from ..routes.shared_roads import stripes
 from .recorded_departure import RecordedDeparture
@@ -74,7 +74,7 @@ class Section:
     def measures(self) -> dict[str, Measures]:
         """The departures' strategy, at the times that are drawn, and planners of a fixed route."""
         last = self.departures[-1]
-        rows = compared(self.trip, last.trip if last.few else self.trip)
+        rows = compare_with_fixed(self.trip, last.trip if last.few else self.trip)
         drawn = rows['stochastic']
         return rows | {'stochastic': replace(
             drawn, p_first=drawn.p_first * last.covered, p_repeated=drawn.p_repeated * last.covered,

@@ -223,7 +223,7 @@ def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOp
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
     if holds_anywhere(planning):
         sites = recorded[0].points[len(networks[0].points):]
-        networks = [with_places(each, sites, cells.at(sites)) for each in networks]
+        networks = [with_places(each, sites, cells.losses_at(sites)) for each in networks]
     if len(networks) != len(recorded) or not all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for one, other in zip(recorded, networks, strict=True)
