@@ -21,7 +21,7 @@ from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy, with_certificate
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
 from ..maps.risk_map import RiskMap, to_map_axes
-from ..routes.corridor_update import with_moved_end, with_new_obstacles
+from ..routes.corridor_update import add_obstacles, move_end
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
 from .cell_losses import CellSearch, LatestLosses
@@ -215,7 +215,7 @@ class ChangedGround:
                 (len(corridors) - 1, plan.legs[-1].network.target, ends[1], None)):
             if tuple(plan.network.points[node].tolist()) != place:
                 corner, part = self._map_part(newest, corridors[k], node, place, others)
-                corridors[k] = with_moved_end(corridors[k], node, place, part, corner,
+                corridors[k] = move_end(corridors[k], node, place, part, corner,
                                               options.clearance, options.clear_of_edge, others)
         return replace(plan, corridors=tuple(corridors))
 
@@ -303,7 +303,7 @@ class ChangedGround:
         changed, plan = self.compare(newest), self.plan
         if self._corridors is None:
             self._corridors = plan.corridors if not len(changed.new_obstacles) else tuple(
-                with_new_obstacles(each, changed.new_obstacles, plan.options.network.clearance,
+                add_obstacles(each, changed.new_obstacles, plan.options.network.clearance,
                                    newest.resolution) for each in plan.corridors)
         return self._corridors
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..game.strategy import TripStrategy
-from ..routes.driven_path import joined
+from ..routes.driven_path import join_legs
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class FewRoutes:
 
     def path(self, numbers: IndexArray) -> FloatArray:
         """Return the path (L, 3) of a departure with the routes ``numbers`` (legs,)."""
-        return joined([self.paths[k] for k in numbers])
+        return join_legs([self.paths[k] for k in numbers])
 
     def numbers(self, route: tuple[IndexArray, ...]) -> IndexArray:
         """Return the numbers (legs,) of a departure's routes; raises ValueError for others."""

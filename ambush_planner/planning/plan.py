@@ -25,7 +25,7 @@ from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
-from ..routes.driven_path import Ends, driven_path, driven_paths, joined
+from ..routes.driven_path import Ends, driven_path, driven_paths, join_legs
 from ..words import distance
 from .few import FewRoutes
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
@@ -359,7 +359,7 @@ def departure_path(plan: Plan, route: Route, spacing: float, ends: Ends | None =
     corridors = corridors_of(plan, route)
     legs = [driven_path(each, nodes, spacing, radius, leg_ends) for each, nodes, leg_ends in zip(
         corridors, route, pairwise(places), strict=True)]
-    return joined(legs)
+    return join_legs(legs)
 
 
 def departure_paths(plan: Plan, n: int, spacing: float,
@@ -372,4 +372,4 @@ def departure_paths(plan: Plan, n: int, spacing: float,
     corridors = corridors_of(plan, [np.concatenate(leg) for leg in by_leg])
     legs = [driven_paths(each, list(leg), spacing, radius)
             for each, leg in zip(corridors, by_leg, strict=True)]
-    return [joined(each) for each in zip(*legs, strict=True)]
+    return [join_legs(each) for each in zip(*legs, strict=True)]
