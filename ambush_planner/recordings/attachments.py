@@ -200,14 +200,15 @@ def few_from_file(data: bytes, plan: Plan) -> FewRoutes:
 
     Their strategy is computed from paths and shares.
     """
-    from ..operations.few_routes import mixed
+    from ..operations.few_routes import mixture_strategy
 
     content = arrays_in(BytesIO(data), _FEW)
     ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
               for name in _RAGGED}
     shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
     leg = frozen_array(content.get('leg', np.zeros(len(shares))), np.int64)  # once there was one
-    trip = mixed(plan, ragged['paths'], leg, shares, np.atleast_1d(content[_LOWER_BOUND]), costs)
+    trip = mixture_strategy(plan, ragged['paths'], leg, shares,
+                            np.atleast_1d(content[_LOWER_BOUND]), costs)
     return FewRoutes(
         **ragged, leg=leg, shares=shares, trip=trip, candidates=int(content['candidates']),
         costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))

@@ -208,7 +208,7 @@ def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
     if not (said.day and said.day.slot_drawn):
         return []
     slots = said.plan.slots if said.plan else None
-    if slots and said.day.slot == slots.drawn(rng):
+    if slots and said.day.slot == slots.draw(rng):
         return []
     return ['slot: the recorded entropy draws another one']
 
