@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Expected hits of ambushes: a site hits a route at most once, however often it re-enters.
 
-Rows of the game count entries into a site's reach. EntryLaw are linear in p and bound the hits from
+Rows of the game count entries into a site's reach. Entries are linear in p and bound the hits from
 above. The hits depend on the probability law of the routes: a Markov chain, or a mixture of whole
 routes. If p has cycles, its law is not known, and entries count as hits.
 """
