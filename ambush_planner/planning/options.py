@@ -85,10 +85,10 @@ class PlanningOptions:
 
 
 def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
-    """The game of a plan: with its tube, and with a secured area for all starts that it serves.
+    """Return the options of a plan's game, with its tube, widening and secured radius.
 
-    If an ambusher may wait anywhere, his sites stand for all places around them. The secured
-    area shrinks by the start tolerance, except that a radius of None includes it.
+    If ambushes are possible anywhere, sites are widened to stand for all places around them. The
+    secured area shrinks by the start tolerance, unless its radius is None.
     """
     spacing = node_spacing(risk_map, options.network)
     game = _driven_game(options, spacing)
