@@ -17,7 +17,7 @@ from ambush_planner.game.distribution.chain import MarkovChain
 from ambush_planner.game.distribution.gibbs import acyclic_network
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import law_of
-from ambush_planner.game.value.face_flows import quiet_model
+from ambush_planner.game.value.growing_program import quiet_model
 from ambush_planner.network.network import Network
 
 

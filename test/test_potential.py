@@ -137,7 +137,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
     lp = Potential(one_leg(game, 1.2), make_faces(game), 1e-3)
-    with pytest.raises(TimeLimit, match='before the LP in potentials'):
+    with pytest.raises(TimeLimit, match='before a linear program'):
         lp.solve(time.monotonic() - 1.0)
     assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
     assert lp.value == pytest.approx(worst_loss(game, lp.flow))
@@ -166,7 +166,7 @@ def test_circulations_on_a_graph_that_grows():
         tail, head = rng.integers(0, count, (2, 12))
         tail, head = tail[tail != head], head[tail != head]
         cost, high = rng.integers(-9, 9, len(tail)), rng.integers(1, 9, len(tail))
-        lp.add_columns(np.column_stack((tail, head)), np.tile([1.0, -1.0], (len(tail), 1)),
+        lp.add_arcs(np.column_stack((tail, head)), np.tile([1.0, -1.0], (len(tail), 1)),
                        cost.astype(float), np.zeros(len(tail)), high.astype(float))
         tails, heads = np.append(tails, tail), np.append(heads, head)
         costs, highs = np.append(costs, cost), np.append(highs, high)
@@ -178,19 +178,19 @@ def test_circulations_on_a_graph_that_grows():
             graph.add_edge(int(a), int(b), weight=int(c), capacity=int(h))
         found = lp.solve(math.inf)
         assert found.cost == pytest.approx(networkx.capacity_scaling(graph)[0], abs=1e-6)
-        reduced = costs - found.potential[tails] + found.potential[heads]
+        reduced = costs - found.duals[tails] + found.duals[heads]
         assert (found.x[reduced > 1e-6] < 1e-6).all()
         assert (found.x[reduced < -1e-6] > highs[reduced < -1e-6] - 1e-6).all()
-        assert found.potential[0] == 0.0
+        assert found.duals[0] == 0.0
 
 
 def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
     lp = FaceFlows()
     lp.add_nodes(2)
     ends = np.array([[0, 1], [1, 0]])
-    lp.add_columns(ends, np.array([[1.0, -1.0]] * 2), -np.ones(2), np.zeros(2),
+    lp.add_arcs(ends, np.array([[1.0, -1.0]] * 2), -np.ones(2), np.zeros(2),
                    np.full(2, np.inf))
-    with pytest.raises(SolverFailed, match='LP in potentials'):
+    with pytest.raises(SolverFailed, match='linear program'):
         lp.solve(math.inf)
     with pytest.raises(TimeLimit):
         lp.solve(time.monotonic() - 1.0)

@@ -61,6 +61,7 @@ def find_chain(search: Search) -> Incumbent | None:
     """
     program, distribution, entropy = search.program, _around_flow(search), 0.0
     best: Incumbent | None = None
+    known = len(search.loss)  # sites when rounds began
     end, begin = search.deadline, time.monotonic()
     latest = begin + ROUNDS_END * (end - begin)
     if search.problem.site_search is None:  # otherwise other sites may cost the flow more
@@ -83,7 +84,9 @@ def find_chain(search: Search) -> Incumbent | None:
         if not feasible or (found and program.bound == 0.0):
             # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
             # without edges that they hit.
-            distribution = _around_flow(search)
+            if len(search.loss) == known:
+                break
+            distribution, known = _around_flow(search), len(search.loss)
             continue
         distribution.measure(_cap(search))
         best = search.better(best, distribution)

@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
-from ..game.value.face_flows import HAS_HIGHSPY
+from ..game.value.growing_program import HAS_HIGHSPY
 from ..recordings.metadata import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
