@@ -61,7 +61,7 @@ class Subnetwork:
         self.count, self._key = len(nodes), self.tail * len(nodes) + self.head
         self.source, self.target = np.searchsorted(nodes, (network.source, network.target)).tolist()
         self.out = np.searchsorted(self.tail, np.arange(self.count + 1))
-        self.entering = csr_matrix(rows[:, self.edge])
+        self.rows, self.entering = rows, csr_matrix(rows[:, self.edge])
         by_edge = rows.tocsc()
         self._sites_of_edges = by_edge.indices, by_edge.indptr.tolist()
         self.no_reentry = game.no_reentry
