@@ -24,7 +24,6 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
 from ..game.route_sampler import route_edges
-from ..game.strategy import TripStrategy
 from ..planning.few import FewRoutes
 from ..planning.plan import Plan, corridors_of, path_lengths
 from ..routes.driven_path import driven_paths
@@ -96,20 +95,13 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     chosen = chosen[all_shares[chosen] > 0.0]
     few, few_legs = tuple(paths[k] for k in chosen), frozen_array(leg[chosen], np.int64)
     shares, few_costs = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
-    trip = mixture_strategy(plan, few, few_legs, shares, search.bounds, few_costs)
+    timed = plan.network.seconds is not None
+    trip = PathMixtures(plan.own_map, plan, few, few_legs).strategy(
+        shares, search.bounds, few_costs if timed else None)
     used = int(np.bincount(few_legs).max())
     curve = {min(size, used): each.value for size, each in found.items()}
     curve[used] = trip.value
-    return FewRoutes(few, few_legs, shares, trip, len(paths), few_costs, tuple(curve.items()),
-                     tuple(frozen_array(routes[k], np.int64) for k in chosen))
-
-
-def mixture_strategy(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray, shares: FloatArray,
-                     bounds: FloatArray, costs: FloatArray) -> TripStrategy:
-    """Make the strategies of FewRoutes from its paths, legs, shares, costs, and bounds by leg."""
-    timed = plan.network.seconds is not None
-    return PathMixtures(plan.own_map, plan, paths, leg).strategy(shares, bounds,
-                                                                 costs if timed else None)
+    return FewRoutes(few, few_legs, shares, trip, len(paths), few_costs, tuple(curve.items()))
 
 
 def _limits(plan: Plan) -> FloatArray:

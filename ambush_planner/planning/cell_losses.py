@@ -80,25 +80,6 @@ class CellLosses:
         """Blocks (K, 2) of ``side`` cells a side in which an ambush may cause a loss."""
         return np.argwhere(self._largest_in(side) > 0)
 
-    def costliest_cells(self, block: int) -> tuple[IndexArray, FloatArray]:
-        """Row and column (H, W, 2) of the cell of largest loss in each block, and its loss (H, W).
-
-        Of cells with the same loss, it is the one nearest to the block's centre. The loss is
-        negative if nobody can wait in the block.
-        """
-        loss = self._largest[1]
-        padded = np.pad(loss, [(0, -size % block) for size in loss.shape],
-                        constant_values=0 if len(self._levels) else NOBODY)
-        rows, columns = (size // block for size in padded.shape)
-        blocks = padded.reshape(rows, block, columns, block)
-        places = np.argwhere(np.ones((block, block), bool))
-        central_first = np.argsort(np.hypot(*(places - (block - 1) / 2.0).T), kind='stable')
-        row, column = places[central_first].T
-        found = np.stack([each[row, :, column].argmax(axis=0) for each in blocks])
-        corner = np.moveaxis(np.indices((rows, columns)), 0, 2) * block
-        cells = corner + places[central_first[found]]
-        return cells, self._losses(padded[cells[..., 0], cells[..., 1]])
-
     def change(self, cells: IndexArray, alpha: FloatArray) -> None:
         """Set the losses (K,) of cells (K, 2) = (row, column); ``NOBODY`` where nobody can wait."""
         graded = len(self._levels) > 0
