@@ -32,8 +32,6 @@ GROWTH = DISTRIBUTION.early_accuracy.missing
 # Share of the time until the deadline after which the flow is improved, if no distribution is
 # within the tolerance by then.
 ROUNDS_END = 0.8
-# Level lines with which whole routes begin.
-LINES = 64
 
 
 def find_distribution(search: Search) -> Incumbent:
@@ -146,8 +144,6 @@ def find_mixture(search: Search) -> Incumbent:
         known = len(routes.loss)
         routes.add_sites(csr_matrix(search.entering[known:]), search.loss[known:])
         routes.bound = potential.bound
-        for line in potential.level_lines(LINES):
-            routes.add_route(0, line)
         search.program = routes
     find_sites(search, ROUNDS)
     program = search.program

@@ -107,10 +107,6 @@ class Program(Protocol):
         """No strategy has a smaller value, as the ``ambush`` proves."""
 
     @property
-    def apart(self) -> float:
-        """Minimum distance of sites that join at once [reaches]."""
-
-    @property
     def value(self) -> float:
         """The cost of the strategies of ``flow`` at the sites so far."""
 
@@ -179,8 +175,7 @@ class Search:
         """
         if self.problem.site_search is None:
             return None
-        distance = max(apart, self.program.apart) * self.legs.reach
-        found = self.problem.site_search.worst(law, threshold, distance)
+        found = self.problem.site_search.worst(law, threshold, apart * self.legs.reach)
         if not len(found.points):
             return None
         self._add(found)

@@ -21,7 +21,7 @@ POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.01
 # The gap of one in potentials that only says where a network is to be refined [tolerances].
 ROUGH_GAP = 0.5
 # How often sites join before the distribution is sought; more often while the value is 0. In the
-# last of these rounds and later, sites may be as near to each other as the program allows.
+# last of these rounds and later, sites may be as near to each other as they come.
 SWEEPS = 3
 # How often sites join a program over routes before it is solved precisely.
 ROUGH_SWEEPS = 2

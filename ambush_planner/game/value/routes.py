@@ -56,8 +56,6 @@ class Routes:
         Whether ``solve`` ends near the least value, without a proof.
     """
 
-    apart = ROUTES.apart
-
     def __init__(self, legs: Legs, gap: float) -> None:
         self.legs, self._gap, count = legs, gap, len(legs.games)
         self._margins = [budget.used_margin for budget in legs.budgets]
