@@ -131,8 +131,8 @@ def test_warns_of_what_does_not_arrive_as_long_as_it_is_published(topic, kind, q
         wait_until(lambda: 'mapper' not in message(), 'no warning')
 
 
-def test_a_missing_highspy_is_information_and_no_warning(tmp_path, monkeypatch):
+def test_a_missing_highspy_is_said_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr(planner_node, 'HAS_HIGHSPY', False)
     with stderr_in(tmp_path / 'log') as said, stage() as running:
         assert 'highspy' not in running.client.diagnostics(state='waiting')['message']
-    assert said().count('pip install highspy') == 1 and '[INFO]' in said()
+    assert said().count('pip install highspy') == 1 and '[ERROR]' in said()

@@ -20,7 +20,6 @@ FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).rglob('*.py')
 CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
 MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas', 'pandas',
                   'pyogrio', 'shapely', 'mgrs'}
-# A faster solver, if it is there.
 NEEDED_ALSO = {'route_layers.py': {'geopandas', 'shapely', 'rasterio'},
                'growing_program.py': {'highspy'}}
 

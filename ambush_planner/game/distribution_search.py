@@ -32,8 +32,6 @@ GROWTH = DISTRIBUTION.early_accuracy.missing
 # Share of the remaining time after which rounds end if none is within the tolerance by then; the
 # flow is improved instead.
 ROUNDS_END = 0.8
-# Number of level lines that are the first whole routes.
-LINES = 64
 
 
 def find_distribution(search: Search) -> Incumbent:
@@ -49,7 +47,9 @@ def find_distribution(search: Search) -> Incumbent:
     if best.within_tolerance or search.legs.no_reentry or search.problem.out_of_time:
         return best
     mixture = find_mixture(search)
-    return mixture if mixture.value < best.value else best
+    # More sites are known now.
+    value, _ = largest_product(search.loss, search.entering, best.law)
+    return mixture if mixture.value <= value else best
 
 
 def find_chain(search: Search) -> Incumbent | None:
@@ -144,8 +144,6 @@ def find_mixture(search: Search) -> Incumbent:
         known = len(routes.loss)
         routes.add_sites(csr_matrix(search.entering[known:]), search.loss[known:])
         routes.bound = potential.bound
-        for line in potential.level_lines(LINES):
-            routes.add_route(0, line)
         search.program = routes
     find_sites(search, ROUNDS)
     program = search.program

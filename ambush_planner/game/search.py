@@ -112,10 +112,6 @@ class Program(Protocol):
         """Lower bound of the value of every strategy, certified by ``ambush``."""
 
     @property
-    def site_spacing(self) -> float:
-        """Minimum distance between sites that are added at once [reaches]."""
-
-    @property
     def value(self) -> float:
         """Largest mean loss of the strategies of ``flow`` at the known sites."""
 
@@ -179,8 +175,7 @@ class Search:
         """
         if self.problem.site_search is None:
             return None
-        distance = max(spacing, self.program.site_spacing) * self.legs.reach
-        found = self.problem.site_search.worst(law, threshold, distance)
+        found = self.problem.site_search.worst(law, threshold, spacing * self.legs.reach)
         if not len(found.points):
             return None
         self._add(found)

@@ -21,7 +21,7 @@ POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.01
 # Gap of a program in potentials that only decides where a network is refined [tolerances].
 ROUGH_GAP = 0.5
 # Rounds of separation before the distribution is sought; there are more while the value is 0. From
-# the last of these on, sites may be as close to each other as the program allows.
+# the last of these on, sites may be as close to each other as they come.
 SWEEPS = 3
 # Rounds of separation before a program over routes is solved precisely.
 ROUGH_SWEEPS = 2
@@ -76,7 +76,7 @@ def find_sites(search: Search, sweeps: int = SWEEPS) -> None:
         if search.problem.out_of_time or (sweep >= sweeps and program.bound > 0.0):
             break
         spacing = ROUTES.site_spacing if sweep < sweeps - 1 else 0.0
-        threshold = ceiling(program.value if rough else program.bound, search.tolerance)
+        threshold = max(ceiling(program.bound, search.tolerance), program.value)
         found = search.add_violated_sites(program_law(search), threshold, spacing)
         if found is None and not rough:
             break

@@ -27,8 +27,6 @@ from .linear_program import ORDINARY, conservation
 class EdgeFlows:
     """LP in the edges of all legs; until it is solved, its strategies are the shortest routes."""
 
-    site_spacing = 0.0
-
     def __init__(self, legs: Legs, gap: float) -> None:
         self._legs, self._gap, self.bound = legs, gap, 0.0
         self._use([shortest_route_strategy(game, budget.cost)

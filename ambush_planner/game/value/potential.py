@@ -30,7 +30,7 @@ from ..distribution.acyclic import without_cycles
 from ..distribution.chain import conserved_strategy
 from ..faces import Circulation, Faces
 from ..legs import Legs
-from ..route_sampler import route_edges, shortest_route, shortest_route_strategy
+from ..route_sampler import shortest_route_strategy
 from ..tolerance import within
 from . import highs
 from .face_flows import FaceFlows
@@ -73,8 +73,6 @@ class Potential:
     value : float
         Value of the ``flow`` at the known sites.
     """
-
-    site_spacing = 0.0
 
     def __init__(self, legs: Legs, faces: Faces, gap: float, first: float = np.inf) -> None:
         """The search for z begins at ``first``, or at half the largest loss if that is less.
@@ -186,16 +184,6 @@ class Potential:
     def ambush(self) -> Ambush:
         """The ambusher's strategy that certifies the bound."""
         return Ambush(self.q, np.array([self.price]), self._circulations)
-
-    def level_lines(self, count: int) -> list[IndexArray]:
-        """Return routes, as edges, along ``count`` level lines: they approximate the flow."""
-        if not len(self._blend):
-            return []
-        network, potential = self.faces.game.network, self._mixed_potential()
-        edges = [np.flatnonzero(self.faces.flow(np.floor(potential - level)))
-                 for level in (np.arange(count) + 0.5) / count]
-        return [route_edges(network, shortest_route(network, edge, self._budget.cost))
-                for edge in edges]
 
     def _mixed_potential(self) -> FloatArray:
         known = self._points[: len(self._blend)]

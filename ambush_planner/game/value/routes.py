@@ -35,9 +35,6 @@ class ColumnGeneration(NamedTuple):
     rough: float = 0.02
     gain: float = 0.25  # least reduced cost of an added route, as a share of the gap allowed
     comparisons: int = 1_000_000  # of labels in a search
-    # Share of the largest site price below which label searches ignore sites: with few sites they
-    # are fast, but each that is ignored weakens the bound.
-    small: float = 3e-3
     site_spacing: float = 0.25  # minimum distance between sites added at once [reaches]
 
 
@@ -58,8 +55,6 @@ class Routes:
     rough : bool
         Whether ``solve`` ends near the least value, without a proof.
     """
-
-    site_spacing = ROUTES.site_spacing
 
     def __init__(self, legs: Legs, gap: float) -> None:
         self.legs, self._gap, count = legs, gap, len(legs.games)
@@ -163,10 +158,7 @@ class Routes:
         Returns the least cost of all legs together, as ``best_route`` counts, and the number of
         routes added. If that is a lower bound, and the best so far, it is kept.
         """
-        q, prices, by_labels = mixture.q, mixture.prices, best_route == self._by_labels
-        site_prices = q * self.loss
-        if by_labels:
-            site_prices = np.where(site_prices > ROUTES.small * site_prices.max(), site_prices, 0.0)
+        q, prices, site_prices = mixture.q, mixture.prices, mixture.q * self.loss
         # A route must cost less than the leg's dual by its share of the gain.
         max_cost = mixture.costs - ROUTES.gain * self._gap * self.value / len(self._networks)
         added, least = 0, -float(prices.sum())
@@ -176,11 +168,10 @@ class Routes:
             least += bound
             if route is not None and network.cost(route, base, site_prices) < max_cost[leg]:
                 added += self.add_route(leg, route)
-        used_q = np.where(site_prices > 0.0, q, 0.0)
-        total = float(used_q.sum())
-        if (by_labels or self.legs.no_reentry) and least > self.bound * total:
+        total, proved = float(q.sum()), best_route == self._by_labels or self.legs.no_reentry
+        if proved and least > self.bound * total:
             margins = np.array([budget.margin for budget in self.legs.budgets])
-            self.bound, self.q = least / total, used_q / total
+            self.bound, self.q = least / total, q / total
             self.prices = np.where(np.isfinite(margins), prices / margins, 0.0) / total
         return least, added
 
