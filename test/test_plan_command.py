@@ -391,5 +391,10 @@ def test_a_plan_saves_itself_and_the_routes_that_it_returns(tmp_path):
     assert stat.S_IMODE((tmp_path / 'r.png').stat().st_mode) == 0o600
     with pytest.raises(InvalidOption, match=r'\.shp.*\.gpkg'):
         made.save(tmp_path / 'r.shp')
+    straight = 250.0
+    assert straight <= made.driven_length < made.strategy.expected_length
+    for n in (-1, 1.5):
+        with pytest.raises(InvalidOption, match='n must be a whole number'):
+            made.paths(n)
     made.save(tmp_path / 'r.plan', n=0)
     assert read_plan(tmp_path / 'r.plan').plan.value == made.value

@@ -219,25 +219,6 @@ class Plan(Shown):
         """
         return plan_methods.save(self, files, n, rng)
 
-    def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
-        """Draw ``n`` routes and return their paths as a GeoDataFrame, as files have them.
-
-        ``rng`` as in ``paths``.
-        """
-        return plan_methods.routes(self, n, rng)
-
-    def edges(self) -> Any:
-        """Return the edges in use with their ``probability``: a GeoDataFrame of lines."""
-        return plan_methods.tables(self)['edges']
-
-    def sites(self) -> Any:
-        """Return the ambusher's sites: a GeoDataFrame of points with ``probability`` and ``loss``.
-
-        It is empty if the value is 0.
-        """
-        tables = plan_methods.tables(self)
-        return tables.get('sites', tables['places'].iloc[:0])
-
     def frontier(self, detours: Sequence[float] | None = None,
                  slacks: Sequence[float] | None = None) -> tuple[Any, ...]:
         """Solve the trip with other length budgets and slacks, a row for each.
