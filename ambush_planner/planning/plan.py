@@ -61,6 +61,8 @@ class PlanRequest:
         Stops [m] in the order in which they are visited.
     warm
         A similar strategy to start the search from.
+    first
+        Options of a plan that is wanted sooner, from which that of ``options`` then starts.
     """
 
     grid: OccupancyMap
@@ -71,6 +73,7 @@ class PlanRequest:
     options: PlanningOptions
     stops_xy: tuple[tuple[float, float], ...] = ()
     warm: WarmStart | None = None
+    first: PlanningOptions | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
